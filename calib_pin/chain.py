@@ -1,0 +1,249 @@
+"""A kinematic chain of a URDF robot, from a base frame to a tip frame.
+
+The two frames may stand anywhere in the tree. Joints on the way from the base up to
+the common ancestor are passed backwards; the regressor takes care of their sign:
+with `T_base_tip = T_root_base^-1 T_root_tip` the body twist of the tip is
+
+    R_tip xi - Ad(T_base_tip^-1) R_base xi
+
+where R are Pinocchio's kinematic regressors (LOCAL) for right-multiplied placement
+errors `M_j Exp(xi_j)`. Joints above the common ancestor cancel and are locked.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.errors import RobotError, nearest
+from calib_pin.spatial import Floats, adjoint, invert
+
+__all__ = ["Chain", "Robot"]
+
+
+@dataclass(frozen=True)
+class Robot:
+    """A URDF as it was read.
+
+    Attributes:
+        name: Name in the `<robot>` element.
+        file: Path or bundled name the robot was read from, for messages.
+        source: The bytes of the URDF.
+        model: Pinocchio model of the whole tree.
+        root: Name of the root link.
+        links: Names of all links, in the order of the file.
+        leaves: Names of the links without children.
+        fixed_parents: For each link that hangs on a fixed joint, that joint's name.
+        refused: Joints that a chain cannot contain, each with the reason.
+    """
+
+    name: str
+    file: str
+    source: bytes
+    model: pin.Model
+    root: str
+    links: tuple[str, ...]
+    leaves: tuple[str, ...]
+    fixed_parents: Mapping[str, str] = field(default_factory=dict)
+    refused: Mapping[str, str] = field(default_factory=dict)
+
+
+class Chain:
+    """Kinematics from `base` to `tip` on Pinocchio.
+
+    Args:
+        robot: The robot.
+        base: Link the chain starts at; default the root link.
+        tip: Link the chain ends at; default the only leaf.
+
+    Attributes:
+        joints: Names of the n moving joints, from base to tip.
+        revolute: True for revolute and continuous joints, shape (n,).
+        reversed: True for joints passed from child to parent, shape (n,).
+        lower: Lower position limits, shape (n,) [rad, m]; -pi where there is none.
+        upper: Upper position limits, shape (n,) [rad, m]; pi where there is none.
+        axes: Unit axes in the joint frames, shape (n, 3).
+        placements: Nominal joint placements in their parent joint's frame, n SE3.
+        tip_joint: Fixed joint that carries the tip, if the chain ends with one; the
+            URDF can hold an error of the tip there.
+
+    Raises:
+        RobotError: If a frame is unknown, the tip is ambiguous, the chain has no
+            moving joint, or it contains a mimic or multi-degree joint.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> len(chain.joints)
+        6
+    """
+
+    def __init__(
+        self, robot: Robot, base: str | None = None, tip: str | None = None
+    ) -> None:
+        """Find the path and build the reduced Pinocchio model."""
+        self.robot = robot
+        self.base = _link(robot, base or robot.root, "base")
+        if tip is None:
+            leaves = [leaf for leaf in robot.leaves if leaf != self.base]
+            if len(leaves) != 1:
+                raise RobotError(
+                    f"the robot has {len(leaves)} possible tips, name one with --tip",
+                    file=robot.file,
+                    allowed=", ".join(leaves) or None,
+                )
+            tip = leaves[0]
+        self.tip = _link(robot, tip, "tip")
+
+        full = robot.model
+        up = _support(full, self.base)
+        down = _support(full, self.tip)
+        shared = sum(1 for a, b in zip(up, down, strict=False) if a == b)
+        path = [*reversed(up[shared:]), *down[shared:]]
+        if not path:
+            raise RobotError(
+                f"no moving joint between '{self.base}' and '{self.tip}'",
+                file=robot.file,
+            )
+        self.joints: tuple[str, ...] = tuple(full.names[j] for j in path)
+        for name in self.joints:
+            if name in robot.refused:
+                raise RobotError(
+                    f"joint '{name}' between '{self.base}' and '{self.tip}' is "
+                    f"{robot.refused[name]}, which a chain cannot contain",
+                    file=robot.file,
+                )
+        locked = [j for j in range(1, full.njoints) if j not in set(path)]
+        self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
+        self._data = self._model.createData()
+        self._ids = [self._model.getJointId(name) for name in self.joints]
+        self._base_id = self._model.getFrameId(self.base)
+        self._tip_id = self._model.getFrameId(self.tip)
+
+        count = len(path)
+        self.reversed = np.arange(count) < len(up) - shared
+        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+        subspaces = np.array([self._subspace(joint) for joint in self._ids])
+        self.revolute = np.linalg.norm(subspaces[:, 3:], axis=1) > 0.5
+        self.axes: Floats = np.where(
+            self.revolute[:, None], subspaces[:, 3:], subspaces[:, :3]
+        )
+        self._q_index = np.array([self._model.idx_qs[j] for j in self._ids])
+        self._continuous = np.array([self._model.nqs[j] == 2 for j in self._ids])
+        lower = self._model.lowerPositionLimit[self._q_index]
+        upper = self._model.upperPositionLimit[self._q_index]
+        limited = ~self._continuous & (upper > lower) & (np.abs(upper - lower) < 1e6)
+        self.lower: Floats = np.where(limited, lower, -np.pi)
+        self.upper: Floats = np.where(limited, upper, np.pi)
+        self.placements: tuple[pin.SE3, ...] = tuple(
+            self._model.jointPlacements[j].copy() for j in self._ids
+        )
+        on_path = self.tip in robot.fixed_parents and not self.reversed[-1]
+        self.tip_joint: str | None = robot.fixed_parents[self.tip] if on_path else None
+
+    def poses(self, q: Floats, placements: Sequence[pin.SE3] | None = None) -> Floats:
+        """Tip poses in the base frame.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            placements: Joint placements in chain order; default the nominal ones.
+
+        Returns:
+            `T_base_tip`, shape (N, 4, 4).
+        """
+        model, data = self._model, self._data
+        self._place(placements)
+        base, tip = np.empty((2, len(q), 4, 4))
+        for i, configuration in enumerate(self._configurations(q)):
+            pin.forwardKinematics(model, data, configuration)
+            base[i] = pin.updateFramePlacement(model, data, self._base_id).homogeneous
+            tip[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
+        return invert(base) @ tip
+
+    def regressor(
+        self, q: Floats, placements: Sequence[pin.SE3] | None = None
+    ) -> tuple[Floats, Floats]:
+        """Tip poses and their derivative by right-multiplied placement errors.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            placements: Joint placements in chain order; default the nominal ones.
+
+        Returns:
+            `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
+            the tip per placement twist, joints in chain order.
+        """
+        model, data = self._model, self._data
+        self._place(placements)
+        count = len(q)
+        width = 6 * (model.njoints - 1)
+        base, tip = np.empty((2, count, 4, 4))
+        R_tip = np.empty((count, 6, width))
+        R_base = np.empty((count, 6, width)) if self.reversed.any() else None
+        frame_regressor = pin.computeFrameKinematicRegressor
+        for i, configuration in enumerate(self._configurations(q)):
+            pin.forwardKinematics(model, data, configuration)
+            base[i] = pin.updateFramePlacement(model, data, self._base_id).homogeneous
+            tip[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
+            R_tip[i] = frame_regressor(model, data, self._tip_id, pin.LOCAL)
+            if R_base is not None:
+                R_base[i] = frame_regressor(model, data, self._base_id, pin.LOCAL)
+        T = invert(base) @ tip
+        if R_base is not None:
+            R_tip -= adjoint(invert(T)) @ R_base
+        columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
+        if not np.array_equal(columns, np.arange(width)):
+            R_tip = R_tip[:, :, columns]
+        return T, R_tip
+
+    def joint_frames(self) -> Floats:
+        """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""
+        model, data = self._model, self._data
+        self._place(None)
+        (zero,) = self._configurations(np.zeros((1, len(self.joints))))
+        pin.forwardKinematics(model, data, zero)
+        base = pin.updateFramePlacement(model, data, self._base_id)
+        return np.array(
+            [base.actInv(data.oMi[joint]).homogeneous for joint in self._ids]
+        )
+
+    def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
+        """Configurations drawn uniformly within the limits, shape (count, n)."""
+        return rng.uniform(self.lower, self.upper, (count, len(self.joints)))
+
+    def _subspace(self, joint: int) -> Floats:
+        """Unit twist of a joint in its own frame: the axis, linear or angular."""
+        J = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL)
+        return np.asarray(J[:, self._model.idx_vs[joint]])
+
+    def _place(self, placements: Sequence[pin.SE3] | None) -> None:
+        chosen = self.placements if placements is None else placements
+        for joint, placement in zip(self._ids, chosen, strict=True):
+            self._model.jointPlacements[joint] = placement
+
+    def _configurations(self, q: Floats) -> Floats:
+        """Pinocchio's configuration vectors: continuous joints take cos and sin."""
+        result = np.zeros((len(q), self._model.nq))
+        result[:, self._q_index] = np.where(self._continuous, np.cos(q), q)
+        result[:, self._q_index[self._continuous] + 1] = np.sin(q[:, self._continuous])
+        return result
+
+
+def _link(robot: Robot, name: str, role: str) -> str:
+    if name not in robot.links:
+        raise RobotError(
+            f"the robot has no link '{name}' for the {role}"
+            f"{nearest(name, robot.links)}",
+            file=robot.file,
+            allowed=", ".join(robot.links) if len(robot.links) <= 12 else None,
+        )
+    return name
+
+
+def _support(model: pin.Model, link: str) -> list[int]:
+    """Moving joints from the root of the tree to a link."""
+    joint = model.frames[model.getFrameId(link)].parentJoint
+    return [j for j in model.supports[joint] if j != 0]

@@ -1,0 +1,144 @@
+"""Measurements: configurations of a chain and what an instrument saw there."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+
+__all__ = ["Measurements"]
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """N measurements of one chain with one measurement model.
+
+    Attributes:
+        joints: Names of the chain's joints, the columns of `q`.
+        q: Commanded joint positions, shape (N, n) [rad, m].
+        model: Name of the measurement model, such as `position`.
+        values: Measured values in the layout of the model, shape (N, D), SI units:
+            `position` x y z [m]; `pose` x y z [m] and the quaternion qx qy qz qw;
+            `plane-distance` the distance [m].
+        sigma: Standard deviations of the residual components, shape (N, d), or
+            None where the file does not state them. For `pose` the last three belong
+            to the rotation vector in the tool frame [rad].
+        target: Name of the plane or reference point of each row, length N; empty
+            strings where the file names none.
+        validate: True for the rows that must not be fitted, shape (N,).
+        lines: Line of each row in its file, shape (N,); 0 where there is no file.
+        files: File of each row, length N; empty strings where there is none.
+
+    Raises:
+        InputError: If the shapes disagree or a number is not finite.
+    """
+
+    joints: tuple[str, ...]
+    q: Floats
+    model: str
+    values: Floats
+    sigma: Floats | None = None
+    target: tuple[str, ...] = ()
+    validate: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
+    lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    files: tuple[str, ...] = ()
+
+    def __post_init__(self) -> None:
+        """Fill the optional columns and check shapes and values."""
+        count = len(self.q)
+        defaults = {
+            "target": ("",) * count,
+            "files": ("",) * count,
+            "validate": np.zeros(count, bool),
+            "lines": np.zeros(count, np.int64),
+        }
+        for name, default in defaults.items():
+            if len(getattr(self, name)) == 0:
+                object.__setattr__(self, name, default)
+        if self.q.shape != (count, len(self.joints)):
+            raise InputError(
+                f"q has shape {self.q.shape}, expected ({count}, {len(self.joints)})"
+            )
+        for name in ("values", "target", "validate", "lines", "files"):
+            if len(getattr(self, name)) != count:
+                raise InputError(f"'{name}' has not the {count} rows of q")
+        if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
+            raise InputError("measurements must be finite numbers")
+        if self.sigma is not None and not (
+            np.isfinite(self.sigma).all() and (self.sigma > 0).all()
+        ):
+            raise InputError("standard deviations must be positive finite numbers")
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.q)
+
+    def rows(self, index: NDArray[Any]) -> Measurements:
+        """The rows picked by a boolean mask or an index array, in its order."""
+        order = np.arange(len(self))[index]
+        return replace(
+            self,
+            q=self.q[order],
+            values=self.values[order],
+            sigma=None if self.sigma is None else self.sigma[order],
+            target=tuple(self.target[i] for i in order),
+            validate=self.validate[order],
+            lines=self.lines[order],
+            files=tuple(self.files[i] for i in order),
+        )
+
+    def split(self) -> tuple[Measurements, Measurements]:
+        """The training rows and the validation rows, by the `set` column."""
+        return self.rows(~self.validate), self.rows(self.validate)
+
+    def groups(self) -> NDArray[np.int64]:
+        """Label rows that must stay together when data are split, shape (N,).
+
+        Rows of one configuration (equal to 1e-6 rad or m) are repetitions: with one
+        of them fitted the others are no longer unseen.
+        """
+        _, label = np.unique(np.round(self.q, 6), axis=0, return_inverse=True)
+        return np.asarray(label.reshape(-1), np.int64)
+
+    def place(self, row: int) -> str:
+        """Where a row stands, as `file:line`, or `row k` where there is no file."""
+        if self.files[row]:
+            return f"{self.files[row]}:{self.lines[row]}"
+        return f"row {row}"
+
+    @staticmethod
+    def concatenate(parts: list[Measurements]) -> Measurements:
+        """Join measurements of the same chain and model.
+
+        Raises:
+            InputError: If the joints or the models differ, or only some have sigmas.
+        """
+        first = parts[0]
+        for part in parts[1:]:
+            if part.joints != first.joints or part.model != first.model:
+                raise InputError(
+                    f"cannot join '{part.model}' measurements with '{first.model}' ones"
+                )
+            if (part.sigma is None) != (first.sigma is None):
+                raise InputError(
+                    "cannot join measurements with and without standard deviations",
+                    file=part.files[0] or None,
+                )
+        sigmas = [part.sigma for part in parts if part.sigma is not None]
+        return Measurements(
+            joints=first.joints,
+            q=np.concatenate([part.q for part in parts]),
+            model=first.model,
+            values=np.concatenate([part.values for part in parts]),
+            sigma=np.concatenate(sigmas) if sigmas else None,
+            target=sum((part.target for part in parts), ()),
+            validate=np.concatenate([part.validate for part in parts]),
+            lines=np.concatenate([part.lines for part in parts]),
+            files=sum((part.files for part in parts), ()),
+        )

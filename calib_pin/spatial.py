@@ -1,0 +1,119 @@
+"""Rigid motions and twists for stacks of poses, in Pinocchio's conventions.
+
+A pose is a homogeneous matrix `T_a_b`, shape (..., 4, 4), that maps coordinates of
+frame b to frame a. A twist is (linear, angular), shape (..., 6), and belongs to a
+right-multiplied increment `T Exp(twist)` (a body twist).
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Floats",
+    "adjoint",
+    "invert",
+    "nearest_rotation",
+    "skew",
+    "so3_exp",
+    "so3_log",
+    "so3_log_derivative",
+]
+
+Floats = NDArray[np.float64]
+
+
+def skew(vector: Floats) -> Floats:
+    """Matrix of the cross product, shape (..., 3) -> (..., 3, 3)."""
+    x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]
+    result = np.zeros((*vector.shape[:-1], 3, 3))
+    result[..., 0, 1], result[..., 0, 2], result[..., 1, 2] = -z, y, -x
+    result[..., 1, 0], result[..., 2, 0], result[..., 2, 1] = z, -y, x
+    return result
+
+
+def invert(T: Floats) -> Floats:
+    """Inverse of rigid motions, shape (..., 4, 4)."""
+    R_transposed = np.swapaxes(T[..., :3, :3], -1, -2)
+    result = np.zeros_like(T)
+    result[..., :3, :3] = R_transposed
+    result[..., :3, 3] = -(R_transposed @ T[..., :3, 3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def adjoint(T: Floats) -> Floats:
+    """Adjoint of rigid motions: a twist in b becomes a twist in a, (..., 6, 6)."""
+    R = T[..., :3, :3]
+    result = np.zeros((*T.shape[:-2], 6, 6))
+    result[..., :3, :3] = R
+    result[..., 3:, 3:] = R
+    result[..., :3, 3:] = skew(T[..., :3, 3]) @ R
+    return result
+
+
+def so3_exp(vector: Floats) -> Floats:
+    """Rotation matrices of rotation vectors, shape (..., 3) -> (..., 3, 3)."""
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    K = skew(vector)
+    # sinc keeps both coefficients exact at zero angle.
+    first = np.sinc(angle / np.pi)
+    second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    return np.asarray(np.eye(3) + first * K + second * (K @ K))
+
+
+def so3_log(R: Floats) -> Floats:
+    """Rotation vectors of rotation matrices, shape (..., 3, 3) -> (..., 3).
+
+    The matrix goes through the quaternion whose largest component is found first
+    (Shepperd's method), so accuracy does not drop near half turns.
+    """
+    trace = np.trace(R, axis1=-2, axis2=-1)
+    diagonal = np.diagonal(R, axis1=-2, axis2=-1)
+    squares = np.concatenate(
+        [
+            (1.0 + 2.0 * diagonal - trace[..., None]),
+            (1.0 + trace)[..., None],
+        ],
+        axis=-1,
+    )
+    # Row k holds 4 * q_k * (qx, qy, qz, qw).
+    products = np.empty((*R.shape[:-2], 4, 4))
+    for k in range(4):
+        products[..., k, k] = squares[..., k]
+    for i, j, k in ((0, 1, 2), (1, 2, 0), (2, 0, 1)):
+        products[..., i, j] = products[..., j, i] = R[..., i, j] + R[..., j, i]
+        products[..., k, 3] = products[..., 3, k] = R[..., j, i] - R[..., i, j]
+    best = np.argmax(squares, axis=-1)[..., None, None]
+    quaternion = np.take_along_axis(products, best, axis=-2)[..., 0, :]
+    quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
+    quaternion = np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
+    sine = np.linalg.norm(quaternion[..., :3], axis=-1, keepdims=True)
+    half = np.arctan2(sine, quaternion[..., 3:])
+    factor = np.where(sine > 1e-12, 2.0 * half / np.maximum(sine, 1e-300), 2.0)
+    return np.asarray(factor * quaternion[..., :3])
+
+
+def so3_log_derivative(vector: Floats) -> Floats:
+    """Derivative of `so3_log(R Exp(w))` by w at w = 0, shape (..., 3, 3).
+
+    This is the inverse right Jacobian at the rotation vector (..., 3), singular only
+    at a full turn.
+    """
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    K = skew(vector)
+    half = 0.5 * angle
+    small = angle < 1e-4
+    safe = np.where(small, 1.0, half)
+    exact = (1.0 - safe / np.tan(safe)) / (4.0 * safe**2)
+    # Series 1/12 + angle^2/720: the closed form cancels to 0/0 at zero angle.
+    coefficient = np.where(small, 1.0 / 12.0 + angle**2 / 720.0, exact)
+    return np.asarray(np.eye(3) + 0.5 * K + coefficient * (K @ K))
+
+
+def nearest_rotation(M: Floats) -> Floats:
+    """Rotation matrix closest to M in the Frobenius norm, shape (3, 3)."""
+    U, _, Vt = np.linalg.svd(M)
+    U[:, -1] *= np.sign(np.linalg.det(U) * np.linalg.det(Vt))
+    return np.asarray(U @ Vt)

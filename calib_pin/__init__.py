@@ -1,0 +1,85 @@
+"""Robot calibration on Pinocchio.
+
+Five lines from a URDF and a file of measurements to a corrected URDF:
+
+    chain = calib_pin.load_chain("arm.urdf", tip="tool0")
+    rows = calib_pin.read_measurements("tracker.csv", chain)
+    result = calib_pin.calibrate(chain, rows)
+    print(calib_pin.format_report(result))
+    calib_pin.write_urdf(result.model, "arm_calibrated.urdf")
+
+Lengths are in meters, angles in radians, twists in the order (linear, angular).
+"""
+
+from __future__ import annotations
+
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from calib_pin.calibration import calibrate, evaluate, identify
+    from calib_pin.chain import Chain
+    from calib_pin.errors import CalibPinError
+    from calib_pin.io.measurements import read_measurements, write_measurements
+    from calib_pin.io.results import read_calibration, write_urdf
+    from calib_pin.io.setup import read_setup
+    from calib_pin.io.urdf import load_chain, robot_file
+    from calib_pin.measurements import Measurements
+    from calib_pin.report.text import format_report
+    from calib_pin.result import CalibrationResult
+    from calib_pin.setup import Setup
+    from calib_pin.simulation import draw_errors, simulate
+
+__all__ = [
+    "CalibPinError",
+    "CalibrationResult",
+    "Chain",
+    "Measurements",
+    "Setup",
+    "calibrate",
+    "draw_errors",
+    "evaluate",
+    "format_report",
+    "identify",
+    "load_chain",
+    "read_calibration",
+    "read_measurements",
+    "read_setup",
+    "robot_file",
+    "simulate",
+    "write_measurements",
+    "write_urdf",
+]
+
+_HOMES = {
+    "CalibPinError": "errors",
+    "CalibrationResult": "result",
+    "Chain": "chain",
+    "Measurements": "measurements",
+    "Setup": "setup",
+    "calibrate": "calibration",
+    "draw_errors": "simulation",
+    "evaluate": "calibration",
+    "format_report": "report.text",
+    "identify": "calibration",
+    "load_chain": "io.urdf",
+    "read_calibration": "io.results",
+    "read_measurements": "io.measurements",
+    "read_setup": "io.setup",
+    "robot_file": "io.urdf",
+    "simulate": "simulation",
+    "write_measurements": "io.measurements",
+    "write_urdf": "io.results",
+}
+"""Where each public name lives; imported when it is first used."""
+
+
+def __getattr__(name: str) -> Any:
+    """Import a public name on first use: Pinocchio alone takes a second to load."""
+    if name not in _HOMES:
+        raise AttributeError(f"module 'calib_pin' has no attribute '{name}'")
+    return getattr(import_module(f"calib_pin.{_HOMES[name]}"), name)
+
+
+def __dir__() -> list[str]:
+    return __all__

@@ -67,6 +67,7 @@ class Chain:
         upper: Upper position limits, shape (n,) [rad, m]; pi where there is none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in their parent joint's frame, n SE3.
+        tip_placement: Tip in the frame of its own moving joint, SE3.
         tip_joint: Fixed joint that carries the tip, if the chain ends with one; the
             URDF can hold an error of the tip there.
 
@@ -120,8 +121,12 @@ class Chain:
         self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
         self._data = self._model.createData()
         self._ids = [self._model.getJointId(name) for name in self.joints]
-        self._base_id = self._model.getFrameId(self.base)
-        self._tip_id = self._model.getFrameId(self.tip)
+        # The regressor has six columns per joint in the order of the tree.
+        columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
+        in_order = np.array_equal(columns, np.arange(len(columns)))
+        self._columns = slice(None) if in_order else columns
+        self._base_id = _frame(self._model, self.base)
+        self._tip_id = _frame(self._model, self.tip)
 
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
@@ -141,6 +146,7 @@ class Chain:
         self.placements: tuple[pin.SE3, ...] = tuple(
             self._model.jointPlacements[j].copy() for j in self._ids
         )
+        self.tip_placement: pin.SE3 = self._model.frames[self._tip_id].placement.copy()
         on_path = self.tip in robot.fixed_parents and not self.reversed[-1]
         self.tip_joint: str | None = robot.fixed_parents[self.tip] if on_path else None
 
@@ -194,10 +200,7 @@ class Chain:
         T = invert(base) @ tip
         if R_base is not None:
             R_tip -= adjoint(invert(T)) @ R_base
-        columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
-        if not np.array_equal(columns, np.arange(width)):
-            R_tip = R_tip[:, :, columns]
-        return T, R_tip
+        return T, R_tip[:, :, self._columns]
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""
@@ -217,7 +220,8 @@ class Chain:
     def _subspace(self, joint: int) -> Floats:
         """Unit twist of a joint in its own frame: the axis, linear or angular."""
         J = pin.getJointJacobian(self._model, self._data, joint, pin.LOCAL)
-        return np.asarray(J[:, self._model.idx_vs[joint]])
+        # With a single degree of freedom Pinocchio returns a plain vector.
+        return np.asarray(J.reshape(6, -1)[:, self._model.idx_vs[joint]])
 
     def _place(self, placements: Sequence[pin.SE3] | None) -> None:
         chosen = self.placements if placements is None else placements
@@ -243,7 +247,12 @@ def _link(robot: Robot, name: str, role: str) -> str:
     return name
 
 
+def _frame(model: pin.Model, link: str) -> int:
+    """Frame of a link; a joint may bear the same name."""
+    return int(model.getFrameId(link, pin.FrameType.BODY))
+
+
 def _support(model: pin.Model, link: str) -> list[int]:
     """Moving joints from the root of the tree to a link."""
-    joint = model.frames[model.getFrameId(link)].parentJoint
+    joint = model.frames[_frame(model, link)].parentJoint
     return [j for j in model.supports[joint] if j != 0]

@@ -13,12 +13,14 @@ from numpy.typing import NDArray
 __all__ = [
     "Floats",
     "adjoint",
+    "from_quaternion",
     "invert",
     "nearest_rotation",
     "skew",
     "so3_exp",
     "so3_log",
     "so3_log_derivative",
+    "to_quaternion",
 ]
 
 Floats = NDArray[np.float64]
@@ -64,19 +66,24 @@ def so3_exp(vector: Floats) -> Floats:
 
 
 def so3_log(R: Floats) -> Floats:
-    """Rotation vectors of rotation matrices, shape (..., 3, 3) -> (..., 3).
+    """Rotation vectors of rotation matrices, shape (..., 3, 3) -> (..., 3)."""
+    quaternion = to_quaternion(R)
+    sine = np.linalg.norm(quaternion[..., :3], axis=-1, keepdims=True)
+    half = np.arctan2(sine, quaternion[..., 3:])
+    factor = np.where(sine > 1e-12, 2.0 * half / np.maximum(sine, 1e-300), 2.0)
+    return np.asarray(factor * quaternion[..., :3])
 
-    The matrix goes through the quaternion whose largest component is found first
-    (Shepperd's method), so accuracy does not drop near half turns.
+
+def to_quaternion(R: Floats) -> Floats:
+    """Unit quaternions (x, y, z, w) with w >= 0, shape (..., 3, 3) -> (..., 4).
+
+    The largest component is found first (Shepperd's method), so accuracy does not
+    drop near half turns.
     """
     trace = np.trace(R, axis1=-2, axis2=-1)
     diagonal = np.diagonal(R, axis1=-2, axis2=-1)
     squares = np.concatenate(
-        [
-            (1.0 + 2.0 * diagonal - trace[..., None]),
-            (1.0 + trace)[..., None],
-        ],
-        axis=-1,
+        [1.0 + 2.0 * diagonal - trace[..., None], (1.0 + trace)[..., None]], axis=-1
     )
     # Row k holds 4 * q_k * (qx, qy, qz, qw).
     products = np.empty((*R.shape[:-2], 4, 4))
@@ -88,11 +95,14 @@ def so3_log(R: Floats) -> Floats:
     best = np.argmax(squares, axis=-1)[..., None, None]
     quaternion = np.take_along_axis(products, best, axis=-2)[..., 0, :]
     quaternion = quaternion / np.linalg.norm(quaternion, axis=-1, keepdims=True)
-    quaternion = np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion)
-    sine = np.linalg.norm(quaternion[..., :3], axis=-1, keepdims=True)
-    half = np.arctan2(sine, quaternion[..., 3:])
-    factor = np.where(sine > 1e-12, 2.0 * half / np.maximum(sine, 1e-300), 2.0)
-    return np.asarray(factor * quaternion[..., :3])
+    return np.asarray(np.where(quaternion[..., 3:] < 0.0, -quaternion, quaternion))
+
+
+def from_quaternion(quaternion: Floats) -> Floats:
+    """Rotation matrices of unit quaternions (x, y, z, w), (..., 4) -> (..., 3, 3)."""
+    K = skew(quaternion[..., :3])
+    w = quaternion[..., 3, None, None]
+    return np.asarray(np.eye(3) + 2.0 * (w * K + K @ K))
 
 
 def so3_log_derivative(vector: Floats) -> Floats:

@@ -1,0 +1,217 @@
+"""Judge a fit: which estimates mean something, which rows do not fit, the verdict."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+
+from calib_pin.chain import Chain
+from calib_pin.fit import Fit
+from calib_pin.identifiability import Structure, everett_count, observability
+from calib_pin.parameters import ParameterSet
+from calib_pin.result import (
+    CoupledGroup,
+    Identifiability,
+    Outlier,
+    ParameterEstimate,
+    QuantityErrors,
+)
+from calib_pin.solvers import Status
+from calib_pin.spatial import Floats
+
+__all__ = ["estimates", "fitted_ranks", "outliers", "structural_ranks", "verdict"]
+
+CORRELATED = 0.95
+"""Absolute correlation above which two estimates are reported as a pair."""
+
+WEAK_PART = 0.1
+"""Part of a parameter in directions left at nominal from which it counts as weak."""
+
+
+def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
+    """`good` or `untrusted`, and the reason where it is not good."""
+    rows, rank = len(fitted.result.fun), fitted.structure.rank
+    if rows < rank:
+        return "untrusted", (
+            f"{rows} measured values cannot determine {rank} identifiable parameters; "
+            "measure more configurations or estimate fewer parameters"
+        )
+    if fitted.dof <= 0:
+        return "untrusted", (
+            f"{rows} measured values for {fitted.rank} estimated parameters leave "
+            "nothing to check the fit with; measure more configurations"
+        )
+    if fitted.result.status is not Status.CONVERGED:
+        return "untrusted", fitted.result.status.advice
+    for quantity in errors:
+        before, after = quantity.validation_before, quantity.validation_after
+        # Compared by rms: it is what least squares minimizes. Rounding aside.
+        if before and after and after.rms > before.rms * (1.0 + 1e-6) + 1e-12:
+            return "untrusted", (
+                f"on rows it has not seen the calibrated robot is worse than the "
+                f"nominal one: {quantity.name} rms {after.rms:.3g} {quantity.unit} "
+                f"after {before.rms:.3g} {quantity.unit}"
+            )
+    return "good", ""
+
+
+def estimates(
+    parameters: ParameterSet, structure: Structure, fitted: Fit | None = None
+) -> tuple[tuple[ParameterEstimate, ...], tuple[CoupledGroup, ...]]:
+    """The status of every parameter and the coupled groups, with values of a fit.
+
+    Args:
+        parameters: The parameters.
+        structure: Their structural analysis.
+        fitted: The fit, if there is one; otherwise values are zero.
+    """
+    theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
+    groups: list[CoupledGroup] = []
+    member: dict[int, list[int]] = {}
+    alone: dict[int, bool] = {}
+    sigmas: dict[int, float | None] = {}
+    weak: set[int] = set()
+    for combination in structure.combinations:
+        row = combination.row(len(parameters))
+        known = fitted is None or _weak_part(fitted, row) <= WEAK_PART
+        sigma = _deviation(fitted, row) if known else None
+        if len(combination.terms) == 1:
+            position = combination.terms[0][0]
+            alone[position], sigmas[position] = known, sigma
+            continue
+        number = len(groups) + 1
+        if not known:
+            weak.add(number)
+        for position, _ in combination.terms:
+            member.setdefault(position, []).append(number)
+        groups.append(
+            CoupledGroup(
+                number=number,
+                expression=combination.expression(parameters.names),
+                unit=combination.unit,
+                value=float(row @ theta),
+                sigma=sigma,
+                terms=tuple((parameters[k].name, c) for k, c in combination.terms),
+            )
+        )
+
+    def status(k: int) -> str:
+        if not parameters[k].free:
+            return "fixed"
+        if k in structure.unidentifiable:
+            return "unidentifiable"
+        if k in alone:
+            return "identifiable" if alone[k] else "weak"
+        return "weak" if weak.issuperset(member[k]) else "coupled"
+
+    return tuple(
+        ParameterEstimate(
+            name=parameter.name,
+            unit=parameter.unit,
+            value=float(theta[k]),
+            sigma=sigmas.get(k),
+            status=status(k),
+            groups=tuple(member.get(k, ())),
+        )
+        for k, parameter in enumerate(parameters)
+    ), tuple(groups)
+
+
+def structural_ranks(
+    parameters: ParameterSet, structure: Structure, chain: Chain
+) -> Identifiability:
+    """Ranks without measurements."""
+    s = structure.singular_values[: structure.rank]
+    return Identifiability(
+        parameters=int(parameters.free.sum()),
+        rank=structure.rank,
+        structural_rank=structure.rank,
+        gap=structure.gap,
+        everett=everett_count(chain.revolute),
+        condition=float(s[0] / s[-1]) if len(s) else 0.0,
+        singular_values=tuple(float(value) for value in s),
+        observability={},
+        weak=0,
+        correlated=(),
+    )
+
+
+def fitted_ranks(fitted: Fit) -> Identifiability:
+    """Ranks and observability of the rows that were fitted."""
+    s = fitted.singular_values
+    s = s[s > 1e-12 * s.max(initial=0.0)]
+    structural = structural_ranks(
+        fitted.problem.parameters, fitted.structure, fitted.problem.error.chain
+    )
+    return replace(
+        structural,
+        rank=fitted.rank,
+        condition=float(s[0] / s[-1]) if len(s) else 0.0,
+        singular_values=tuple(float(value) for value in s),
+        observability=observability(s, len(fitted.problem.data)),
+        weak=fitted.directions.weak.shape[1],
+        correlated=tuple(_correlated(fitted)),
+    )
+
+
+def _weak_part(fitted: Fit, row: Floats) -> float:
+    """Part of a sum of robot parameters that lies in directions left at nominal."""
+    parameters = fitted.problem.parameters
+    scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
+    length = np.linalg.norm(scaled)
+    if length == 0.0:
+        return 0.0
+    return float(np.linalg.norm(fitted.directions.weak.T @ scaled) / length)
+
+
+def _deviation(fitted: Fit | None, row: Floats) -> float | None:
+    """Standard deviation of a sum of parameters, None where a fit gives none."""
+    if fitted is None:
+        return None
+    sigma = float(np.sqrt(row @ fitted.covariance @ row))
+    return sigma if np.isfinite(sigma) else None
+
+
+def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
+    """Pairs of identifiable sums of the robot whose estimates move together."""
+    parameters = fitted.problem.parameters
+    rows, names = [], []
+    for combination in fitted.structure.combinations:
+        row = combination.row(len(parameters))
+        if parameters[combination.terms[0][0]].nuisance:
+            continue
+        if _weak_part(fitted, row) <= WEAK_PART:
+            rows.append(row)
+            names.append(combination.expression(parameters.names))
+    if not rows or not np.isfinite(fitted.covariance).all():
+        return
+    C = np.array(rows)
+    covariance = C @ fitted.covariance @ C.T
+    sigma = np.sqrt(np.diag(covariance))
+    with np.errstate(divide="ignore", invalid="ignore"):
+        correlation = covariance / np.outer(sigma, sigma)
+    for i in range(len(names)):
+        for j in range(i):
+            if abs(correlation[i, j]) > CORRELATED:
+                yield names[j], names[i], float(correlation[i, j])
+
+
+def outliers(fitted: Fit) -> tuple[Outlier, ...]:
+    """Rows beyond the chi-square quantile that one row in a hundred sets exceeds."""
+    from scipy.special import chdtri
+
+    if not np.isfinite(fitted.sigma0) or fitted.sigma0 == 0.0:
+        return ()
+    data = fitted.problem.data
+    whitened = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
+    unit = 1.0 if data.sigma is not None else fitted.sigma0
+    squares = np.sum((whitened / unit) ** 2, axis=1)
+    limit = chdtri(whitened.shape[1], 0.01 / len(data))
+    order = np.argsort(-squares, kind="stable")
+    return tuple(
+        Outlier(data.place(int(row)), int(row), float(np.sqrt(squares[row])))
+        for row in order
+        if squares[row] > limit
+    )

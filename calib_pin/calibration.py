@@ -1,0 +1,334 @@
+"""Calibrate a robot from measurements and judge the result.
+
+`calibrate` fits all training rows, checks the fit on rows it has not seen and says
+what of the robot can be known. `evaluate` measures the accuracy of a robot or a
+calibration on other data. `identify` looks at the structure without measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.assessment import (
+    estimates,
+    fitted_ranks,
+    outliers,
+    structural_ranks,
+    verdict,
+)
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import InputError, OptionError
+from calib_pin.fit import Fit, analyze_structure, fit, register
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.result import (
+    Accuracy,
+    CalibratedModel,
+    CalibrationResult,
+    Evaluation,
+    Identification,
+    QuantityErrors,
+)
+from calib_pin.setup import Setup
+
+__all__ = ["calibrate", "evaluate", "identify", "make_problem", "nominal_problem"]
+
+FOLDS = 5
+"""Parts of a cross-validation."""
+
+
+def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
+    """Error model, measurement model and data of a setup put together.
+
+    A measuring frame of its own exists for positions and poses. A ranger measures
+    against a plane given in the base, which is known unless the setup frees it.
+
+    Raises:
+        OptionError: If a name in the setup does not exist.
+    """
+    model = measurement_model(data.model, setup, data.target)
+    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
+    error = ErrorModel.create(
+        chain,
+        setup.parameters,
+        estimate_base=data.model != "plane-distance" if base is None else base,
+        estimate_tool=True if tool is None else tool,
+    )
+    return Problem(error, model, data, setup)
+
+
+def calibrate(
+    chain: Chain,
+    measurements: Measurements,
+    setup: Setup | None = None,
+    *,
+    validation: Measurements | None = None,
+    holdout: float | None = None,
+    validate: bool = True,
+    seed: int = 0,
+) -> CalibrationResult:
+    """Calibrate a chain.
+
+    Args:
+        chain: The nominal chain.
+        measurements: Measurements; rows marked for validation are not fitted.
+        setup: What is estimated and what is known; default six errors of every joint
+            placement with base and tool unknown.
+        validation: Further rows for validation.
+        holdout: Part of the rows, 0 to 1, that is set aside for validation.
+        validate: Whether to check the fit on unseen rows; without any of the above
+            by cross-validation.
+        seed: Seed of random configurations and splits.
+
+    Returns:
+        The result. Look at `verdict` before using it.
+
+    Raises:
+        InputError: If the measurements do not fit the model.
+        OptionError: If a name in the setup does not exist or the holdout is not
+            between 0 and 1.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space7")
+        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
+        >>> rows = calib_pin.read_measurements(
+        ...     calib_pin.robot_file("space7", "measurements.csv"), chain
+        ... )
+        >>> result = calib_pin.calibrate(chain, rows, setup)
+        >>> result.verdict, result.identifiability.structural_rank
+        ('good', 34)
+    """
+    setup = setup or Setup()
+    training, unseen, method = _split(measurements, validation, holdout, seed)
+    if len(training) == 0:
+        raise InputError("no row is left to fit: all are marked for validation")
+    fitted = fit(make_problem(chain, training, setup), np.random.default_rng(seed))
+
+    pairs: list[tuple[Fit, Measurements]] = []
+    if not validate:
+        method = "none"
+    elif unseen is not None:
+        pairs = [(fitted, unseen)]
+    else:
+        folds = _folds(training, fitted, seed)
+        for rows in folds:
+            part = fit(
+                make_problem(chain, training.rows(~rows), setup),
+                np.random.default_rng(seed),
+            )
+            pairs.append((part, training.rows(rows)))
+        method = f"{len(folds)}-fold" if folds else "none"
+    errors = tuple(_quantity_errors(fitted, pairs))
+    status, reason = verdict(fitted, errors)
+    found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
+    size = fitted.problem.measurement.quantities[-1].columns.stop * len(training)
+    return CalibrationResult(
+        model=CalibratedModel.create(fitted.problem, fitted.theta),
+        verdict=status,
+        reason=reason,
+        parameters=found,
+        groups=groups,
+        identifiability=fitted_ranks(fitted),
+        errors=errors,
+        validation=method,
+        training=len(training),
+        validated=sum(len(rows) for _, rows in pairs),
+        chi2=float(np.sum(fitted.result.fun[:size] ** 2)),
+        dof=fitted.dof,
+        sigma0=fitted.sigma0,
+        stated_sigma=training.sigma is not None,
+        outliers=outliers(fitted),
+        status=fitted.result.status,
+        iterations=fitted.result.nit,
+        evaluations=fitted.result.nfev,
+        seed=seed,
+        covariance=fitted.covariance,
+        files=tuple(dict.fromkeys(name for name in measurements.files if name)),
+    )
+
+
+def evaluate(
+    robot: Chain | CalibratedModel,
+    measurements: Measurements,
+    setup: Setup | None = None,
+    *,
+    registration: bool = False,
+) -> Evaluation:
+    """Accuracy of a robot on measurements, all rows counted.
+
+    A chain knows no frames: base, tool and instrument are registered on these rows. A
+    calibrated model is taken as it is, unless registration is asked for.
+
+    Args:
+        robot: A chain, nominal or corrected, or a calibrated model.
+        measurements: The rows.
+        setup: What is known of frames and instrument, for a chain.
+        registration: Register a calibrated model on these rows.
+
+    Raises:
+        InputError: If the measurements do not fit the model.
+    """
+    if isinstance(robot, CalibratedModel):
+        problem = robot.problem(measurements)
+        theta = np.concatenate(
+            [robot.theta, np.zeros(len(robot.measurement.parameters))]
+        )
+    else:
+        setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
+        problem = make_problem(robot, measurements, setup)
+        theta = np.zeros(len(problem.parameters))
+        registration = True
+    if registration:
+        problem, result = register(problem, theta)
+        theta = result.x
+    residual = problem.errors(theta)
+    return Evaluation(
+        errors=tuple(
+            (quantity.name, quantity.unit, Accuracy.of(quantity.errors(residual)))
+            for quantity in problem.measurement.quantities
+        ),
+        rows=len(measurements),
+        registered=registration,
+    )
+
+
+def identify(
+    chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
+) -> Identification:
+    """What a robot measured in one way can reveal, without measurements.
+
+    Args:
+        chain: The nominal chain.
+        model: Name of the measurement model.
+        setup: What is estimated and what is known.
+        seed: Seed of the random configurations.
+
+    Raises:
+        OptionError: If a name does not exist, or the instrument lacks a reference.
+
+    Example:
+        >>> import calib_pin
+        >>> found = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
+        >>> found.identifiability.rank, found.identifiability.everett
+        (34, 34)
+    """
+    problem = nominal_problem(chain, model, setup or Setup())
+    theta = np.zeros(len(problem.parameters))
+    found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
+    parameters, groups = estimates(problem.parameters, found)
+    return Identification(
+        parameters, groups, structural_ranks(problem.parameters, found, chain)
+    )
+
+
+def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
+    """A problem without rows, about the frames and instrument that the setup gives.
+
+    Raises:
+        OptionError: If the instrument needs a reference that the setup lacks.
+    """
+    if model == "plane-distance" and not setup.planes:
+        raise OptionError(
+            "a plane-distance study without measurements needs a plane: "
+            "give 'planes' in a setup file (--setup)"
+        )
+    data = Measurements(
+        joints=chain.joints,
+        q=np.zeros((len(setup.planes) or 1, len(chain.joints))),
+        model=model,
+        values=np.zeros((len(setup.planes) or 1, 1)),
+        target=tuple(setup.planes) or ("",),
+    )
+    problem = make_problem(chain, data, setup)
+    frames = []
+    for frame in (setup.base_frame, setup.tool_frame):
+        rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
+        frames.append(pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0))))
+    return replace(problem, error=problem.error.with_frames(*frames))
+
+
+def _split(
+    measurements: Measurements,
+    validation: Measurements | None,
+    holdout: float | None,
+    seed: int,
+) -> tuple[Measurements, Measurements | None, str]:
+    """Training rows, unseen rows if there are any, and how they were chosen."""
+    if validation is not None and holdout is not None:
+        raise OptionError("give validation rows or a holdout, not both")
+    training, unseen = measurements.split()
+    if validation is not None:
+        return training, validation, "file"
+    if holdout is not None:
+        if not 0.0 < holdout < 1.0:
+            raise OptionError(
+                "holdout is out of range", value=holdout, allowed="between 0 and 1"
+            )
+        order = _shuffled_groups(training, seed)
+        count = max(1, round(holdout * len(training)))
+        size = np.cumsum([len(group) for group in order])
+        chosen = order[: int(np.searchsorted(size, count)) + 1]
+        mask = np.zeros(len(training), bool)
+        mask[np.concatenate(chosen)] = True
+        return training.rows(~mask), training.rows(mask), "holdout"
+    return training, unseen if len(unseen) else None, "set"
+
+
+def _shuffled_groups(rows: Measurements, seed: int) -> list[NDArray[np.int64]]:
+    """Row numbers of repeated configurations, groups in random order."""
+    labels = rows.groups()
+    order = np.random.default_rng(seed).permutation(labels.max() + 1)
+    return [np.flatnonzero(labels == label) for label in order]
+
+
+def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+    """Masks of the parts of a cross-validation; none where the rows do not suffice."""
+    groups = _shuffled_groups(rows, seed)
+    masks = []
+    for k in range(FOLDS):
+        mask = np.zeros(len(rows), bool)
+        for group in groups[k::FOLDS]:
+            mask[group] = True
+        masks.append(mask)
+    components = fitted.problem.sigma.shape[1]
+    least = min(int((~mask).sum()) for mask in masks) * components
+    enough = len(groups) >= FOLDS and least > fitted.structure.rank
+    return masks if enough else []
+
+
+def _quantity_errors(
+    fitted: Fit, pairs: Sequence[tuple[Fit, Measurements]]
+) -> Iterator[QuantityErrors]:
+    """Accuracy before and after, on the fitted and on the unseen rows."""
+    before = fitted.problem.errors(fitted.before)
+    after = fitted.problem.errors(fitted.theta)
+    unseen = [(part, replace(part.problem, data=rows)) for part, rows in pairs]
+    for quantity in fitted.problem.measurement.quantities:
+        accuracies: list[Accuracy | None] = [None, None]
+        if unseen:
+            accuracies = [
+                Accuracy.of(
+                    np.concatenate(
+                        [quantity.errors(residual) for residual in residuals]
+                    )
+                )
+                for residuals in (
+                    [problem.errors(part.before) for part, problem in unseen],
+                    [problem.errors(part.theta) for part, problem in unseen],
+                )
+            ]
+        yield QuantityErrors(
+            quantity.name,
+            quantity.unit,
+            Accuracy.of(quantity.errors(before)),
+            Accuracy.of(quantity.errors(after)),
+            *accuracies,
+        )

@@ -1,0 +1,79 @@
+"""`calib-pin identify`: what can be known of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib_pin.cli.options import (
+    Base,
+    Json,
+    Model,
+    Parameters,
+    RobotName,
+    Seed,
+    SetupFile,
+    Tip,
+    open_chain,
+    open_measurements,
+    open_setup,
+    show,
+)
+
+__all__ = ["identify"]
+
+
+def identify(
+    robot: RobotName,
+    measurements: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
+    ] = None,
+    setup: SetupFile = None,
+    model: Model = None,
+    base: Base = None,
+    tip: Tip = None,
+    parameters: Parameters = None,
+    seed: Seed = 0,
+    json: Json = False,
+) -> int:
+    """Print which parameters can be known, and which only together.
+
+    Without measurements: what the robot and the way it is measured can reveal at all.
+    With them: what these rows can tell. Nothing is written.
+    """
+    from rich.text import Text
+
+    from calib_pin.calibration import calibrate as run
+    from calib_pin.calibration import identify as structural
+    from calib_pin.errors import OptionError
+    from calib_pin.io.results import encode, identification_document
+    from calib_pin.report.text import identification_report
+    from calib_pin.result import Identification
+
+    stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
+    chain = open_chain(robot, stated)
+    found: Identification
+    if measurements:
+        rows = open_measurements(measurements, chain, stated)
+        result = run(chain, rows, stated, validate=False, seed=seed)
+        found, verdict, reason = result, result.verdict, result.reason
+    elif stated.model is None:
+        raise OptionError(
+            "without measurements the way of measuring must be named with --model",
+            allowed="position, pose, plane-distance",
+        )
+    else:
+        found = structural(chain, stated.model, stated, seed=seed)
+        verdict, reason = "good", ""
+    if json:
+        document = identification_document(found)
+        document["verdict"] = {"status": verdict, "reason": reason}
+        typer.echo(encode(document).decode(), nl=False)
+    else:
+        if verdict != "good":
+            show(Text(f"UNTRUSTED: {reason}.\n", style="bold red"))
+        show(identification_report(found, fitted=bool(measurements)))
+    return 0 if verdict == "good" else 2

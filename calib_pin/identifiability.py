@@ -1,0 +1,336 @@
+"""Which error parameters can be known: ranks, coupled groups, observability.
+
+Everything here works on identification Jacobians whose columns are multiplied by the
+scale of their parameter. Columns are never divided by their norm: a column that is
+zero but for rounding would come out as good as any other.
+
+Two ranks are kept apart. The *structural* rank belongs to the robot and the way it is
+measured: the Jacobian at zero errors over many random configurations, decided near
+machine precision. The *practical* rank belongs to these measurements: a direction
+counts if its posterior standard deviation is below `WEAK` times its scale.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
+from calib_pin.parameters import ParameterSet
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "Combination",
+    "Directions",
+    "Structure",
+    "combinations",
+    "everett_count",
+    "observability",
+    "practical_directions",
+    "structure",
+    "visible_directions",
+]
+
+DWARFED = 100.0
+"""Ratio of weights from which the first term of a sum does not set its unit."""
+
+WEAK = 10.0
+"""Posterior standard deviation, in scales, from which a direction is left alone."""
+
+
+@dataclass(frozen=True)
+class Combination:
+    """A sum of parameters that is identifiable while its terms may not be.
+
+    Attributes:
+        terms: Position of each parameter and its coefficient, 1 for the first that
+            matters.
+        unit: Unit of the sum, that of this term.
+    """
+
+    terms: tuple[tuple[int, float], ...]
+    unit: str
+
+    def row(self, size: int) -> Floats:
+        """Coefficients as a vector, shape (size,)."""
+        result = np.zeros(size)
+        for position, coefficient in self.terms:
+            result[position] = coefficient
+        return result
+
+    def expression(self, names: tuple[str, ...]) -> str:
+        """The sum as a formula with numeric coefficients."""
+        text = ""
+        for position, coefficient in self.terms:
+            size = f"{abs(coefficient):.4g}"
+            factor = "" if size == "1" else f"{size} "
+            sign = "-" if coefficient < 0.0 else "+"
+            if text:
+                text += f" {sign} {factor}{names[position]}"
+            else:
+                text = f"{'-' if sign == '-' else ''}{factor}{names[position]}"
+        return text
+
+
+@dataclass(frozen=True)
+class Structure:
+    """What a robot measured in one way can reveal at all.
+
+    Attributes:
+        singular_values: Of the scaled structural Jacobian, descending.
+        rank: Number of singular values above rounding.
+        combinations: The identifiable combinations, one per rank, in order.
+        unidentifiable: Positions of the free parameters without any effect.
+    """
+
+    singular_values: Floats
+    rank: int
+    combinations: tuple[Combination, ...]
+    unidentifiable: tuple[int, ...]
+
+    @property
+    def gap(self) -> float:
+        """Ratio of the last singular value kept to the first one dropped."""
+        s, r = self.singular_values, self.rank
+        return float(s[r - 1] / s[r]) if 0 < r < len(s) and s[r] > 0.0 else np.inf
+
+
+@dataclass(frozen=True)
+class Directions:
+    """What the fit may move, in parameters divided by their scale.
+
+    Attributes:
+        basis: Nuisances and the robot directions that are estimated, shape (P, k).
+        weak: Robot directions that stay at nominal, shape (P, w).
+    """
+
+    basis: Floats
+    weak: Floats
+
+
+def structure(J: Floats, parameters: ParameterSet) -> Structure:
+    """Analyze a structural Jacobian.
+
+    Args:
+        J: Jacobian at zero errors over many random configurations, shape (M, P).
+        parameters: The parameters; columns of fixed ones are ignored.
+    """
+    free = parameters.free
+    A = J[:, free] * parameters.scales[free]
+    _, s, Vt = np.linalg.svd(A, full_matrices=False)
+    tolerance = _rounding(A) * (s[0] if len(s) else 0.0)
+    rank = int((s > tolerance).sum())
+    found = np.flatnonzero(free)
+    # The rows S V^T carry the same relations between columns as A, without its noise.
+    pivots, C = combinations(s[:rank, None] * Vt[:rank], rank)
+    scale = parameters.scales[free]
+    sums = []
+    for row, pivot in zip(C, pivots, strict=True):
+        coefficients = row * scale[pivot] / scale
+        # Rounding leaves crumbs beside the true relations.
+        terms = [
+            (int(found[k]), float(coefficients[k]))
+            for k in np.flatnonzero(np.abs(row) > 1e-8 * np.abs(row).max())
+        ]
+        sums.append(_readable(terms, parameters))
+    used = {position for combination in sums for position, _ in combination.terms}
+    return Structure(
+        singular_values=s,
+        rank=rank,
+        combinations=tuple(sums),
+        unidentifiable=tuple(int(k) for k in found if k not in used),
+    )
+
+
+def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:
+    """Independent columns in their given order and how the others follow from them.
+
+    Elimination without pivoting: a column that depends on columns before it is folded
+    into them. The order is the reader's, so the sums are predictable; pivoting would
+    pick other columns at every change of a number.
+
+    Args:
+        A: Matrix of full row rank, shape (r, P).
+        rank: Its rank r.
+
+    Returns:
+        Positions of the r independent columns, and C, shape (r, P), with
+        `A = A[:, pivots] @ C`.
+    """
+    norms = np.linalg.norm(A, axis=0)
+    absent = norms <= 1e-11 * norms.max(initial=0.0)
+    # An independent column keeps 1e-6 or more of its length, a dependent one 1e-12.
+    # The threshold moves only if the count shows that it fell on the wrong side.
+    for threshold in (1e-7, 1e-8, 1e-6, 1e-9, 1e-5, 1e-10, 1e-4):
+        pivots: list[int] = []
+        Q = np.zeros((len(A), 0))
+        for k in np.flatnonzero(~absent):
+            rest = A[:, k] - Q @ (Q.T @ A[:, k])
+            rest -= Q @ (Q.T @ rest)
+            length = np.linalg.norm(rest)
+            if length > threshold * norms[k] and len(pivots) < len(A):
+                pivots.append(int(k))
+                Q = np.column_stack([Q, rest / length])
+        if len(pivots) == rank:
+            break
+    C = np.zeros((0, A.shape[1]))
+    if pivots:
+        C = np.asarray(np.linalg.lstsq(A[:, pivots], A, rcond=None)[0])
+    C[:, absent] = 0.0
+    return pivots, C
+
+
+def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
+    """Robot directions that change something which the nuisances cannot absorb.
+
+    The solution stays in these directions: what a frame can absorb, the frame
+    absorbs, and what nothing can see keeps its nominal value.
+
+    Args:
+        J: Jacobian at zero errors over many random configurations, with the rows of
+            the priors, shape (M, P).
+        parameters: The parameters.
+
+    Returns:
+        Orthonormal directions of the parameters divided by their scale, shape (P, r).
+    """
+    robot = parameters.free & ~parameters.nuisance
+    if not robot.any():
+        return np.zeros((len(parameters), 0))
+    A = J * parameters.scales
+    U = _range(A[:, parameters.free & parameters.nuisance])
+    projected = A[:, robot] - U @ (U.T @ A[:, robot])
+    _, s, Vt = np.linalg.svd(projected, full_matrices=False)
+    # Relative to what stood there before: the projection leaves rounding behind.
+    tolerance = _rounding(A) * np.linalg.norm(A[:, robot], 2)
+    rank = int((s > tolerance).sum())
+    result = np.zeros((len(parameters), rank))
+    # Rounding must not move, by 1e-20, parameters that nothing moves.
+    result[robot] = np.where(np.abs(Vt[:rank].T) < 1e-13, 0.0, Vt[:rank].T)
+    return result
+
+
+def practical_directions(
+    J: Floats,
+    r: Floats,
+    parameters: ParameterSet,
+    robot: Floats,
+    sigma0: float | None = None,
+) -> Directions:
+    """Choose the robot directions that these measurements can estimate.
+
+    The nuisances are projected out of the whitened, scaled Jacobian; a right singular
+    direction with singular value s then has the posterior standard deviation
+    `sigma0 / s`, in scales.
+
+    Args:
+        J: Whitened Jacobian at zero robot errors, shape (M, P).
+        r: Whitened residual there, shape (M,); predicts sigma0 where it is None.
+        parameters: The parameters.
+        robot: Structurally visible robot directions, shape (P, r).
+        sigma0: Standard deviation of unit weight of a fit, where one is known.
+    """
+    A = J * parameters.scales
+    U = _range(A[:, parameters.free & parameters.nuisance])
+    projected = A @ robot
+    projected -= U @ (U.T @ projected)
+    rest = r - U @ (U.T @ r)
+    left, s, Vt = np.linalg.svd(projected, full_matrices=False)
+    tolerance = _rounding(A) * (s[0] if len(s) else 0.0)
+    if sigma0 is None:
+        count = _predicted_count(
+            s, left.T @ rest, float(rest @ rest), len(r), U.shape[1]
+        )
+    else:
+        count = int((s * WEAK > sigma0).sum())
+    count = min(count, int((s > tolerance).sum()))
+    V = (
+        np.linalg.svd(projected, full_matrices=True)[2].T
+        if len(s) < robot.shape[1]
+        else Vt.T
+    )
+    nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
+    return Directions(
+        basis=np.column_stack([nuisance, robot @ V[:, :count]]),
+        weak=robot @ V[:, count:],
+    )
+
+
+def observability(s: Floats, count: int) -> dict[str, float]:
+    """Observability indices of singular values s_1 >= ... >= s_m > 0.
+
+    O1 (Borm, Menq), O2 (Driels, Pathre), O3 (Nahvi et al.), O4 (Nahvi, Hollerbach),
+    O5 (Sun, Hollerbach).
+
+    Args:
+        s: Singular values of the scaled identification Jacobian, shape (m,).
+        count: Number of measurements n.
+    """
+    if len(s) == 0 or s[-1] <= 0.0:
+        return dict.fromkeys(("O1", "O2", "O3", "O4", "O5"), 0.0)
+    return {
+        "O1": float(np.exp(np.mean(np.log(s))) / np.sqrt(count)),
+        "O2": float(s[-1] / s[0]),
+        "O3": float(s[-1]),
+        "O4": float(s[-1] ** 2 / s[0]),
+        "O5": float(1.0 / np.sum(1.0 / s)),
+    }
+
+
+def everett_count(revolute: NDArray[np.bool_]) -> int:
+    """Everett's count 4 R + 2 P + 6 of a complete model measured by full poses."""
+    return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6)
+
+
+def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combination:
+    """A sum whose first term has coefficient 1, unless another dwarfs that term.
+
+    A tool point close to the last axis, say, makes the first term a hundredth of what
+    the others weigh; the sum is then a length and not a strangely large angle.
+    """
+    weight = [
+        abs(coefficient) * (LENGTH_SCALE if unit == "m" else ANGLE_SCALE)
+        for position, coefficient in terms
+        for unit in [parameters[position].unit]
+    ]
+    heaviest = int(np.argmax(weight))
+    lead = heaviest if weight[heaviest] > DWARFED * weight[0] else 0
+    position, divisor = terms[lead]
+    return Combination(
+        tuple((k, coefficient / divisor) for k, coefficient in terms),
+        parameters[position].unit,
+    )
+
+
+def _rounding(A: Floats) -> float:
+    """Relative size of singular values that rounding alone produces."""
+    return float(10.0 * max(A.shape, default=1) * np.finfo(float).eps)
+
+
+def _range(A: Floats) -> Floats:
+    """Orthonormal basis of the columns of A, rounding left out."""
+    if A.shape[1] == 0:
+        return np.zeros((len(A), 0))
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(U[:, s > _rounding(A) * s[0]])
+
+
+def _predicted_count(
+    s: Floats, along: Floats, square: float, rows: int, nuisances: int
+) -> int:
+    """Number of directions whose own linear prediction of sigma0 lets them in.
+
+    Directions enter from the best determined on; each lowers the residual that the
+    next is judged by. Starting with few keeps a poor linearization from moving what
+    the data cannot hold.
+    """
+    count = 0
+    while count < len(s):
+        left = square - float(along[: count + 1] @ along[: count + 1])
+        dof = rows - nuisances - count - 1
+        if dof <= 0 or s[count] * WEAK <= np.sqrt(max(left, 0.0) / dof):
+            break
+        count += 1
+    return count

@@ -1,0 +1,1 @@
+"""Files in and out: robots, measurements, setups and results."""

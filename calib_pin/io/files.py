@@ -1,0 +1,104 @@
+"""Whole files in and out, with errors that name the file and the reason."""
+
+from __future__ import annotations
+
+import errno
+import os
+import uuid
+from pathlib import Path
+
+from calib_pin.errors import InputError, OptionError, OutputError, nearest
+
+__all__ = ["read_bytes", "write_atomically"]
+
+
+def read_bytes(path: str | Path) -> bytes:
+    """Read a file.
+
+    Args:
+        path: The file.
+
+    Returns:
+        Its bytes.
+
+    Raises:
+        InputError: If there is no such file, or it cannot be read.
+
+    Example:
+        >>> read_bytes("/no/such/arm.urdf")
+        Traceback (most recent call last):
+        calib_pin.errors.InputError: /no/such/arm.urdf: no such file
+    """
+    path = Path(path)
+    try:
+        return path.read_bytes()
+    except FileNotFoundError as error:
+        reason = f"no such file{_nearest_sibling(path)}"
+        raise InputError(reason, file=path) from error
+    except IsADirectoryError as error:
+        raise InputError("is a directory, not a file", file=path) from error
+    except (OSError, ValueError) as error:
+        raise InputError(f"cannot be read: {_reason(error)}", file=path) from error
+
+
+def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
+    """Write a file so that it is either complete or untouched.
+
+    The bytes go to a temporary file beside it, which is then renamed.
+
+    Args:
+        path: The file; folders that are missing above it are made.
+        data: What it shall contain.
+        force: Replace an existing file.
+
+    Raises:
+        OptionError: If the file exists and `force` is false.
+        OutputError: If it cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     write_atomically(Path(folder, "a", "b.csv"), b"x,y", force=False)
+        ...     read_bytes(Path(folder, "a", "b.csv"))
+        b'x,y'
+    """
+    # A short name of its own: a long file name plus a suffix could be too long.
+    temporary = path.parent / f".{uuid.uuid4().hex}.tmp"
+    try:
+        if path.is_dir():
+            raise IsADirectoryError(errno.EISDIR, "it is a directory")
+        if path.exists() and not force:
+            raise OptionError("exists already; --force replaces it", file=path)
+        path.parent.mkdir(parents=True, exist_ok=True)
+        # Not tempfile: its files are private (0600), and the mode survives a rename.
+        with temporary.open("xb") as stream:
+            stream.write(data)
+            stream.flush()
+            os.fsync(stream.fileno())
+        temporary.replace(path)
+    except (OSError, ValueError) as error:
+        raise OutputError(f"{path}: cannot be written: {_reason(error)}") from error
+    finally:
+        _discard(temporary)
+
+
+def _reason(error: Exception) -> str:
+    """The system's words without the error number and the file names."""
+    if isinstance(error, FileExistsError):
+        return "a file stands in the place of its folder"
+    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+
+
+def _nearest_sibling(path: Path) -> str:
+    try:
+        return nearest(path.name, [file.name for file in path.parent.iterdir()])
+    except OSError:
+        return ""
+
+
+def _discard(temporary: Path) -> None:
+    """Remove what a failed write left; the reason of the failure comes first."""
+    try:
+        temporary.unlink(missing_ok=True)
+    except (OSError, ValueError):
+        return

@@ -1,0 +1,193 @@
+"""Joint columns of a file: which column is which joint, in which unit."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.chain import Chain
+from calib_pin.errors import InputError, nearest
+from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, Table, closest
+from calib_pin.io.measured_columns import RESERVED
+from calib_pin.setup import JointMap
+
+__all__ = ["JointSource", "joint_sources", "read_positions", "spare_columns"]
+
+LONGEST_TRAVEL = 20.0
+"""Largest position of a prismatic joint that can be meant [m]: a long rail."""
+
+
+@dataclass(frozen=True)
+class JointSource:
+    """Where the position of one joint of the chain comes from.
+
+    Attributes:
+        joint: URDF joint.
+        column: File column of the joint.
+        kinds: Kind of that column and of those that are coupled to it.
+        map: How they become the position; None where the column is the position.
+    """
+
+    joint: str
+    column: str
+    kinds: Mapping[str, Kind]
+    map: JointMap | None
+
+
+def joint_sources(
+    chain: Chain, joints: Mapping[str, JointMap]
+) -> tuple[JointSource, ...]:
+    """Find the column of every joint of the chain.
+
+    Args:
+        chain: The chain.
+        joints: Joint map by file column; maps of joints outside the chain are idle.
+
+    Returns:
+        One source per joint, in chain order.
+
+    Raises:
+        InputError: If the map names a joint that the robot does not have, or leaves a
+            joint with two columns or none, or a column has another meaning already.
+    """
+    mapped = _columns_of_joints(chain, joints)
+    column_of = {joint: mapped.get(joint, joint) for joint in chain.joints}
+    kind_of = {
+        column_of[joint]: ANGLE if revolute else LENGTH
+        for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
+    }
+    sources = []
+    for joint, column in column_of.items():
+        given = joints.get(column)
+        if given is not None and given.joint != joint:
+            raise InputError(
+                f"column '{column}' is mapped to joint '{given.joint}', so joint "
+                f"'{joint}' has no column; map another one to it"
+            )
+        coupled = given.coupled if given is not None else {}
+        # A coupled column has its own joint's unit, or that of the joint it moves.
+        kinds = {c: kind_of.get(c, kind_of[column]) for c in (column, *coupled)}
+        for name in kinds:
+            if name in RESERVED:
+                raise InputError(
+                    f"column '{name}' has a meaning of its own and cannot be that of "
+                    f"joint '{joint}'; give the joint a column of another name by "
+                    "'joints' in the setup file"
+                )
+        sources.append(JointSource(joint, column, kinds, given))
+    return tuple(sources)
+
+
+def read_positions(
+    table: Table, chain: Chain, sources: Sequence[JointSource]
+) -> Floats:
+    """Joint positions in chain order.
+
+    Args:
+        table: The file.
+        chain: The chain.
+        sources: The columns of its joints.
+
+    Returns:
+        Joint positions, shape (N, n) [rad, m].
+
+    Raises:
+        InputError: If a column is missing, or its values cannot be in their unit.
+    """
+    _check_present(table, chain, sources)
+    q = np.empty((len(table.lines), len(sources)))
+    for i, source in enumerate(sources):
+        parts = {c: table.numbers(c, kind) for c, kind in source.kinds.items()}
+        position = parts[source.column]
+        if source.map is not None:
+            for name, factor in source.map.coupled.items():
+                position = position + factor * parts[name]
+            gear = source.map.sign * source.map.gear
+            position = gear * position + source.map.offset
+        limits = float(chain.lower[i]), float(chain.upper[i])
+        _check_unit(table, source, position, limits)
+        q[:, i] = position
+    return q
+
+
+def spare_columns(
+    table: Table, chain: Chain, joints: Mapping[str, JointMap]
+) -> list[str]:
+    """The columns that hold no joint, neither of the chain nor of the whole robot.
+
+    A recording of all joints is the usual case, so a joint outside the chain is not
+    worth a remark. The own name of a joint that is mapped from another column is.
+    """
+    taken = {*joints, *(c for given in joints.values() for c in given.coupled)}
+    mapped = {given.joint for given in joints.values()}
+    own = set(chain.robot.model.names) - mapped - RESERVED
+    return [name for name in table.columns if name not in taken | own]
+
+
+def _columns_of_joints(chain: Chain, joints: Mapping[str, JointMap]) -> dict[str, str]:
+    """The mapped column by joint, checked against the robot."""
+    # The first name is Pinocchio's "universe", which is no joint.
+    known = list(chain.robot.model.names)[1:]
+    mapped: dict[str, str] = {}
+    for column, given in joints.items():
+        if given.joint not in known:
+            raise InputError(
+                f"'joints' maps column '{column}' to joint '{given.joint}', which the "
+                f"robot does not have{nearest(given.joint, known)}",
+                allowed=", ".join(chain.joints),
+            )
+        if given.joint in mapped:
+            raise InputError(
+                f"'joints' maps two columns, '{mapped[given.joint]}' and '{column}', "
+                f"to joint '{given.joint}'"
+            )
+        mapped[given.joint] = column
+    return mapped
+
+
+def _check_present(table: Table, chain: Chain, sources: Sequence[JointSource]) -> None:
+    joint_of = {column: source.joint for source in sources for column in source.kinds}
+    missing = [column for column in joint_of if column not in table]
+    if not missing:
+        return
+    first, rest = missing[0], missing[1:]
+    known = {*joint_of, *RESERVED, *chain.robot.model.names}
+    free = [name for name in table.columns if name not in known]
+    what = f"joint '{joint_of[first]}' of the chain"
+    if first != joint_of[first]:
+        what = f"column '{first}' for {what}"
+    raise table.error(
+        f"{what} is missing{closest(first, free)}"
+        + (f"; missing as well: {', '.join(rest)}" if rest else ""),
+        first,
+    )
+
+
+def _check_unit(
+    table: Table, source: JointSource, q: Floats, limits: tuple[float, float]
+) -> None:
+    """Refuse positions that can only be degrees or millimeters."""
+    lower, upper = limits
+    kind = source.kinds[source.column]
+    general = kind.largest if kind is ANGLE else LONGEST_TRAVEL
+    # A turntable may be allowed more turns than any threshold would guess.
+    largest = max(general, 2.0 * abs(lower), 2.0 * abs(upper))
+    why = ""
+    if source.map is not None:
+        offset = f"{source.map.offset:g} {kind.si}"
+        why = f"as mapped to joint '{source.joint}' with an offset of {offset}"
+    table.check_size(source.column, q, kind, largest, why)
+    unit = table.columns[source.column].unit or kind.si
+    # The chain gives +-pi to joints without limits; those may turn further.
+    if limits == (-np.pi, np.pi) or unit not in kind.smaller:
+        return
+    excess = np.maximum(lower - q, q - upper)
+    row = int(np.argmax(excess))
+    ratio = kind.units[kind.smaller[unit]] / kind.units[unit]
+    # A meter or radian of grace: limits in URDFs are often narrower than the robot's.
+    far_off = excess[row] > max(upper - lower, 1.0)
+    if far_off and lower <= ratio * q[row] <= upper:
+        why = f"the limits are {lower:.6g} to {upper:.6g}"
+        raise table.implausible(source.column, row, float(q[row]), kind, why)

@@ -1,0 +1,238 @@
+"""Measurement files: CSV in, `Measurements` in SI units out, and back.
+
+Everything that may be written in several ways (units, orientations, joint columns) is
+settled here, once. A file that cannot be right stops the run with its line.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.errors import InputError, OutputError
+from calib_pin.io.columns import Floats, Table, read_table, split_header
+from calib_pin.io.files import write_atomically
+from calib_pin.io.joint_columns import (
+    JointSource,
+    joint_sources,
+    read_positions,
+    spare_columns,
+)
+from calib_pin.io.measured_columns import (
+    COMPONENTS,
+    RESERVED,
+    VALUES,
+    check_model,
+    check_spread,
+    infer_model,
+    read_sigma,
+    read_values,
+)
+from calib_pin.measurements import Measurements
+from calib_pin.setup import JointMap
+
+__all__ = ["read_configurations", "read_measurements", "write_measurements"]
+
+
+def read_measurements(
+    paths: str | Path | Sequence[str | Path],
+    chain: Chain,
+    *,
+    model: str | None = None,
+    joints: Mapping[str, JointMap] = {},
+    notice: Callable[[str], None] | None = None,
+) -> Measurements:
+    r"""Read measurement files and join them in the given order.
+
+    Args:
+        paths: One CSV file, or several of the same measurement model.
+        chain: Chain whose joints the files hold.
+        model: Measurement model; None infers it from the columns.
+        joints: How file columns become joints; others are taken by their own name.
+        notice: Called once per file that has columns without a meaning, with one
+            sentence that lists them.
+
+    Returns:
+        All rows, in SI units; `files` holds the paths as they were given.
+
+    Raises:
+        InputError: If a file does not hold measurements of this chain; names the file
+            and, where it can, the line, the column and the value.
+        OptionError: If there is no measurement model of that name.
+
+    Example:
+        >>> import calib_pin, tempfile
+        >>> chain = calib_pin.load_chain("space6")
+        >>> text = ",".join([*chain.joints, "x [mm]", "y [mm]", "z [mm]"])
+        >>> text += "\n0.1,0.2,0.3,0.4,0.5,0.6,1500,0,250\n"
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "tracker.csv"
+        ...     _ = file.write_text(text)
+        ...     data = read_measurements(file, chain)
+        >>> data.model, data.values.tolist()
+        ('position', [[1.5, 0.0, 0.25]])
+    """
+    files = [paths] if isinstance(paths, str | Path) else list(paths)
+    if not files:
+        raise InputError("no measurement file is given")
+    if model is not None:
+        check_model(model)
+    sources = joint_sources(chain, joints)
+    parts: list[Measurements] = []
+    for file in files:
+        table = read_table(file)
+        parts.append(_read(table, chain, sources, joints, model, notice))
+        if parts[-1].model != parts[0].model:
+            raise InputError(
+                f"the file holds '{parts[-1].model}' measurements, {files[0]} holds "
+                f"'{parts[0].model}' ones; name what to read from both with --model",
+                file=file,
+            )
+    return Measurements.concatenate(parts)
+
+
+def read_configurations(
+    path: str | Path, chain: Chain, joints: Mapping[str, JointMap] = {}
+) -> Floats:
+    r"""Read only the joint positions of a CSV file; other columns are ignored.
+
+    Args:
+        path: CSV file.
+        chain: Chain whose joints the file holds.
+        joints: How file columns become joints; others are taken by their own name.
+
+    Returns:
+        Joint positions, shape (N, n) [rad, m].
+
+    Raises:
+        InputError: As `read_measurements` does.
+
+    Example:
+        >>> import calib_pin, tempfile
+        >>> chain = calib_pin.load_chain("space6")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "configurations.csv"
+        ...     _ = file.write_text(",".join(chain.joints) + "\n0,0,0,0.5,0,0\n")
+        ...     read_configurations(file, chain).tolist()
+        [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
+    """
+    return read_positions(read_table(path), chain, joint_sources(chain, joints))
+
+
+def write_measurements(
+    path: Path,
+    measurements: Measurements,
+    comments: Sequence[str] = (),
+    force: bool = False,
+) -> None:
+    """Write measurements as a CSV file that reads back bit by bit.
+
+    Args:
+        path: File to write.
+        measurements: What to write; quaternions of unit length with qw >= 0, as
+            `read_measurements` gives them, come back unchanged.
+        comments: Lines for the head of the file.
+        force: Whether an existing file is replaced.
+
+    Raises:
+        OptionError: If the file exists and `force` is false, or the measurement model
+            has no file format.
+        OutputError: If a name would not read back, or the file cannot be written.
+
+    Example:
+        >>> import tempfile
+        >>> data = Measurements(
+        ...     ("lift",), np.array([[0.25]]), "plane-distance", np.array([[1.5]])
+        ... )
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "ranger.csv"
+        ...     write_measurements(file, data, ["a ranger on a lift"])
+        ...     file.read_text().split()[-2:]
+        ['lift,distance', '0.25,1.5']
+    """
+    check_model(measurements.model)
+    columns = dict(_columns(measurements))
+    buffer = io.StringIO(newline="")
+    for comment in comments:
+        for line in comment.splitlines() or [""]:
+            buffer.write(f"# {line}".rstrip() + "\n")
+    # The csv module writes floats by repr, which loses nothing.
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow(columns)
+    writer.writerows(zip(*columns.values(), strict=True))
+    write_atomically(path, buffer.getvalue().encode(), force=force)
+
+
+def _read(
+    table: Table,
+    chain: Chain,
+    sources: Sequence[JointSource],
+    joints: Mapping[str, JointMap],
+    model: str | None,
+    notice: Callable[[str], None] | None,
+) -> Measurements:
+    """Measurements of one file."""
+    q = read_positions(table, chain, sources)
+    spare = spare_columns(table, chain, joints)
+    model = model or infer_model(table)
+    value_columns, values = read_values(table, model, spare)
+    if "x" in value_columns:
+        check_spread(table, chain, values[:, :3])
+    sigma_columns, sigma = read_sigma(table, model)
+    used = {*value_columns, *sigma_columns.values(), "target", "set"}
+    ignored = [table.columns[name].header for name in spare if name not in used]
+    ignored += ["(unnamed)"] * table.unnamed
+    if ignored and notice is not None:
+        notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
+    return Measurements(
+        joints=chain.joints,
+        q=q,
+        model=model,
+        values=values,
+        sigma=sigma,
+        target=table.texts("target") if "target" in table else (),
+        validate=_read_set(table),
+        lines=table.lines,
+        files=(table.file,) * len(q),
+    )
+
+
+def _read_set(table: Table) -> NDArray[np.bool_]:
+    """True for the rows of the validation set, shape (N,)."""
+    if "set" not in table:
+        return np.zeros(len(table.lines), bool)
+    names = table.texts("set")
+    for row, name in enumerate(names):
+        if name not in ("train", "validate"):
+            raise table.cell_error("unknown set", "set", row, "train, validate")
+    return np.array([name == "validate" for name in names])
+
+
+def _columns(
+    measurements: Measurements,
+) -> Iterator[tuple[str, Sequence[float] | Sequence[str]]]:
+    """Names and cells of the columns that hold measurements."""
+    for name, column in zip(measurements.joints, measurements.q.T, strict=True):
+        if split_header(name) != (name, None) or name in RESERVED:
+            raise OutputError(f"joint '{name}' cannot be the name of a column")
+        yield name, column.tolist()
+    names = VALUES[measurements.model]
+    for name, column in zip(names, measurements.values.T, strict=True):
+        yield name, column.tolist()
+    if measurements.sigma is not None:
+        components = COMPONENTS[measurements.model]
+        for name, column in zip(components, measurements.sigma.T, strict=True):
+            yield f"sigma_{name}", column.tolist()
+    if any(measurements.target):
+        for target in measurements.target:
+            if target != target.strip() or set(target) & set("\r\n\0"):
+                raise OutputError(f"target {target!r} would not read back")
+        yield "target", measurements.target
+    if measurements.validate.any():
+        yield "set", ["validate" if late else "train" for late in measurements.validate]

@@ -1,0 +1,111 @@
+"""Setup files: YAML in, `Setup` out, or one line about the first thing wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+from calib_pin.errors import InputError, nearest
+from calib_pin.setup import Setup
+
+if TYPE_CHECKING:
+    from calib_pin.io.yaml_tree import Tree
+
+__all__ = ["read_setup"]
+
+ALLOWED: Mapping[str, str] = {
+    "model_type": "a mapping of keys to values",
+    "dict_type": "a mapping of names to values",
+    "list_type": "a list in square brackets",
+}
+"""What is allowed where pydantic itself found the wrong type."""
+
+
+def read_setup(path: str | Path) -> Setup:
+    r"""Read a setup file.
+
+    Args:
+        path: YAML file; an empty one states nothing.
+
+    Returns:
+        What it states, and defaults for the rest.
+
+    Raises:
+        InputError: If the file is not YAML, or a key or value cannot be used; names
+            the first such line.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "setup.yaml"
+        ...     _ = file.write_text("tip: tool0\nfixed: ['*.placement.z']")
+        ...     setup = read_setup(file)
+        >>> setup.tip, setup.fixed
+        ('tool0', ('*.placement.z',))
+    """
+    # Both import slowly, and most commands read no setup file.
+    from pydantic import ValidationError
+
+    from calib_pin.io.setup_schema import LATER, SetupFile
+    from calib_pin.io.yaml_tree import read_tree
+
+    tree = read_tree(path)
+    if tree.data is None:
+        return Setup()
+    if not isinstance(tree.data, dict):
+        raise tree.error("the file must be a mapping of keys to values", ())
+    for key in tree.data:
+        if key in LATER:
+            raise tree.error(f"'{key}' is not available in this version", (key,))
+    try:
+        setup = SetupFile.model_validate(tree.data).setup()
+    except ValidationError as error:
+        problems = error.errors(include_url=False)
+        first = min(problems, key=lambda problem: tree.line(problem["loc"]))
+        raise _error(tree, first) from None
+    _check_joints(tree, setup)
+    return setup
+
+
+def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:
+    """The problem that pydantic found, in our words."""
+    from calib_pin.io.setup_schema import known_keys
+
+    path: Sequence[str | int] = problem["loc"]
+    if problem["type"] == "extra_forbidden":
+        known, key = known_keys(path), str(path[-1])
+        return tree.error(
+            f"unknown key '{_dotted(path)}'{nearest(key, known)}",
+            path,
+            allowed=", ".join(known),
+        )
+    if problem["type"] == "missing":
+        return tree.error(f"'{_dotted(path)}' is missing", path)
+    if problem["type"] == "value_error":
+        allowed = str(problem["ctx"]["error"])
+    else:
+        allowed = ALLOWED.get(problem["type"], problem["msg"])
+    return tree.error(
+        f"'{_dotted(path)}' cannot have this value", path, tree.written(path), allowed
+    )
+
+
+def _check_joints(tree: Tree, setup: Setup) -> None:
+    columns: dict[str, str] = {}
+    for column, given in setup.joints.items():
+        if given.joint in columns:
+            raise tree.error(
+                f"'joints.{column}.joint' and 'joints.{columns[given.joint]}.joint' "
+                "are the same joint",
+                ("joints", column, "joint"),
+                given.joint,
+            )
+        columns[given.joint] = column
+
+
+def _dotted(path: Sequence[str | int]) -> str:
+    """A key path as in `frames.tool.xyz` and `fixed[0]`."""
+    first, *rest = path
+    steps = (f"[{step}]" if isinstance(step, int) else f".{step}" for step in rest)
+    return f"{first}{''.join(steps)}"

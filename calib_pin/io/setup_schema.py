@@ -1,0 +1,259 @@
+"""What a setup file may contain, for pydantic.
+
+Every check raises a `ValueError` whose message is what is allowed instead. pydantic is
+slow to import; import this module where a file is read.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping, Sequence
+from typing import Annotated, Any
+
+from pydantic import (
+    AfterValidator,
+    BaseModel,
+    ConfigDict,
+    Field,
+    PlainValidator,
+    model_validator,
+)
+
+from calib_pin.io.columns import ANGLE, LENGTH
+from calib_pin.io.yaml_tree import as_number
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+
+__all__ = ["LATER", "SetupFile", "known_keys"]
+
+LATER = ("targets", "distances", "gravity", "payloads", "obstacles", "region")
+"""Documented keys that this version does not know yet."""
+
+
+def _number(value: object) -> float:
+    # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
+    number = as_number(value) if isinstance(value, str) else value
+    if isinstance(number, bool) or not isinstance(number, float | int):
+        raise ValueError("a number")
+    if not math.isfinite(number):
+        raise ValueError("a finite number")
+    return float(number)
+
+
+def _positive(value: object) -> float:
+    number = _number(value)
+    if number <= 0.0:
+        raise ValueError("a positive number")
+    return number
+
+
+def _nonzero(value: object) -> float:
+    number = _number(value)
+    if number == 0.0:
+        raise ValueError("a number other than 0")
+    return number
+
+
+def _sign(value: object) -> int:
+    number = _number(value)
+    if number not in (1.0, -1.0):
+        raise ValueError("1, -1")
+    return int(number)
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or not value.strip():
+        raise ValueError("text (in quotes if it looks like something else)")
+    return value
+
+
+def _flag(value: object) -> bool:
+    if not isinstance(value, bool):
+        raise ValueError("true, false")
+    return value
+
+
+def _numbers(value: object, allowed: str) -> tuple[float, float, float]:
+    if not isinstance(value, list) or len(value) != 3:
+        raise ValueError(allowed)
+    try:
+        x, y, z = map(_number, value)
+    except ValueError:
+        raise ValueError(allowed) from None
+    return x, y, z
+
+
+def _position(value: object) -> tuple[float, float, float]:
+    allowed = "three finite numbers in m, such as [0, 0, 0.1]"
+    position = _numbers(value, allowed)
+    if max(map(abs, position)) > LENGTH.largest:
+        raise ValueError(allowed)
+    return position
+
+
+def _angles(value: object) -> tuple[float, float, float]:
+    allowed = "three finite numbers in rad, such as [0, 0, 1.57]"
+    angles = _numbers(value, allowed)
+    if max(map(abs, angles)) > ANGLE.largest:
+        raise ValueError(allowed)
+    return angles
+
+
+def _normal(value: object) -> tuple[float, float, float]:
+    allowed = "three finite numbers that are not all 0, such as [0, 0, 1]"
+    normal = _numbers(value, allowed)
+    if math.hypot(*normal) == 0.0:
+        raise ValueError(allowed)
+    return normal
+
+
+def _bound(value: object) -> float | tuple[float, float]:
+    allowed = "a positive number, or [lower, upper] with lower < upper"
+    try:
+        if not isinstance(value, list):
+            return _positive(value)
+        lower, upper = map(_number, value)
+    except ValueError:
+        raise ValueError(allowed) from None
+    if not lower < upper:
+        raise ValueError(allowed)
+    return lower, upper
+
+
+def _model(value: object) -> str:
+    if not isinstance(value, str) or value not in MEASUREMENT_MODELS:
+        raise ValueError(", ".join(MEASUREMENT_MODELS))
+    return value
+
+
+def _parameterization(value: object) -> str:
+    if not isinstance(value, str) or value not in PARAMETERIZATIONS:
+        raise ValueError(", ".join(PARAMETERIZATIONS))
+    return value
+
+
+def _distinct(names: list[str]) -> list[str]:
+    if not names or len(set(names)) < len(names):
+        raise ValueError("at least one name and each at most once")
+    return names
+
+
+Number = Annotated[float, PlainValidator(_number)]
+Positive = Annotated[float, PlainValidator(_positive)]
+Text = Annotated[str, PlainValidator(_text)]
+Flag = Annotated[bool, PlainValidator(_flag)]
+Position = Annotated[tuple[float, float, float], PlainValidator(_position)]
+Angles = Annotated[tuple[float, float, float], PlainValidator(_angles)]
+Normal = Annotated[tuple[float, float, float], PlainValidator(_normal)]
+Bound = Annotated[float | tuple[float, float], PlainValidator(_bound)]
+Parameterizations = Annotated[
+    list[Annotated[str, PlainValidator(_parameterization)]], AfterValidator(_distinct)
+]
+
+
+class _Section(BaseModel):
+    """A mapping with known keys; a key without a value counts as not written."""
+
+    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
+
+    @model_validator(mode="before")
+    @classmethod
+    def _drop_empty(cls, data: Any) -> Any:
+        if not isinstance(data, Mapping):
+            return data
+        return {
+            key: value
+            for key, value in data.items()
+            if value is not None or key not in cls.model_fields
+        }
+
+
+class FrameSection(_Section):
+    """`frames.base` or `frames.tool`."""
+
+    xyz: Position | None = None
+    rpy: Angles | None = None
+    estimate: Flag | None = None
+
+
+class FramesSection(_Section):
+    """`frames`."""
+
+    base: FrameSection = FrameSection()
+    tool: FrameSection = FrameSection()
+
+
+class PlaneSection(_Section):
+    """A member of `planes`."""
+
+    normal: Normal
+    offset: Number
+    estimate: Flag = True
+
+
+class JointSection(_Section):
+    """A member of `joints`."""
+
+    joint: Text
+    sign: Annotated[int, PlainValidator(_sign)] = 1
+    gear: Annotated[float, PlainValidator(_nonzero)] = 1.0
+    offset: Number = 0.0
+    coupled: dict[str, Number] = Field(default_factory=dict)
+
+
+class NoiseSection(_Section):
+    """`noise`."""
+
+    position: Positive | None = None
+    orientation: Positive | None = None
+    distance: Positive | None = None
+
+
+class SetupFile(_Section):
+    """A whole setup file."""
+
+    base: Text | None = None
+    tip: Text | None = None
+    model: Annotated[str, PlainValidator(_model)] | None = None
+    parameters: Parameterizations = list(Setup().parameters)
+    frames: FramesSection = FramesSection()
+    planes: dict[str, PlaneSection] = Field(default_factory=dict)
+    joints: dict[str, JointSection] = Field(default_factory=dict)
+    fixed: list[Text] = Field(default_factory=list)
+    bounds: dict[str, Bound] = Field(default_factory=dict)
+    prior: dict[str, Positive] = Field(default_factory=dict)
+    noise: NoiseSection = NoiseSection()
+
+    def setup(self) -> Setup:
+        """The same as plain data."""
+        return Setup(
+            base=self.base,
+            tip=self.tip,
+            model=self.model,
+            parameters=tuple(self.parameters),
+            base_frame=FrameSetup(**dict(self.frames.base)),
+            tool_frame=FrameSetup(**dict(self.frames.tool)),
+            planes={name: PlaneSetup(**dict(p)) for name, p in self.planes.items()},
+            joints={name: JointMap(**dict(j)) for name, j in self.joints.items()},
+            fixed=tuple(self.fixed),
+            bounds=self.bounds,
+            prior=self.prior,
+            noise=self.noise.model_dump(exclude_none=True),
+        )
+
+
+def known_keys(path: Sequence[str | int]) -> list[str]:
+    """The keys that may stand where an unknown one does.
+
+    Args:
+        path: Path of the unknown key.
+    """
+    sections: Mapping[str | int, type[_Section]] = {
+        "frames": FramesSection if len(path) == 2 else FrameSection,
+        "planes": PlaneSection,
+        "joints": JointSection,
+        "noise": NoiseSection,
+    }
+    section = SetupFile if len(path) == 1 else sections[path[0]]
+    return list(section.model_fields)

@@ -1,0 +1,197 @@
+"""YAML as a tree that knows the line of every key.
+
+A small, strict part of YAML: no anchors, aliases or tags, every key once, and numbers
+as in YAML 1.2. PyYAML follows YAML 1.1, in which `1e-5` is text, `010` is eight and
+`1:30` is ninety.
+
+PyYAML is slow to import; import this module where a file is read.
+"""
+
+from __future__ import annotations
+
+import re
+import textwrap
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+from typing import Any
+
+import yaml
+
+from calib_pin.errors import InputError
+from calib_pin.io.files import read_bytes
+
+__all__ = ["Tree", "as_number", "read_tree"]
+
+_NUMBER = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?")
+_DEEPEST = 20
+_GLOB = '"*.placement.z"'
+_NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf)", re.IGNORECASE)
+
+
+@dataclass(frozen=True)
+class Tree:
+    """A YAML document.
+
+    Attributes:
+        file: Path as the caller gave it.
+        data: Mappings with text keys, lists, text, numbers, truth values and None.
+    """
+
+    file: str
+    data: Any
+    _root: yaml.Node | None
+    _text: str
+
+    def line(self, path: Sequence[str | int]) -> int:
+        """Line of a key or list item, or of the last part of the path that exists."""
+        return self._find(path)[0]
+
+    def written(self, path: Sequence[str | int]) -> str:
+        """The value at a path as it stands in the file, on one line and shortened."""
+        node = self._find(path)[1]
+        if isinstance(node, yaml.ScalarNode):
+            return str(node.value)
+        # A block ends where the next one starts, beyond the comments between them.
+        text = self._text[node.start_mark.index : node.end_mark.index]
+        return textwrap.shorten(text.split("#")[0], 60, placeholder=" ...")
+
+    def error(
+        self,
+        reason: str,
+        path: Sequence[str | int],
+        value: object = None,
+        allowed: str | None = None,
+    ) -> InputError:
+        """An error about the key at a path."""
+        return InputError(
+            reason, file=self.file, line=self.line(path), value=value, allowed=allowed
+        )
+
+    def _find(self, path: Sequence[str | int]) -> tuple[int, yaml.Node]:
+        """Line and value node of the last part of a path that exists."""
+        assert self._root is not None
+        node, line = self._root, _line(self._root)
+        for step in path:
+            if isinstance(node, yaml.MappingNode):
+                pairs = {key.value: (key, value) for key, value in node.value}
+                if step not in pairs:
+                    break
+                key, node = pairs[step]
+                line = _line(key)
+            elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
+                node = node.value[step]
+                line = _line(node)
+            else:
+                break
+        return line, node
+
+
+def as_number(text: str) -> float | None:
+    """The number that a text is in YAML 1.2 (infinite and nan too), or None."""
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None
+
+
+def read_tree(path: str | Path) -> Tree:
+    """Read a YAML file.
+
+    Args:
+        path: UTF-8 file with one document.
+
+    Raises:
+        InputError: If it is not such YAML, or uses an anchor, an alias, a tag, the
+            same key twice or a key that is not a plain name.
+
+    Example:
+        >>> import tempfile
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "errors.yaml"
+        ...     _ = file.write_text("elbow_joint.placement.x: 1e-5")
+        ...     read_tree(file).data
+        {'elbow_joint.placement.x': 1e-05}
+    """
+    file = str(path)
+    data = read_bytes(path)
+    try:
+        text = data.decode("utf-8-sig")
+        root = _compose(text, file)
+        return Tree(file, None if root is None else _build(root, file), root, text)
+    except UnicodeDecodeError as error:
+        line = data[: error.start].count(b"\n") + 1
+        raise InputError("not UTF-8 text", file=file, line=line) from None
+    except yaml.MarkedYAMLError as error:
+        mark = error.problem_mark or error.context_mark
+        reason = ", ".join(filter(None, (error.context, error.problem)))
+        if error.context == "while scanning an alias":
+            reason = f"a glob needs quotes, as in {_GLOB}"
+        raise InputError(
+            f"not valid YAML: {reason}",
+            file=file,
+            line=None if mark is None else mark.line + 1,
+        ) from None
+    except yaml.YAMLError:
+        # The reader's own error, about a control character, has no line.
+        raise InputError("not a text file", file=file) from None
+
+
+def _compose(text: str, file: str) -> yaml.Node | None:
+    """The node tree of a text, without anchors, aliases and tags.
+
+    The events come first: they are read one by one, while the tree is built by
+    recursion, to any depth.
+    """
+    depth = 0
+    for event in yaml.parse(text, yaml.SafeLoader):
+        refused = None
+        if isinstance(event, yaml.AliasEvent):
+            refused = (
+                f"an alias, '*{event.anchor}', (a glob needs quotes, as in {_GLOB})"
+            )
+        elif isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+            refused = f"an anchor, '&{event.anchor}',"
+        elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
+            refused = None if event.tag is None else f"a tag, '{event.tag}',"
+        depth += isinstance(event, yaml.CollectionStartEvent)
+        depth -= isinstance(event, yaml.CollectionEndEvent)
+        if depth > _DEEPEST:
+            refused = "so deep a nesting"
+        if refused is not None:
+            line = _line(event)
+            raise InputError(f"{refused} is not allowed here", file=file, line=line)
+    return yaml.compose(text, yaml.SafeLoader)
+
+
+def _build(node: yaml.Node, file: str) -> Any:
+    """The data of a node."""
+    if isinstance(node, yaml.SequenceNode):
+        return [_build(item, file) for item in node.value]
+    if isinstance(node, yaml.ScalarNode):
+        return _scalar(node)
+    result: dict[str, Any] = {}
+    for key, value in node.value:
+        if not isinstance(key, yaml.ScalarNode):
+            raise InputError("a key must be a name", file=file, line=_line(key))
+        if key.value in result:
+            raise InputError(
+                f"the key '{key.value}' occurs twice", file=file, line=_line(key)
+            )
+        result[key.value] = _build(value, file)
+    return result
+
+
+def _scalar(node: yaml.ScalarNode) -> str | float | bool | None:
+    if node.style is not None:
+        return str(node.value)
+    if node.tag.endswith(":null"):
+        return None
+    if node.tag.endswith(":bool"):
+        return node.value.lower() in ("true", "yes", "on")
+    number = as_number(node.value)
+    return str(node.value) if number is None else number
+
+
+def _line(item: yaml.Node | yaml.Event) -> int:
+    assert item.start_mark is not None
+    return int(item.start_mark.line) + 1

@@ -1,0 +1,71 @@
+"""Measurement models, by the names that users write."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+
+import numpy as np
+
+from calib_pin.errors import OptionError, nearest
+from calib_pin.measurement_models.base import (
+    Linearization,
+    MeasurementModel,
+    Quantity,
+)
+from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
+from calib_pin.setup import Setup
+
+__all__ = [
+    "MEASUREMENT_MODELS",
+    "Linearization",
+    "MeasurementModel",
+    "Quantity",
+    "measurement_model",
+]
+
+
+def _plane_distance(setup: Setup, targets: Sequence[str]) -> PlaneDistance:
+    planes = [
+        Plane(
+            name,
+            np.array(given.normal) / np.linalg.norm(given.normal),
+            given.offset / float(np.linalg.norm(given.normal)),
+            given.estimate,
+        )
+        for name, given in setup.planes.items()
+    ]
+    if not planes:
+        names = dict.fromkeys(name or "plane" for name in targets)
+        planes = [Plane(name) for name in names or ("plane",)]
+    return PlaneDistance(tuple(planes))
+
+
+MEASUREMENT_MODELS: Mapping[str, Callable[[Setup, Sequence[str]], MeasurementModel]] = {
+    "position": lambda setup, targets: Position(),
+    "pose": lambda setup, targets: Pose(),
+    "plane-distance": _plane_distance,
+}
+"""How each measurement model is made from a setup and the targets that rows name."""
+
+
+def measurement_model(
+    name: str, setup: Setup, targets: Sequence[str] = ()
+) -> MeasurementModel:
+    """The measurement model of a name.
+
+    Args:
+        name: Name of the model.
+        setup: What the user states about it, such as its planes.
+        targets: The targets that the rows name.
+
+    Raises:
+        OptionError: If there is no such model; names the nearest.
+    """
+    if name not in MEASUREMENT_MODELS:
+        raise OptionError(
+            f"unknown measurement model '{name}'{nearest(name, MEASUREMENT_MODELS)}",
+            allowed=", ".join(MEASUREMENT_MODELS),
+        )
+    return MEASUREMENT_MODELS[name](setup, targets)

@@ -1,0 +1,128 @@
+"""What a measurement model is."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.spatial import Floats
+
+__all__ = ["Linearization", "MeasurementModel", "Quantity"]
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One physical quantity within the residual.
+
+    Attributes:
+        name: Name in reports, such as `position`.
+        unit: `m` or `rad`.
+        columns: The residual components that belong to it.
+        sigma: Standard deviation assumed where none is stated.
+    """
+
+    name: str
+    unit: str
+    columns: slice
+    sigma: float
+
+    def errors(self, residual: Floats) -> Floats:
+        """Size of the error of each row, shape (N, d) -> (N,)."""
+        return np.asarray(np.linalg.norm(residual[:, self.columns], axis=1))
+
+
+@dataclass(frozen=True)
+class Linearization:
+    """Residuals of N rows and their derivatives.
+
+    Attributes:
+        residual: Predicted minus measured, shape (N, d).
+        by_twist: Derivative by the body twist of the tool, shape (N, d, 6).
+        by_own: Derivative by the model's own parameters, shape (N, d, K).
+    """
+
+    residual: Floats
+    by_twist: Floats
+    by_own: Floats
+
+
+class MeasurementModel(Protocol):
+    """How the tool pose becomes a measured value.
+
+    A member is frozen; its own parameters (a plane, say) are deviations from reference
+    values that it carries, and `register` returns it about better references.
+    """
+
+    @property
+    def name(self) -> str:
+        """Name as users write it."""
+        ...
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """The quantities of the residual, in order."""
+        ...
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """The model's own parameters."""
+        ...
+
+    def about(self, own: Floats) -> MeasurementModel:
+        """The same model with its own parameters moved into its references.
+
+        Args:
+            own: Values of the model's own parameters, shape (K,).
+        """
+        ...
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Noise-free values in the layout of `Measurements.values`, shape (N, D).
+
+        Args:
+            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            own: Values of the model's own parameters, shape (K,).
+            target: Name of the target of each row.
+        """
+        ...
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Whether the instrument can measure at each pose at all, shape (N,)."""
+        ...
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Values with noise of the residual components added, shape (N, d)."""
+        ...
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Signed residual, predicted minus measured, shape (N, d)."""
+        ...
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """Residual and its derivatives."""
+        ...
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[MeasurementModel, pin.SE3, pin.SE3]:
+        """Closed-form references from nominal tip poses; no first guess is needed.
+
+        Args:
+            F: Nominal tip poses in the base link, shape (N, 4, 4).
+            data: The rows to fit.
+            base: The base frame where it is known, or None to estimate it.
+            tool: The tool frame where it is known, or None to estimate it.
+
+        Returns:
+            The model about its registered references, the base and the tool frame.
+        """
+        ...

@@ -1,0 +1,237 @@
+"""The distance along a laser beam to a plane (Liu et al. 2012)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError, nearest
+from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.registration import register_plane
+from calib_pin.spatial import Floats, skew, so3_exp
+
+__all__ = ["Plane", "PlaneDistance"]
+
+GRAZING = 1e-3
+"""Cosine to the normal below which a beam counts as parallel to the plane."""
+
+
+INCIDENCE = np.cos(np.radians(70.0))
+"""Cosine to the normal below which a beam comes back too weak to be measured."""
+
+RANGE = 5.0
+"""Longest distance that is measured [m]."""
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Reference of a plane `n . p + f = 0` in the measuring frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        normal: Unit normal n, shape (3,); None until it is registered.
+        offset: Offset f [m].
+        estimate: Whether the plane is estimated.
+    """
+
+    name: str
+    normal: Floats | None = None
+    offset: float = 0.0
+    estimate: bool = True
+
+    @property
+    def tangents(self) -> Floats:
+        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
+        assert self.normal is not None
+        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        first = np.cross(self.normal, helper)
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.normal, first)])
+
+    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
+        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+
+        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
+
+        Returns:
+            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+        """
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
+        halfway = second @ self.normal
+        normal = first @ halfway
+        by_u = np.cross(t_1, normal)
+        by_v = first @ np.cross(t_2, halfway)
+        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
+
+
+@dataclass(frozen=True)
+class PlaneDistance:
+    """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
+
+    Attributes:
+        planes: The planes, by the order of their parameters.
+    """
+
+    planes: tuple[Plane, ...] = (Plane("plane"),)
+    name: str = field(default="plane-distance", init=False)
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the distance."""
+        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<plane>.plane.u|v|f` of every plane."""
+        return tuple(
+            Parameter(
+                f"{plane.name}.plane.{component}",
+                unit,
+                1.0,
+                nuisance=True,
+                free=plane.estimate,
+            )
+            for plane in self.planes
+            for component, unit in (("u", "rad"), ("v", "rad"), ("f", "m"))
+        )
+
+    def about(self, own: Floats) -> PlaneDistance:
+        """Planes turned and shifted by (u, v, f) each."""
+        planes = []
+        for k, plane in enumerate(self.planes):
+            normal, offset, _ = plane.turned(own[3 * k : 3 * k + 3])
+            planes.append(replace(plane, normal=normal, offset=offset))
+        return replace(self, planes=tuple(planes))
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Distances along the beam, shape (N, 1) [m]; negative behind the tool."""
+        normal, offset, _ = self._rows(own, target)
+        return self._distance(T, normal, offset)[:, None]
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Where the beam meets the plane in front, within range and not too flat."""
+        normal, offset, _ = self._rows(own, target)
+        cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
+        h = self._distance(T, normal, offset)
+        return np.asarray((h > 0.0) & (h < RANGE) & (cosine > INCIDENCE))
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Add noise to the distances."""
+        return values + noise
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured distance, shape (N, 1) [m]."""
+        return self.predict(T, own, data.target) - data.values
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """Derivatives by the beam and by the plane.
+
+        With `c = n . b`: `dh = -n . dp / c - h n . db / c`, `dp = R v` and
+        `db = R (w x e_z)`; by the plane `dh = -(p + h b) . dn / c - df / c`.
+        """
+        normal, offset, by_turn = self._rows(own, data.target)
+        index = self._index(data.target)
+        R, p = T[:, :3, :3], T[:, :3, 3]
+        b = R[:, :, 2]
+        h = self._distance(T, normal, offset)
+        c = np.einsum("ni,ni->n", normal, b)
+        with np.errstate(divide="ignore", invalid="ignore"):
+            n_tool = np.einsum("ni,nij->nj", normal, R) / c[:, None]
+            hit = (p + h[:, None] * b) / c[:, None]
+            slope = 1.0 / c
+        by_twist = np.empty((len(T), 1, 6))
+        by_twist[:, 0, :3] = -n_tool
+        # n . R (w x e_z) = -n . R [e_z]x w
+        by_twist[:, 0, 3:] = h[:, None] * (n_tool @ skew(np.array([0.0, 0.0, 1.0])))
+        by_own = np.zeros((len(T), 1, 3 * len(self.planes)))
+        row = np.arange(len(T))
+        for k in range(2):
+            by_own[row, 0, 3 * index + k] = -np.einsum(
+                "ni,ni->n", hit, by_turn[:, :, k]
+            )
+        by_own[row, 0, 3 * index + 2] = -slope
+        return Linearization(h[:, None] - data.values, by_twist, by_own)
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[PlaneDistance, pin.SE3, pin.SE3]:
+        """Planes through the points that the nominal beam hits.
+
+        A base and a tool that are not given stay where the URDF puts them.
+
+        Raises:
+            InputError: If a nominal beam runs parallel to its plane.
+        """
+        base, tool = base or pin.SE3.Identity(), tool or pin.SE3.Identity()
+        T = base.homogeneous @ F @ tool.homogeneous
+        hits = T[:, :3, 3] + data.values * T[:, :3, 2]
+        index = self._index(data.target)
+        planes = tuple(
+            replace(plane, normal=normal, offset=offset)
+            for plane, (normal, offset) in (
+                (
+                    plane,
+                    register_plane(hits[index == k])
+                    if plane.normal is None
+                    else (plane.normal, plane.offset),
+                )
+                for k, plane in enumerate(self.planes)
+            )
+        )
+        registered = replace(self, planes=planes)
+        normal, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
+        cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
+        if (cosine < GRAZING).any():
+            row = int(np.argmin(cosine))
+            raise InputError(
+                f"{data.place(row)}: the beam is parallel to the plane "
+                f"'{planes[index[row]].name}'"
+            )
+        return registered, base, tool
+
+    def _index(self, target: Sequence[str]) -> NDArray[np.int64]:
+        names = {plane.name: k for k, plane in enumerate(self.planes)}
+        if len(names) == 1:
+            names[""] = 0
+        unknown = next((name for name in target if name not in names), None)
+        if unknown is not None:
+            raise InputError(
+                f"there is no plane '{unknown}'{nearest(unknown, names)}",
+                column="target",
+                allowed=", ".join(plane.name for plane in self.planes),
+            )
+        return np.array([names[name] for name in target], np.int64)
+
+    def _rows(
+        self, own: Floats, target: Sequence[str]
+    ) -> tuple[Floats, Floats, Floats]:
+        """Normal (N, 3), offset (N,) and derivative (N, 3, 2) of each row's plane."""
+        turned = [
+            plane.turned(own[3 * k : 3 * k + 3]) for k, plane in enumerate(self.planes)
+        ]
+        index = self._index(target)
+        normals, offsets, slopes = zip(*turned, strict=True)
+        return (
+            np.array(normals)[index],
+            np.array(offsets)[index],
+            np.array(slopes)[index],
+        )
+
+    @staticmethod
+    def _distance(T: Floats, normal: Floats, offset: Floats) -> Floats:
+        p, b = T[:, :3, 3], T[:, :3, 2]
+        with np.errstate(divide="ignore", invalid="ignore"):
+            h = -(np.einsum("ni,ni->n", normal, p) + offset) / np.einsum(
+                "ni,ni->n", normal, b
+            )
+        return np.asarray(h)

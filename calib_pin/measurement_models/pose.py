@@ -1,0 +1,97 @@
+"""The 6-D pose of the tool: laser tracker with a 6-D probe, motion-capture body."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.registration import register_poses
+from calib_pin.spatial import (
+    Floats,
+    from_quaternion,
+    so3_exp,
+    so3_log,
+    so3_log_derivative,
+    to_quaternion,
+)
+
+__all__ = ["Pose"]
+
+
+@dataclass(frozen=True)
+class Pose:
+    """Position residual in the measuring frame [m], rotation vector in the tool [rad].
+
+    `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
+    """
+
+    name: str = "pose"
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """Position and orientation."""
+        return (
+            Quantity("position", "m", slice(0, 3), 1e-4),
+            Quantity("orientation", "rad", slice(3, 6), 1e-4),
+        )
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """None of its own."""
+        return ()
+
+    def about(self, own: Floats) -> Pose:
+        """Itself: there is nothing to move."""
+        return self
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Position and unit quaternion of the tool, shape (N, 7)."""
+        return np.column_stack([T[:, :3, 3], to_quaternion(T[:, :3, :3])])
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(T), bool)
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Shift the position and turn the orientation in the tool frame."""
+        R = from_quaternion(values[:, 3:]) @ so3_exp(noise[:, 3:])
+        return np.column_stack([values[:, :3] + noise[:, :3], to_quaternion(R)])
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Predicted against measured pose, shape (N, 6) [m, rad]."""
+        R_y = from_quaternion(data.values[:, 3:])
+        turn = so3_log(np.swapaxes(R_y, 1, 2) @ T[:, :3, :3])
+        return np.column_stack([T[:, :3, 3] - data.values[:, :3], turn])
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """`dp = R v` and `dlog = J_log w` for a body twist (v, w)."""
+        residual = self.residual(T, own, data)
+        by_twist = np.zeros((len(T), 6, 6))
+        by_twist[:, :3, :3] = T[:, :3, :3]
+        by_twist[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
+        return Linearization(residual, by_twist, np.zeros((len(T), 6, 0)))
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Pose, pin.SE3, pin.SE3]:
+        """Robot-world and hand-eye registration."""
+        poses = np.zeros((len(F), 4, 4))
+        poses[:, :3, :3] = from_quaternion(data.values[:, 3:])
+        poses[:, :3, 3] = data.values[:, :3]
+        poses[:, 3, 3] = 1.0
+        B, X = register_poses(
+            F,
+            poses,
+            base=None if base is None else base.homogeneous,
+            tool=None if tool is None else tool.homogeneous,
+        )
+        return self, base or pin.SE3(B), tool or pin.SE3(X)

@@ -1,0 +1,81 @@
+"""The position of a point on the tool: laser tracker, motion capture."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.registration import register_points
+from calib_pin.spatial import Floats
+
+__all__ = ["Position"]
+
+
+@dataclass(frozen=True)
+class Position:
+    """`residual = p(T) - y`, the origin of the tool frame in the measuring frame [m].
+
+    A point has no orientation: `tool.frame.rx|ry|rz` are unidentifiable.
+    """
+
+    name: str = "position"
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the position."""
+        return (Quantity("position", "m", slice(0, 3), 1e-4),)
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """None of its own."""
+        return ()
+
+    def about(self, own: Floats) -> Position:
+        """Itself: there is nothing to move."""
+        return self
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Origins of the tool frame, shape (N, 3) [m]."""
+        return np.array(T[:, :3, 3])
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(T), bool)
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Add noise to the coordinates."""
+        return values + noise
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured position, shape (N, 3) [m]."""
+        return T[:, :3, 3] - data.values
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """`dp = R v` for a body twist (v, w)."""
+        by_twist = np.zeros((len(T), 3, 6))
+        by_twist[:, :, :3] = T[:, :3, :3]
+        return Linearization(
+            self.residual(T, own, data), by_twist, np.zeros((len(T), 3, 0))
+        )
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Position, pin.SE3, pin.SE3]:
+        """Absolute orientation, with the unknown point eliminated."""
+        if base is None:
+            point = None if tool is None else tool.translation
+            R, b, point = register_points(F, data.values, tool=point)
+            base = pin.SE3(R, b)
+        else:
+            inside = (data.values - base.translation) @ base.rotation - F[:, :3, 3]
+            point = np.einsum("nji,nj->i", F[:, :3, :3], inside) / len(F)
+        return self, base, tool or pin.SE3(np.eye(3), point)

@@ -1,0 +1,38 @@
+"""The base frame and the tool frame: six screws at each end of the chain."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib_pin.parameterizations.base import COMPONENTS, Screw
+from calib_pin.parameters import Parameter
+
+__all__ = ["frame_screws"]
+
+
+def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
+    """Screws `<name>.frame.x..rz` that follow the reference pose of a frame.
+
+    Their scale is 1 m and 1 rad: an unknown tracker stand is not a robot error.
+
+    Args:
+        name: `base` or `tool`.
+        place: Place of the frame in the chain.
+        free: Whether the frame is estimated.
+    """
+    return [
+        Screw(
+            Parameter(
+                f"{name}.frame.{component}",
+                "m" if k < 3 else "rad",
+                1.0,
+                nuisance=True,
+                free=free,
+            ),
+            place,
+            np.eye(6)[k],
+        )
+        for k, component in enumerate(COMPONENTS)
+    ]

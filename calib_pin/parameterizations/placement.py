@@ -1,0 +1,63 @@
+"""Six errors of every joint placement, in the joint frame or in its parent's."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+
+from calib_pin.chain import Chain
+from calib_pin.parameterizations.base import COMPONENTS, Screw, robot_parameter
+from calib_pin.spatial import adjoint
+
+__all__ = ["LinkTransform", "Placement"]
+
+UNITS = ("m", "m", "m", "rad", "rad", "rad")
+
+
+class Placement:
+    """`<joint>.placement.x|y|z|rx|ry|rz`: screws along the axes of the joint frame.
+
+    `M_j(theta) = M_j0 Tx Ty Tz Rx Ry Rz`. Redundant, but free of singularities and
+    the same for every robot; the rank analysis finds what of it can be known.
+    """
+
+    name = "placement"
+
+    def screws(self, chain: Chain) -> Sequence[Screw]:
+        """Six screws at every moving joint."""
+        return [
+            Screw(robot_parameter(joint, "placement", component, unit), place, twist)
+            for place, joint in enumerate(chain.joints, start=1)
+            for component, unit, twist in zip(COMPONENTS, UNITS, np.eye(6), strict=True)
+        ]
+
+
+class LinkTransform:
+    """`<joint>.link-transform.mx|my|mz|dx|dy|dz`: the error in the parent frame.
+
+    To first order `M_j = (I + Delta) M_j0` with position part m and rotation part
+    delta in the frame of the preceding joint (Liu et al. 2022, section 1.2); here the
+    exact motion `Exp(mx) ... Exp(dz) M_j0`, moved through the placement by the
+    adjoint. The fixed transform from the last joint to the tip is the last link.
+    """
+
+    name = "link-transform"
+
+    def screws(self, chain: Chain) -> Sequence[Screw]:
+        """Six screws at every moving joint and at the tip's fixed joint."""
+        count = len(chain.joints)
+        links = [
+            (place, joint, chain.placements[place - 1].homogeneous)
+            for place, joint in enumerate(chain.joints, start=1)
+        ]
+        if chain.tip_joint is not None:
+            links.append((count + 1, chain.tip_joint, chain.tip_placement.homogeneous))
+        components = ("mx", "my", "mz", "dx", "dy", "dz")
+        return [
+            Screw(robot_parameter(joint, self.name, component, unit), place, twist)
+            for place, joint, placement in links
+            for component, unit, twist in zip(
+                components, UNITS, adjoint(np.linalg.inv(placement)).T, strict=True
+            )
+        ]

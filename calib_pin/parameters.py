@@ -1,0 +1,195 @@
+"""Error parameters: what they are called, how large they may be, which are free.
+
+The numbers themselves are plain arrays in the order of a `ParameterSet`; the set says
+what each entry means. A new set is made wherever something changes.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, field, replace
+from fnmatch import fnmatchcase
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import OptionError, nearest
+from calib_pin.spatial import Floats
+
+__all__ = ["Parameter", "ParameterSet"]
+
+
+@dataclass(frozen=True)
+class Parameter:
+    """One error parameter; zero is the nominal robot.
+
+    Attributes:
+        name: `<owner>.<kind>.<component>`.
+        unit: Unit of the value, such as `m` or `rad`.
+        scale: Expected size of the value, in its unit; makes parameters comparable.
+        nuisance: True for what belongs to the measurement and not to the robot:
+            base frame, tool frame, planes. Nuisances absorb all that they can.
+        free: Whether the value is estimated.
+        lower: Lower bound, in the unit.
+        upper: Upper bound, in the unit.
+        prior: Standard deviation of a normal prior about zero; infinite for none.
+    """
+
+    name: str
+    unit: str
+    scale: float
+    nuisance: bool = False
+    free: bool = True
+    lower: float = -np.inf
+    upper: float = np.inf
+    prior: float = np.inf
+
+
+@dataclass(frozen=True)
+class ParameterSet:
+    """Parameters in a fixed order: base, joints from base to tip, tool, instrument.
+
+    Raises:
+        OptionError: If a name stands twice.
+
+    Example:
+        >>> names = ["elbow.placement.x", "elbow.placement.y"]
+        >>> both = ParameterSet(tuple(Parameter(n, "m", 1e-3) for n in names))
+        >>> both.with_fixed(["*.x"]).free.tolist()
+        [False, True]
+    """
+
+    parameters: tuple[Parameter, ...]
+    _positions: Mapping[str, int] = field(init=False, repr=False, compare=False)
+
+    def __post_init__(self) -> None:
+        """Index the names once."""
+        positions = {p.name: k for k, p in enumerate(self.parameters)}
+        if len(positions) != len(self.parameters):
+            names = [p.name for p in self.parameters]
+            twice = next(name for name in names if names.count(name) > 1)
+            raise OptionError(f"parameter '{twice}' is defined twice")
+        object.__setattr__(self, "_positions", positions)
+
+    def __len__(self) -> int:
+        """Number of parameters."""
+        return len(self.parameters)
+
+    def __iter__(self) -> Iterator[Parameter]:
+        """Iterate over the parameters in order."""
+        return iter(self.parameters)
+
+    def __getitem__(self, index: int) -> Parameter:
+        """The parameter at a position."""
+        return self.parameters[index]
+
+    @cached_property
+    def names(self) -> tuple[str, ...]:
+        """Names in order."""
+        return tuple(p.name for p in self.parameters)
+
+    @cached_property
+    def scales(self) -> Floats:
+        """Scales, shape (P,)."""
+        return np.array([p.scale for p in self.parameters])
+
+    @cached_property
+    def free(self) -> NDArray[np.bool_]:
+        """True where a parameter is estimated, shape (P,)."""
+        return np.array([p.free for p in self.parameters], bool)
+
+    @cached_property
+    def nuisance(self) -> NDArray[np.bool_]:
+        """True for base, tool and instrument, shape (P,)."""
+        return np.array([p.nuisance for p in self.parameters], bool)
+
+    @cached_property
+    def priors(self) -> Floats:
+        """Prior standard deviations, shape (P,), infinite where there is none."""
+        return np.array([p.prior for p in self.parameters])
+
+    @cached_property
+    def bounds(self) -> tuple[Floats, Floats]:
+        """Lower and upper bounds, each of shape (P,)."""
+        lower = np.array([p.lower for p in self.parameters])
+        return lower, np.array([p.upper for p in self.parameters])
+
+    def index(self, name: str) -> int:
+        """Position of an exact name.
+
+        Raises:
+            OptionError: If there is no such parameter; names the nearest one.
+        """
+        if name not in self._positions:
+            raise OptionError(
+                f"there is no parameter '{name}'{nearest(name, self._positions)}"
+            )
+        return self._positions[name]
+
+    def vector(self, values: Mapping[str, float]) -> Floats:
+        """Array of values by name, zero for the others, shape (P,)."""
+        result = np.zeros(len(self))
+        for name, value in values.items():
+            result[self.index(name)] = value
+        return result
+
+    def with_fixed(self, patterns: Iterable[str]) -> ParameterSet:
+        """Hold the parameters that match a name or glob at zero.
+
+        Raises:
+            OptionError: If a pattern matches nothing.
+        """
+        chosen: set[int] = set()
+        for pattern in patterns:
+            chosen |= self._match(pattern)
+        return self._replace({k: {"free": False} for k in chosen})
+
+    def with_bounds(
+        self, bounds: Mapping[str, float | tuple[float, float]]
+    ) -> ParameterSet:
+        """Bound the parameters that match a name or glob; later entries win.
+
+        Args:
+            bounds: Glob to the largest absolute value, or to (lower, upper).
+
+        Raises:
+            OptionError: If a glob matches nothing or an interval excludes zero.
+        """
+        changes: dict[int, dict[str, float]] = {}
+        for pattern, limit in bounds.items():
+            lower, upper = limit if isinstance(limit, tuple) else (-limit, limit)
+            if not lower <= 0.0 <= upper:
+                raise OptionError(
+                    f"bounds of '{pattern}' exclude zero, the nominal robot",
+                    value=[lower, upper],
+                )
+            for k in self._match(pattern):
+                changes[k] = {"lower": lower, "upper": upper}
+        return self._replace(changes)
+
+    def with_priors(self, priors: Mapping[str, float]) -> ParameterSet:
+        """Give a prior standard deviation about zero, by name or glob.
+
+        Raises:
+            OptionError: If a glob matches nothing.
+        """
+        return self._replace(
+            {k: {"prior": s} for glob, s in priors.items() for k in self._match(glob)}
+        )
+
+    def _match(self, pattern: str) -> set[int]:
+        found = {k for k, p in enumerate(self) if fnmatchcase(p.name, pattern)}
+        if not found:
+            raise OptionError(
+                f"no parameter matches '{pattern}'{nearest(pattern, self.names)}"
+            )
+        return found
+
+    def _replace(self, changes: Mapping[int, Mapping[str, float]]) -> ParameterSet:
+        return ParameterSet(
+            tuple(
+                replace(p, **changes[k]) if k in changes else p  # type: ignore[arg-type]
+                for k, p in enumerate(self.parameters)
+            )
+        )

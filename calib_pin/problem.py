@@ -1,0 +1,201 @@
+"""The least-squares problem: error model, measurement model and data put together."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import InputError
+from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import ParameterSet
+from calib_pin.setup import Setup
+from calib_pin.spatial import Floats
+
+__all__ = ["Problem", "observable_configurations"]
+
+
+@dataclass(frozen=True)
+class Problem:
+    """Whitened residuals of data as a function of the error parameters.
+
+    The residual vector holds the rows of the data, each component divided by its
+    standard deviation, then one row per free parameter with a prior.
+
+    Attributes:
+        error: The error model about its reference frames.
+        measurement: The measurement model about its reference values.
+        data: The rows.
+        setup: Which parameters are fixed, bounded or have a prior, and the noise
+            where the data do not state it.
+
+    Raises:
+        OptionError: If the setup names a parameter that does not exist.
+    """
+
+    error: ErrorModel
+    measurement: MeasurementModel
+    data: Measurements
+    setup: Setup = field(default_factory=Setup)
+
+    @cached_property
+    def parameters(self) -> ParameterSet:
+        """Robot, frames and instrument: base, joints, tool, then the model's own."""
+        own = tuple(self.measurement.parameters)
+        return (
+            ParameterSet(self.error.parameters.parameters + own)
+            .with_fixed(self.setup.fixed)
+            .with_bounds(self.setup.bounds)
+            .with_priors(self.setup.prior)
+        )
+
+    @cached_property
+    def sigma(self) -> Floats:
+        """Standard deviation of every residual component, shape (N, d)."""
+        if self.data.sigma is not None:
+            return self.data.sigma
+        return np.tile(
+            assumed_sigma(self.measurement, self.setup.noise), (len(self.data), 1)
+        )
+
+    @cached_property
+    def _prior(self) -> NDArray[np.bool_]:
+        return np.isfinite(self.parameters.priors) & self.parameters.free
+
+    def poses(self, theta: Floats) -> Floats:
+        """Tool poses in the measuring frame, shape (N, 4, 4)."""
+        return self.error.poses(self.data.q, self.split(theta)[0])
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        return self.measurement.residual(
+            self.poses(theta), self.split(theta)[1], self.data
+        )
+
+    def residual(self, theta: Floats) -> Floats:
+        """Whitened residual, shape (N d + priors,)."""
+        rows = (self.errors(theta) / self.sigma).reshape(-1)
+        return np.concatenate([rows, (theta / self.parameters.priors)[self._prior]])
+
+    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual and its Jacobian by all parameters.
+
+        Returns:
+            Residual, shape (M,), and Jacobian, shape (M, P).
+        """
+        of_robot, own = self.split(theta)
+        T, twists = self.error.jacobian(self.data.q, of_robot)
+        linear = self.measurement.linearize(T, own, self.data)
+        J = np.concatenate([linear.by_twist @ twists, linear.by_own], axis=2)
+        J /= self.sigma[:, :, None]
+        rows = (linear.residual / self.sigma).reshape(-1)
+        prior = (1.0 / self.parameters.priors)[self._prior]
+        extra = np.zeros((len(prior), len(theta)))
+        extra[np.arange(len(prior)), np.flatnonzero(self._prior)] = prior
+        return (
+            np.concatenate([rows, theta[self._prior] * prior]),
+            np.concatenate([J.reshape(-1, len(theta)), extra]),
+        )
+
+    def register(self, theta: Floats) -> Problem:
+        """The same problem about closed-form frames and instrument references.
+
+        What the setup gives for a frame stands, as known or as a first guess.
+
+        Args:
+            theta: Parameter values, shape (P,); those of the robot count.
+        """
+        given = (self.setup.base_frame, self.setup.tool_frame)
+        free = self.error.parameters.free
+        # A frame of the chain has six parameters at either end.
+        unknown = (free[:6].any(), free[-6:].any())
+        start: list[pin.SE3 | None] = []
+        for frame, estimated in zip(given, unknown, strict=True):
+            if frame.xyz is None and frame.rpy is None and estimated:
+                start.append(None)
+            else:
+                rpy, xyz = frame.rpy or (0.0, 0.0, 0.0), frame.xyz or (0.0, 0.0, 0.0)
+                start.append(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)))
+        F = self.error.tip_poses(self.data.q, self.split(theta)[0])
+        measurement, base, tool = self.measurement.register(F, self.data, *start)
+        return replace(
+            self, error=self.error.with_frames(base, tool), measurement=measurement
+        )
+
+    def about(self, theta: Floats, q: Floats, target: Sequence[str]) -> Problem:
+        """The problem with noise-free data of the model at other rows.
+
+        Args:
+            theta: Parameter values, shape (P,).
+            q: Joint positions, shape (K, n) [rad, m].
+            target: Target of each row.
+        """
+        of_robot, own = self.split(theta)
+        T = self.error.poses(q, of_robot)
+        data = Measurements(
+            joints=self.error.chain.joints,
+            q=q,
+            model=self.measurement.name,
+            values=self.measurement.predict(T, own, target),
+            target=tuple(target),
+        )
+        return replace(self, data=data)
+
+    def split(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Values of the error model and of the measurement model."""
+        count = len(self.error.screws)
+        return theta[:count], theta[count:]
+
+
+def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:
+    """Standard deviation of the residual components where rows state none, (d,)."""
+    return np.concatenate(
+        [
+            np.full(
+                quantity.columns.stop - quantity.columns.start,
+                noise.get(quantity.name, quantity.sigma),
+            )
+            for quantity in measurement.quantities
+        ]
+    )
+
+
+def observable_configurations(
+    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
+) -> tuple[Floats, tuple[str, ...]]:
+    """Random configurations within the limits at which the instrument can measure.
+
+    Args:
+        problem: Chain, frames, instrument; its data only name the targets.
+        theta: Parameter values, shape (P,).
+        count: Number K of configurations.
+        rng: Random generator.
+
+    Returns:
+        Joint positions, shape (K, n), and the target of each, in turn.
+
+    Raises:
+        InputError: If fewer than one configuration in a thousand can be measured.
+    """
+    names = tuple(dict.fromkeys(problem.data.target)) or ("",)
+    target = tuple(names[i % len(names)] for i in range(count))
+    of_robot, own = problem.split(theta)
+    q_found, target_found = np.empty((0, len(problem.error.chain.joints))), []
+    for _ in range(1000):
+        q = problem.error.chain.random_configurations(count, rng)
+        T = problem.error.poses(q, of_robot)
+        seen = problem.measurement.observable(T, own, target)
+        q_found = np.concatenate([q_found, q[seen]])
+        target_found += [target[i] for i in np.flatnonzero(seen)]
+        if len(q_found) >= count:
+            return q_found[:count], tuple(target_found[:count])
+    raise InputError(
+        f"only {len(q_found)} of {1000 * count} random configurations within the "
+        f"joint limits can be measured ({problem.measurement.name})"
+    )

@@ -1,0 +1,279 @@
+"""What a calibration found, as plain data that reports and files are made from."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, field
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.setup import Setup
+from calib_pin.solvers import Status
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "Accuracy",
+    "CalibratedModel",
+    "CalibrationResult",
+    "CoupledGroup",
+    "Evaluation",
+    "Identifiability",
+    "Identification",
+    "Outlier",
+    "ParameterEstimate",
+    "QuantityErrors",
+]
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Size of the errors of one quantity over rows, in the quantity's unit."""
+
+    mean: float
+    rms: float
+    max: float
+
+    @staticmethod
+    def of(sizes: Floats) -> Accuracy:
+        """Accuracy of the error sizes of rows, shape (N,)."""
+        return Accuracy(
+            float(sizes.mean()),
+            float(np.sqrt(np.mean(sizes**2))),
+            float(sizes.max()),
+        )
+
+
+@dataclass(frozen=True)
+class QuantityErrors:
+    """Errors of one quantity before and after, on fitted and on unseen rows.
+
+    *Before* is registration only: base, tool and instrument fitted to the training
+    rows, the robot nominal.
+    """
+
+    name: str
+    unit: str
+    before: Accuracy
+    after: Accuracy
+    validation_before: Accuracy | None
+    validation_after: Accuracy | None
+
+
+@dataclass(frozen=True)
+class ParameterEstimate:
+    """One parameter of the result.
+
+    Attributes:
+        name: Name of the parameter.
+        unit: Its unit.
+        value: Estimate.
+        sigma: Standard deviation, for identifiable parameters only.
+        status: `identifiable`, `coupled`, `weak`, `unidentifiable` or `fixed`.
+        groups: Numbers of the coupled groups it stands in, from 1.
+    """
+
+    name: str
+    unit: str
+    value: float
+    sigma: float | None
+    status: str
+    groups: tuple[int, ...]
+
+
+@dataclass(frozen=True)
+class CoupledGroup:
+    """A sum of parameters that is known although its terms are not."""
+
+    number: int
+    expression: str
+    unit: str
+    value: float
+    sigma: float | None
+    terms: tuple[tuple[str, float], ...]
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A row whose residual is too large to be chance."""
+
+    place: str
+    row: int
+    size: float
+
+
+@dataclass(frozen=True)
+class Identifiability:
+    """Ranks and observability.
+
+    Attributes:
+        parameters: Number of free parameters.
+        rank: Practical rank used by the fit; the structural one without measurements.
+        structural_rank: Rank of the robot and the way it is measured.
+        gap: Ratio of the last structural singular value kept to the first dropped.
+        everett: Everett's count 4 R + 2 P + 6.
+        condition: s_1 / s_r of the robot's directions, nuisances projected out.
+        singular_values: Of the whitened, scaled Jacobian of those directions.
+        observability: O1 to O5 of these singular values.
+        weak: Number of structural directions that these rows cannot tell.
+        correlated: Pairs of estimates with a correlation above 0.95.
+    """
+
+    parameters: int
+    rank: int
+    structural_rank: int
+    gap: float
+    everett: int
+    condition: float
+    singular_values: tuple[float, ...]
+    observability: dict[str, float]
+    weak: int
+    correlated: tuple[tuple[str, str, float], ...]
+
+
+@dataclass(frozen=True)
+class Identification:
+    """What can be known of a robot.
+
+    Attributes:
+        parameters: Every parameter with its status and, after a fit, its estimate.
+        groups: Coupled groups.
+        identifiability: Ranks and observability.
+    """
+
+    parameters: tuple[ParameterEstimate, ...]
+    groups: tuple[CoupledGroup, ...]
+    identifiability: Identifiability
+
+
+@dataclass(frozen=True)
+class CalibratedModel:
+    """A robot with its calibration: what predicts measurements and corrects commands.
+
+    Attributes:
+        error: Error model about the fitted base and tool frame.
+        measurement: Measurement model about the fitted instrument.
+        theta: Values of the error model's parameters, shape (P,), frames at zero.
+        setup: The setup it was fitted with.
+    """
+
+    error: ErrorModel
+    measurement: MeasurementModel
+    theta: Floats
+    setup: Setup
+
+    @staticmethod
+    def create(problem: Problem, theta: Floats) -> CalibratedModel:
+        """The model of a problem at parameter values, shape (P,).
+
+        Frames and instrument move into their references; the robot keeps its values.
+        """
+        of_robot, own = problem.split(theta)
+        error = problem.error
+        products = error.corrections(of_robot)
+        return CalibratedModel(
+            error=error.with_frames(
+                error.base * products[0], error.tool * products[-1]
+            ),
+            measurement=problem.measurement.about(own),
+            theta=np.where(error.parameters.nuisance, 0.0, of_robot),
+            setup=problem.setup,
+        )
+
+    @property
+    def chain(self) -> Chain:
+        """The nominal chain."""
+        return self.error.chain
+
+    def poses(self, q: Floats) -> Floats:
+        """Predicted tool poses in the measuring frame, shape (N, n) -> (N, 4, 4)."""
+        return self.error.poses(q, self.theta)
+
+    def urdf_corrections(self) -> dict[str, pin.SE3]:
+        """Right-multiplied corrections of the URDF's joint origins, by joint name."""
+        products = self.error.corrections(self.theta)
+        names = [*self.chain.joints, self.chain.tip_joint]
+        return {
+            name: product
+            for name, product in zip(names, products[1:-1], strict=True)
+            if name is not None and product != pin.SE3.Identity()
+        }
+
+    @property
+    def tool(self) -> pin.SE3:
+        """The tool in the tip frame of the corrected URDF.
+
+        An error behind the last joint has no place in a URDF whose tip is that
+        joint's own link; the tool frame carries it.
+        """
+        if self.chain.tip_joint is not None:
+            return self.error.tool
+        return self.error.corrections(self.theta)[-2] * self.error.tool
+
+    def problem(self, data: Measurements) -> Problem:
+        """The problem of other rows about this calibration."""
+        return Problem(self.error, self.measurement, data, self.setup)
+
+
+@dataclass(frozen=True)
+class CalibrationResult(Identification):
+    """Everything a calibration found.
+
+    Attributes:
+        model: The calibrated robot.
+        verdict: `good` or `untrusted`.
+        reason: Why it must not be trusted; empty where it is good.
+        errors: Accuracy by quantity.
+        validation: `set`, `file`, `holdout`, `5-fold`, or `none`.
+        training: Number of fitted rows.
+        validated: Number of rows of the validation.
+        chi2: Sum of squared whitened residuals.
+        dof: Residual components minus rank.
+        sigma0: Standard deviation of unit weight.
+        stated_sigma: Whether the rows state their standard deviations.
+        outliers: Rows that do not fit.
+        status: How the solver ended.
+        iterations: Steps of the solver.
+        evaluations: Residual evaluations of the solver.
+        seed: Seed of configurations and splits.
+        covariance: Of the parameters, shape (P, P).
+        files: Measurement files.
+    """
+
+    model: CalibratedModel
+    verdict: str
+    reason: str
+    errors: tuple[QuantityErrors, ...]
+    validation: str
+    training: int
+    validated: int
+    chi2: float
+    dof: int
+    sigma0: float
+    stated_sigma: bool
+    outliers: tuple[Outlier, ...]
+    status: Status
+    iterations: int
+    evaluations: int
+    seed: int
+    covariance: Floats = field(repr=False)
+    files: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class Evaluation:
+    """Accuracy on rows that were not fitted.
+
+    Attributes:
+        errors: Accuracy by quantity name and unit.
+        rows: Number of rows.
+        registered: Whether base, tool and instrument were fitted to these rows.
+    """
+
+    errors: tuple[tuple[str, str, Accuracy], ...]
+    rows: int
+    registered: bool

@@ -1,0 +1,312 @@
+"""Setup files: what they may say, and one line about the first thing wrong."""
+
+from __future__ import annotations
+
+import re
+import subprocess
+import sys
+from pathlib import Path
+
+import pytest
+
+from calib_pin.errors import InputError
+from calib_pin.io.setup import read_setup
+from calib_pin.io.yaml_tree import read_tree
+from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+
+
+@pytest.fixture
+def write(tmp_path):
+    def write(text: str | bytes) -> Path:
+        file = tmp_path / "setup.yaml"
+        data = text.encode() if isinstance(text, str) else text
+        file.write_bytes(data)
+        return file
+
+    return write
+
+
+@pytest.fixture
+def message(write):
+    """The one line about a file that cannot be used, without the folder."""
+
+    def message(text: str | bytes) -> str:
+        file = write(text)
+        with pytest.raises(InputError) as caught:
+            read_setup(file)
+        result = str(caught.value)
+        assert result.startswith(f"{file}:")
+        assert "\n" not in result
+        return result.replace(str(file), "setup.yaml")
+
+    return message
+
+
+FULL = """\
+# every key there is
+base: base_link
+tip: "tool0"
+model: plane-distance
+parameters: [placement, joint-offset]
+frames:
+  base: {estimate: true}
+  tool: {xyz: [0, 0, 0.1], rpy: [0, -1.5, 1e-5], estimate: false}
+planes:
+  wall: {normal: [0, 1, 4.6], offset: -0.69, estimate: false}
+  floor:
+    normal:
+      - 0
+      - 0
+      - 1
+    offset: 0
+joints:
+  J3: {joint: joint_3, sign: -1, gear: 0.01, offset: 1.57, coupled: {J2: 1.0}}
+  4: {joint: joint_4}
+fixed: ["*.placement.z", base.frame.x]
+bounds: {"*.placement.x": 0.01, "*.dh.*": [-0.1, 0.2]}
+prior: {"*.placement.*": 0.002}
+noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4"}
+"""
+
+
+def test_every_key(write):
+    assert read_setup(write(FULL)) == Setup(
+        base="base_link",
+        tip="tool0",
+        model="plane-distance",
+        parameters=("placement", "joint-offset"),
+        base_frame=FrameSetup(estimate=True),
+        tool_frame=FrameSetup((0.0, 0.0, 0.1), (0.0, -1.5, 1e-5), False),
+        planes={
+            "wall": PlaneSetup((0.0, 1.0, 4.6), -0.69, False),
+            "floor": PlaneSetup((0.0, 0.0, 1.0), 0.0, True),
+        },
+        joints={
+            "J3": JointMap("joint_3", -1, 0.01, 1.57, {"J2": 1.0}),
+            "4": JointMap("joint_4"),
+        },
+        fixed=("*.placement.z", "base.frame.x"),
+        bounds={"*.placement.x": 0.01, "*.dh.*": (-0.1, 0.2)},
+        prior={"*.placement.*": 0.002},
+        noise={"position": 1e-4, "orientation": 5e-4, "distance": 2e-4},
+    )
+
+
+@pytest.mark.parametrize("text", ["", "# nothing\n", "---\n", "\n\n", "~\n", "{}"])
+def test_empty_file_is_the_default(write, text):
+    assert read_setup(write(text)) == Setup()
+
+
+def test_keys_without_a_value_count_as_not_written(write):
+    text = "base:\nframes:\n  tool:\nplanes:\nnoise: {position: }\nparameters:\n"
+    assert read_setup(write(text)) == Setup()
+
+
+def test_byte_order_mark_and_windows_line_ends(write):
+    text = b"\xef\xbb\xbfbase: a\r\ntip: b\r\n"
+    assert read_setup(write(text)) == Setup(base="a", tip="b")
+
+
+def test_names_that_yaml_would_take_for_something_else(write):
+    setup = read_setup(
+        write(
+            "tip: 2020-01-01\nplanes: {on: {normal: [0, 0, 1]"
+            ", offset: 1}}\njoints: {010: {joint: 'no'}}"
+        )
+    )
+    assert setup.tip == "2020-01-01"
+    assert list(setup.planes) == ["on"]
+    assert setup.joints == {"010": JointMap("no")}
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("1e-5", 1e-5),
+        ("1E5", 1e5),
+        ("+.5", 0.5),
+        ("3", 3.0),
+        ("010", 10.0),
+        ("5.", 5.0),
+        ("'1e-3'", 1e-3),
+    ],
+)
+def test_numbers(write, written, value):
+    file = write(f"prior: {{a: {written}}}")
+    assert read_setup(file).prior == {"a": value}
+
+
+@pytest.mark.parametrize("written", ["1:30", "0x10", "1_000", "one", "true", "[1]"])
+def test_what_is_not_a_number(message, written):
+    text = message(f"prior:\n  'a.*': {written}\n")
+    assert text == (
+        f"setup.yaml:2: 'prior.a.*' cannot have this value (value '{written}'); "
+        "allowed: a number"
+    )
+
+
+KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, prior"
+
+
+@pytest.mark.parametrize(
+    ("text", "line", "parts"),
+    [
+        # Unknown keys, with the nearest known one.
+        ("base: a\nframe: {}\n", 2, ["'frame'", "did you mean 'frames'", KEYS]),
+        ("frames:\n  tol: {}\n", 2, ["'frames.tol'", "mean 'tool'", "base, tool"]),
+        (
+            "frames:\n  tool:\n    xzy: [0, 0, 0]\n",
+            3,
+            ["'frames.tool.xzy'", "mean 'xyz'", "xyz, rpy, estimate"],
+        ),
+        ("noise:\n  positon: 1\n", 2, ["noise.positon", "mean 'position'"]),
+        (
+            "planes:\n  w:\n    normal: [0, 0, 1]\n    offest: 1\n    offset: 1\n",
+            4,
+            ["planes.w.offest", "mean 'offset'"],
+        ),
+        ("joints:\n  a:\n    joint: b\n    signs: 1\n", 4, ["mean 'sign'"]),
+        ("<<: {base: a}", 1, ["unknown key '<<'"]),
+        # Keys of later versions.
+        *(
+            (f"tip: a\n{key}: {{}}\n", 2, [f"'{key}' is not available in this version"])
+            for key in (
+                "targets",
+                "distances",
+                "gravity",
+                "payloads",
+                "obstacles",
+                "region",
+            )
+        ),
+        ("tip: a\nobstacles:\n", 2, ["'obstacles' is not available"]),
+        # Missing keys.
+        ("planes:\n  w: {normal: [0, 0, 1]}", 2, ["'planes.w.offset' is missing"]),
+        ("joints:\n  J1: {sign: 1}", 2, ["'joints.J1.joint' is missing"]),
+        ("joints:\n  J1: {joint: }", 2, ["'joints.J1.joint' is missing"]),
+        # Wrong types.
+        ("base: 12\n", 1, ["'base'", "'12'", "text"]),
+        ("tip: no\n", 1, ["'tip'", "'no'", "in quotes"]),
+        ("tip: ''\n", 1, ["'tip'", "text"]),
+        ("tip: [a]\n", 1, ["'tip'", "'[a]'", "text"]),
+        ("model: camera\n", 1, ["'camera'", "position, pose, plane-distance"]),
+        ("model: [pose]\n", 1, ["'[pose]'", "position, pose, plane-distance"]),
+        ("frames: base\n", 1, ["'frames'", "'base'", "mapping"]),
+        ("frames: [base]\n", 1, ["'frames'", "'[base]'", "mapping"]),
+        ("planes:\n  wall:\n  floor: 1\n", 2, ["'planes.wall'", "mapping"]),
+        ("joints: [1]\n", 1, ["'joints'", "'[1]'", "mapping"]),
+        ("fixed: '*'\n", 1, ["'fixed'", "'*'", "list"]),
+        ("fixed:\n  - a\n  - 2\n", 3, ["'fixed[1]'", "'2'", "text"]),
+        ("parameters: dh\n", 1, ["'parameters'", "'dh'", "list"]),
+        ("frames: {base: {estimate: 1}}", 1, ["base.estimate", "'1'", "true, false"]),
+        # Wrong values.
+        (
+            "parameters:\n  - placement\n  - placment\n",
+            3,
+            ["'parameters[1]'", "'placment'", "placement, link-transform, dh, dh-full"],
+        ),
+        ("parameters: []\n", 1, ["'parameters'", "'[]'", "at least one"]),
+        ("parameters: [dh, dh]\n", 1, ["'parameters'", "[dh, dh]", "at most once"]),
+        ("parameters: [{a: b}]\n", 1, ["'parameters[0]'", "{a: b}"]),
+        (
+            "frames:\n  tool:\n    xyz: [1, 2]\n",
+            3,
+            ["'frames.tool.xyz'", "[1, 2]", "m"],
+        ),
+        ("frames: {tool: {xyz: [1, 2, a]}}", 1, ["[1, 2, a]", "three finite numbers"]),
+        ("frames: {tool: {xyz: [1, 2, .inf]}}", 1, [".inf", "three finite numbers"]),
+        ("frames: {tool: {xyz: [0, 0, 150]}}", 1, ["[0, 0, 150]", "numbers in m"]),
+        ("frames: {tool: {rpy: [0, 0, 90]}}", 1, ["[0, 0, 90]", "numbers in rad"]),
+        (
+            "planes:\n  w:\n    offset: 0\n    normal: [0, 0.0, 0]\n",
+            4,
+            ["'planes.w.normal'", "[0, 0.0, 0]", "not all 0"],
+        ),
+        ("planes: {w: {normal: [0, 0, 1], offset: .nan}}", 1, ["w.offset", "finite"]),
+        ("joints: {a: {joint: b, sign: 2}}", 1, ["joints.a.sign", "'2'", "1, -1"]),
+        ("joints: {a: {joint: b, gear: 0}}", 1, ["joints.a.gear", "other than 0"]),
+        ("joints: {a: {joint: b, offset: x}}", 1, ["joints.a.offset", "a number"]),
+        ("joints: {a: {joint: b, coupled: {c: x}}}", 1, ["coupled.c", "a number"]),
+        (
+            "joints:\n  a:\n    joint: j\n  b:\n    joint: j\n",
+            5,
+            ["'joints.b.joint'", "'joints.a.joint'", "'j'", "same joint"],
+        ),
+        ("bounds: {a: 0}", 1, ["'bounds.a'", "'0'", "positive", "lower < upper"]),
+        ("bounds: {a: [1, 1]}", 1, ["[1, 1]", "lower < upper"]),
+        ("bounds: {a: [1, 2, 3]}", 1, ["[1, 2, 3]", "lower < upper"]),
+        ("bounds: {a: [-.inf, 2]}", 1, ["lower < upper"]),
+        ("bounds:\n  a:\n    - 2 # m\n    - 1\n", 2, ["'bounds.a'", "lower < upper"]),
+        ("prior: {a: -1}", 1, ["'prior.a'", "'-1'", "a positive number"]),
+        ("noise: {distance: 0}", 1, ["'noise.distance'", "'0'", "a positive number"]),
+        ("noise: {distance: .nan}", 1, ["'.nan'", "a finite number"]),
+        ("noise: {distance: '1e999'}", 1, ["'1e999'", "a finite number"]),
+        # What is YAML, but not for us.
+        ("base: a\ntip: b\nbase: c\n", 3, ["the key 'base' occurs twice"]),
+        ("frames:\n  base: {}\n  base: {}\n", 3, ["the key 'base' occurs twice"]),
+        ("base: &x a\ntip: b\n", 1, ["anchor, '&x', is not allowed"]),
+        ("base: &x a\ntip: *x\n", 1, ["anchor, '&x', is not allowed"]),
+        ("base: a\ntip: *x\n", 2, ["alias, '*x'", "a glob needs quotes"]),
+        ("base: a\ntip: !!str b\n", 2, ["tag", "is not allowed"]),
+        ("prior: !!python/object:os.system {}\n", 1, ["tag", "is not allowed"]),
+        ("[a, b]: c\n", 1, ["a key must be a name"]),
+        ("- a\n", 1, ["must be a mapping"]),
+        ("placement\n", 1, ["must be a mapping"]),
+        # What is not YAML.
+        ("base: a\ntip: [b\n", 3, ["not valid YAML"]),
+        ("base: a\n\ttip: b\n", 2, ["not valid YAML"]),
+        ("base: a: b\n", 1, ["not valid YAML"]),
+        ("base: a\n---\nbase: b\n", 2, ["not valid YAML", "single document"]),
+        ("fixed: [*.x]\n", 1, ['a glob needs quotes, as in "*.placement.z"']),
+        ("prior:\n  *.x: 1\n", 2, ["a glob needs quotes"]),
+        (b"base: a\ntip: \xff\n", 2, ["not UTF-8"]),
+        (b"base: a\x00\n", None, ["not a text file"]),
+        ("base: " + "[" * 3000, 1, ["so deep a nesting is not allowed"]),
+    ],
+)
+def test_errors(message, text, line, parts):
+    result = message(text)
+    place = "setup.yaml:" if line is None else f"setup.yaml:{line}:"
+    assert result.startswith(f"{place} ")
+    for part in parts:
+        assert part in result
+
+
+def test_the_first_problem_of_several_is_reported(message):
+    text = "noise: {position: 0}\nprior: {a: 0}\nbounds: {b: 0}\nbase: 1\nfoo: 1\n"
+    assert message(text).startswith("setup.yaml:1: 'noise.position'")
+
+
+def test_long_values_are_shortened(message):
+    result = message("tip:\n" + "  - a very long item in a list\n" * 20)
+    assert len(result) < 200
+    assert "..." in result
+
+
+def test_missing_file(tmp_path):
+    with pytest.raises(InputError, match=re.escape("none.yaml: no such file")):
+        read_setup(tmp_path / "none.yaml")
+
+
+def test_the_path_is_named_as_given(tmp_path, monkeypatch):
+    (tmp_path / "s.yaml").write_text("tip: 1")
+    monkeypatch.chdir(tmp_path)
+    with pytest.raises(InputError, match=r"^s\.yaml:1: "):
+        read_setup("s.yaml")
+
+
+def test_lines_of_a_tree(write):
+    tree = read_tree(write("a:\n  - 1\n  - b: 2\n    c: 3\nd: x\n"))
+    assert tree.data == {"a": [1.0, {"b": 2.0, "c": 3.0}], "d": "x"}
+    assert tree.line(("a", 0)) == 2
+    assert tree.line(("a", 1, "c")) == 4
+    assert tree.line(("d", "not", "there")) == 5
+    assert tree.written(("d",)) == "x"
+
+
+def test_importing_does_not_load_yaml_or_pydantic():
+    code = (
+        "import sys, calib_pin.io.setup; "
+        "sys.exit(not {'yaml', 'pydantic', 'scipy'}.isdisjoint(sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -119,7 +119,8 @@ def structure(J: Floats, parameters: ParameterSet) -> Structure:
     """
     free = parameters.free
     A = J[:, free] * parameters.scales[free]
-    _, s, Vt = np.linalg.svd(A, full_matrices=False)
+    # The triangular factor has the same singular values and row space.
+    _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
     tolerance = _rounding(A) * (s[0] if len(s) else 0.0)
     rank = int((s > tolerance).sum())
     found = np.flatnonzero(free)

@@ -60,7 +60,7 @@ class DenavitHartenberg:
         result: list[Screw] = []
         for i, joint in enumerate(chain.joints):
             last = i == count - 1
-            twists = _link_twists(lines[i], lines[i + 1], tip[:3, 0])
+            twists = _link_twists(lines[i], lines[i + 1], tip[:3, 0], last=last)
             parallel = _sine(lines[i][0], lines[i + 1][0]) < PARALLEL and not last
             if not self.full:
                 twists.pop("d" if parallel else "beta")
@@ -93,20 +93,24 @@ def _sine(a: Floats, b: Floats) -> float:
     return float(np.linalg.norm(np.cross(a, b)))
 
 
-def _link_twists(this: Line, following: Line, tip_x: Floats) -> dict[str, Floats]:
+def _link_twists(
+    this: Line, following: Line, tip_x: Floats, *, last: bool
+) -> dict[str, Floats]:
     """Unit twists of theta, d, a, alpha, beta in base coordinates.
 
     Args:
         this: Direction and a point of the axis of joint i.
         following: Direction and a point of the axis of joint i + 1.
         tip_x: Direction that settles x where the two axes coincide.
+        last: Whether the following line is the z axis of the tip.
     """
     z, point = this
     z_next, point_next = following
     if _sine(z, z_next) < PARALLEL:
-        # Hayati: x lies in the plane perpendicular to z through the joint's origin.
-        foot = point
-        reach = np.dot(point - point_next, z) / np.dot(z_next, z)
+        # Hayati: x lies in the plane perpendicular to z through the joint's origin;
+        # behind the last joint, which keeps d, through the origin of the tip.
+        foot = point + np.dot(point_next - point, z) * z if last else point
+        reach = np.dot(foot - point_next, z) / np.dot(z_next, z)
         foot_next = point_next + reach * z_next
         x = foot_next - foot
         if np.linalg.norm(x) < 1e-9:
@@ -118,6 +122,8 @@ def _link_twists(this: Line, following: Line, tip_x: Floats) -> dict[str, Floats
         # Feet of the common normal: point + s z + t x = point_next + u z_next.
         s, _, u = np.linalg.solve(np.column_stack([z, x, -z_next]), point_next - point)
         foot, foot_next = point + s * z, point_next + u * z_next
+        if np.dot(foot_next - foot, x) < -1e-9:
+            x = -x  # a is a length: x points at the next axis.
     x = x / np.linalg.norm(x)
     y = np.cross(z_next, x)
     return {

@@ -1,0 +1,193 @@
+"""The least-squares solver on functions; no robots here."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy.optimize import lsq_linear
+
+from calib_pin.solvers import LeastSquaresResult, Status, gauss_newton
+from calib_pin.spatial import Floats
+
+
+class Linear:
+    """`A x - b`."""
+
+    def __init__(self, A: Floats, b: Floats) -> None:
+        self.A, self.b = A, b
+
+    def residual(self, x: Floats) -> Floats:
+        return self.A @ x - self.b
+
+    def linearize(self, x: Floats) -> tuple[Floats, Floats]:
+        return self.residual(x), self.A
+
+    def solve(self, **options: object) -> LeastSquaresResult:
+        size = self.A.shape[1]
+        return gauss_newton(
+            self.linearize,
+            self.residual,
+            np.zeros(size),
+            np.eye(size),
+            **options,  # type: ignore[arg-type]
+        )
+
+
+class Rosenbrock:
+    """`(10 (y - x^2), 1 - x)`: a bent valley."""
+
+    def residual(self, x: Floats) -> Floats:
+        return np.array([10 * (x[1] - x[0] ** 2), 1 - x[0]])
+
+    def linearize(self, x: Floats) -> tuple[Floats, Floats]:
+        return self.residual(x), np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
+
+
+class Misra1a:
+    """NIST StRD nonlinear regression, `y = b1 (1 - exp(-b2 x))`."""
+
+    x = np.array(
+        (77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8)
+        + (378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0)
+    )
+    y = np.array(
+        (10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02)
+        + (44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78)
+    )
+    certified = np.array([2.3894212918e02, 5.5015643181e-04])
+    deviations = np.array([2.7070075241e00, 7.2668688436e-06])
+
+    def residual(self, b: Floats) -> Floats:
+        return b[0] * (1 - np.exp(-b[1] * self.x)) - self.y
+
+    def linearize(self, b: Floats) -> tuple[Floats, Floats]:
+        decay = np.exp(-b[1] * self.x)
+        return self.residual(b), np.column_stack([1 - decay, b[0] * self.x * decay])
+
+
+def test_linear_problem_at_once() -> None:
+    rng = np.random.default_rng(0)
+    A, b = rng.normal(size=(20, 4)), rng.normal(size=20)
+    result = Linear(A, b).solve()
+    assert result.status is Status.CONVERGED
+    assert result.nit <= 2  # The second step may mend rounding.
+    assert result.x == pytest.approx(np.linalg.lstsq(A, b, rcond=None)[0], abs=1e-13)
+    assert result.cost == pytest.approx(0.5 * np.sum((A @ result.x - b) ** 2))
+
+
+def test_redundant_columns_share_the_step() -> None:
+    a = np.random.default_rng(0).normal(size=(20, 1))
+    result = Linear(np.hstack([a, a, 0 * a]), 2.0 * a[:, 0]).solve()
+    assert result.x == pytest.approx([1.0, 1.0, 0.0], abs=1e-13)
+
+
+@pytest.mark.parametrize("start", [(-1.2, 1.0), (5.0, -3.0)])
+def test_damping_follows_a_bent_valley(start: tuple[float, float]) -> None:
+    valley = Rosenbrock()
+    costs: list[float] = []
+    result = gauss_newton(
+        valley.linearize,
+        valley.residual,
+        np.array(start),
+        np.eye(2),
+        callback=lambda step, cost: costs.append(cost),
+    )
+    assert result.status is Status.CONVERGED
+    assert result.x == pytest.approx([1.0, 1.0], abs=1e-9)
+    assert len(costs) == result.nit
+    assert all(b <= a for a, b in pairwise(costs))
+
+
+@pytest.mark.parametrize("start", [(500.0, 1e-4), (250.0, 5e-4)])
+def test_certified_values_and_deviations(start: tuple[float, float]) -> None:
+    curve = Misra1a()
+    scale = np.diag([100.0, 1e-4])
+    result = gauss_newton(curve.linearize, curve.residual, np.array(start), scale)
+    assert result.status is Status.CONVERGED
+    assert result.x == pytest.approx(curve.certified, rel=1e-8)
+    variance = 2 * result.cost / (len(curve.y) - 2)
+    covariance = variance * np.linalg.inv(result.jac.T @ result.jac)
+    assert np.sqrt(np.diag(covariance)) == pytest.approx(curve.deviations, rel=1e-7)
+
+
+def test_directions_outside_the_basis_stay() -> None:
+    rng = np.random.default_rng(0)
+    problem = Linear(rng.normal(size=(20, 3)), rng.normal(size=20))
+    start, basis = np.array([1.0, 2.0, 3.0]), np.eye(3)[:, :2]
+    result = gauss_newton(problem.linearize, problem.residual, start, basis)
+    assert result.x[2] == 3.0
+    assert basis.T @ (problem.A.T @ result.fun) == pytest.approx([0, 0], abs=1e-12)
+
+
+@pytest.mark.parametrize("seed", range(20))
+def test_bounds_agree_with_scipy(seed: int) -> None:
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(30, 8)), rng.normal(size=30)
+    low, high = -rng.uniform(0.0, 0.2, 8), rng.uniform(0.0, 0.2, 8)
+    result = Linear(A, b).solve(bounds=(low, high))
+    expected = lsq_linear(A, b, (low, high), method="bvls", tol=1e-14)
+    assert result.status is Status.CONVERGED
+    assert result.x == pytest.approx(expected.x, abs=1e-9)
+    assert set(result.active) == set(np.flatnonzero(expected.active_mask))
+
+
+def test_bounds_in_a_slanted_basis() -> None:
+    """A bounded component that two directions share: the other one takes over."""
+    basis = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
+    problem = Linear(np.eye(2), np.array([3.0, 1.0]))
+    bounds = np.array([-1.0, -9.0]), np.array([1.0, 9.0])
+    result = gauss_newton(
+        problem.linearize, problem.residual, np.zeros(2), basis, bounds=bounds
+    )
+    assert result.x == pytest.approx([1.0, 1.0], abs=1e-12)
+    assert result.active == (0,)
+
+
+def test_no_directions_is_a_fit_of_nothing() -> None:
+    problem = Linear(np.eye(2), np.ones(2))
+    result = gauss_newton(
+        problem.linearize, problem.residual, np.zeros(2), np.zeros((2, 0))
+    )
+    assert result.status is Status.CONVERGED
+    assert result.x == pytest.approx([0.0, 0.0])
+
+
+def test_a_single_undamped_step() -> None:
+    valley = Rosenbrock()
+    result = gauss_newton(
+        valley.linearize,
+        valley.residual,
+        np.array([-1.2, 1.0]),
+        np.eye(2),
+        damped=False,
+        max_iterations=1,
+    )
+    assert result.nit == 1
+    assert result.status is Status.ITERATIONS
+    # The full step solves the linearized system exactly: x = 1.
+    assert result.x[0] == pytest.approx(1.0)
+
+
+def test_start_that_is_not_finite() -> None:
+    def linearize(x: Floats) -> tuple[Floats, Floats]:
+        return np.array([np.nan]), np.ones((1, 1))
+
+    result = gauss_newton(linearize, lambda x: linearize(x)[0], np.zeros(1), np.eye(1))
+    assert result.status is Status.NOT_FINITE
+
+
+def test_a_wrong_jacobian_stalls() -> None:
+    problem = Linear(np.eye(2), np.array([1.0, 2.0]))
+    result = gauss_newton(
+        lambda x: (problem.residual(x), -problem.A),
+        problem.residual,
+        np.zeros(2),
+        np.eye(2),
+    )
+    assert result.status is Status.STALLED
+
+
+def test_every_status_gives_advice() -> None:
+    assert all(status.advice.endswith(".") for status in Status)

@@ -1,0 +1,124 @@
+"""One fit: fixed, bounded and prior parameters, and which directions may move."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import nominal_problem
+from calib_pin.fit import Fit, fit
+from calib_pin.problem import Problem
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.solvers import Status
+
+KNOWN = FrameSetup(estimate=False)
+SETUP = Setup(base_frame=KNOWN, tool_frame=KNOWN, parameters=("joint-offset",))
+OFF_AXIS = FrameSetup((0.1, 0.0, 0.05), estimate=False)
+OFFSETS = [0.004, -0.003, 0.002, 0.005, -0.001, 0.003]
+
+
+def offsets_problem(setup: Setup, noise: float = 0.0) -> tuple[Problem, np.ndarray]:
+    """`space6` with joint offsets, measured by position."""
+    rng = np.random.default_rng(1)
+    chain = calib_pin.load_chain("space6")
+    free = nominal_problem(chain, "position", replace(SETUP, tool_frame=OFF_AXIS))
+    names = [n for n in free.parameters.names if n.endswith(".q")]
+    truth = free.parameters.vector(dict(zip(names, OFFSETS, strict=True)))
+    rows = calib_pin.simulate(free, truth, rng, count=30, noise=noise)
+    problem = nominal_problem(chain, "position", replace(setup, tool_frame=OFF_AXIS))
+    return replace(problem, data=rows), truth
+
+
+def run(problem: Problem) -> Fit:
+    return fit(problem, np.random.default_rng(0))
+
+
+def test_offsets_without_noise() -> None:
+    problem, truth = offsets_problem(SETUP)
+    found = run(problem)
+    assert found.result.status is Status.CONVERGED
+    assert found.rank == 6
+    assert np.abs(found.theta - truth).max() < 1e-12
+
+
+def test_fixed_parameters_stay() -> None:
+    problem, _ = offsets_problem(replace(SETUP, fixed=("joint_2.*",)))
+    found = run(problem)
+    assert found.theta[problem.parameters.index("joint_2.joint-offset.q")] == 0.0
+    assert found.rank == 5
+
+
+def test_bounds_hold_and_the_others_make_up_for_it() -> None:
+    problem, truth = offsets_problem(replace(SETUP, bounds={"joint_4.*": 0.002}))
+    found = run(problem)
+    k = problem.parameters.index("joint_4.joint-offset.q")
+    assert found.result.status is Status.CONVERGED
+    assert found.theta[k] == 0.002
+    assert found.result.active == (k,)
+    # Optimal under the bound: the gradient vanishes for all others.
+    gradient = found.result.jac.T @ found.result.fun
+    others = problem.parameters.free & (np.arange(len(truth)) != k)
+    assert np.abs(gradient[others]).max() < 1e-6 * np.abs(gradient[k])
+
+
+def test_a_wide_bound_changes_nothing() -> None:
+    problem, truth = offsets_problem(replace(SETUP, bounds={"*": 0.5}))
+    assert np.abs(run(problem).theta - truth).max() < 1e-12
+
+
+def test_a_prior_is_a_measurement_of_zero() -> None:
+    sigma = 1e-5
+    problem, _ = offsets_problem(replace(SETUP, prior={"*": sigma}), noise=1e-4)
+    found = run(problem)
+    J, r = found.result.jac[:, problem.parameters.free], found.result.fun
+    # The normal equations hold with the prior's rows among them.
+    assert np.abs(J.T @ r).max() < 1e-6 * np.linalg.norm(J) * np.linalg.norm(r)
+    assert len(found.result.fun) == 30 * 3 + 6
+    assert np.abs(found.theta).max() < max(OFFSETS)
+
+
+def test_a_prior_makes_every_direction_known() -> None:
+    setup = Setup(base_frame=KNOWN, tool_frame=KNOWN, prior={"*.placement.*": 1e-3})
+    problem, _ = offsets_problem(setup, noise=1e-4)
+    found = run(problem)
+    assert found.structure.rank < 36
+    assert found.directions.weak.shape[1] == 0
+    assert found.rank == 36
+
+
+def test_noise_free_rows_admit_every_structural_direction() -> None:
+    rng = np.random.default_rng(0)
+    problem = nominal_problem(calib_pin.load_chain("pa10"), "pose", Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=30, noise=0.0)
+    found = run(replace(problem, data=rows))
+    assert found.rank == found.structure.rank == 34
+    assert found.directions.weak.shape[1] == 0
+    assert found.result.cost < 1e-15
+
+
+def test_noisy_rows_leave_weak_directions_at_nominal() -> None:
+    rng = np.random.default_rng(0)
+    problem = nominal_problem(calib_pin.load_chain("pa10"), "position", Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=14, noise=2e-3)
+    found = run(replace(problem, data=rows))
+    weak = found.directions.weak
+    assert weak.shape[1] > 0
+    scaled = found.theta / problem.parameters.scales
+    assert np.abs(weak.T @ scaled).max() < 1e-9
+
+
+@pytest.mark.parametrize("size", [0.02, 0.05])
+def test_large_errors_converge(size: float) -> None:
+    """Errors of 20 to 50 mm and 1 to 3 degrees, no first guess."""
+    rng = np.random.default_rng(5)
+    problem = nominal_problem(calib_pin.load_chain("space6"), "pose", Setup())
+    truth = calib_pin.draw_errors(problem.parameters, rng) * size / 1e-3 / 3
+    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=0.0)
+    found = run(replace(problem, data=rows))
+    assert found.result.status is Status.CONVERGED
+    assert found.result.cost < 1e-12

@@ -1,0 +1,80 @@
+"""Every parameterization with every measurement model against central differences."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.calibration import nominal_problem
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.problem import Problem, observable_configurations
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+
+ROBOTS = {
+    "space6": (None, None),
+    # A prismatic joint, skewed frames, and a tip without a fixed joint.
+    "example:tiago_no_hand": (None, "arm_7_link"),
+    # Two branches: from one hand to the other.
+    "example:talos_reduced": ("gripper_right_base_link", "gripper_left_base_link"),
+}
+
+SETUP = Setup(
+    base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True),
+    tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3), estimate=True),
+    planes={
+        "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
+        "wall": PlaneSetup((1.0, 0.3, 0.2), -3.0),
+    },
+    prior={"*": 0.01},
+)
+
+
+@pytest.mark.parametrize("robot", ROBOTS)
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+def test_jacobian_agrees_with_central_differences(
+    name: str, model: str, robot: str
+) -> None:
+    rng = np.random.default_rng(3)
+    base, tip = ROBOTS[robot]
+    chain = calib_pin.load_chain(robot, base=base, tip=tip)
+    problem = nominal_problem(chain, model, replace(SETUP, parameters=(name,)))
+    theta = rng.normal(size=len(problem.parameters)) * 0.02
+    q, target = observable_configurations(problem, theta, 6, rng)
+    # Measured values away from the prediction: the residual's own curvature counts.
+    measured = problem.about(theta, q, target)
+    noise = rng.normal(size=measured.sigma.shape) * 0.05
+    values = measured.measurement.disturb(measured.data.values, noise)
+    measured = replace(measured, data=replace(measured.data, values=values))
+
+    _, J = measured.linearize(theta)
+    assert np.abs(J - _differences(measured, theta)).max() < 2e-7 * np.abs(J).max()
+
+
+def _differences(problem: Problem, theta: np.ndarray) -> np.ndarray:
+    step = 1e-6
+    columns = []
+    for k in range(len(theta)):
+        shift = step * np.eye(len(theta))[k]
+        ahead, behind = (problem.residual(theta + s) for s in (shift, -shift))
+        columns.append((ahead - behind) / (2 * step))
+    return np.column_stack(columns)
+
+
+def test_screws_of_one_place_apply_in_order() -> None:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "pose", Setup())
+    values = {"x": 0.1, "ry": 0.2, "rz": -0.3}
+    theta = problem.parameters.vector(
+        {f"joint_3.placement.{key}": value for key, value in values.items()}
+    )
+    expected = pin.SE3(np.eye(3), np.array([0.1, 0, 0]))
+    expected *= pin.SE3(pin.exp3(np.array([0, 0.2, 0])), np.zeros(3))
+    expected *= pin.SE3(pin.exp3(np.array([0, 0, -0.3])), np.zeros(3))
+    found = problem.error.corrections(problem.split(theta)[0])[3]
+    assert found.isApprox(expected, 1e-14)

@@ -1,0 +1,155 @@
+"""Public measurements of real robots, against what other tools reach on them.
+
+The data are not part of the repository: `CALIB_PIN_DATA`, else `../shared/data`.
+"""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import make_problem
+from calib_pin.fit import fit
+
+DATA = Path(
+    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
+)
+
+pytestmark = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"no real measurements in {DATA} (CALIB_PIN_DATA)"
+)
+
+
+@pytest.fixture(scope="module")
+def ur10() -> tuple[calib_pin.Chain, calib_pin.CalibrationResult]:
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    rows = calib_pin.read_measurements(
+        DATA / "ur10_tmac" / "train.csv", chain, model="position"
+    )
+    return chain, calib_pin.calibrate(chain, rows)
+
+
+def test_ur10_through_the_written_urdf(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult], tmp_path: Path
+) -> None:
+    chain, result = ur10
+    assert result.verdict == "good"
+    calib_pin.write_urdf(result.model, tmp_path / "ur10.urdf")
+    corrected = calib_pin.load_chain(
+        tmp_path / "ur10.urdf", base="base_link", tip="tool0"
+    )
+    unseen = calib_pin.read_measurements(
+        DATA / "ur10_tmac" / "validate.csv", chain, model="position"
+    )
+    assert len(unseen) == 2000
+    before = calib_pin.evaluate(chain, unseen).errors[0][2]
+    after = calib_pin.evaluate(corrected, unseen).errors[0][2]
+    assert before.mean == pytest.approx(0.756e-3, abs=5e-6)
+    assert after.mean <= 0.41e-3
+    # And with base and tool of the training rows, nothing fitted again.
+    frozen = calib_pin.evaluate(result.model, unseen)
+    assert not frozen.registered
+    assert frozen.errors[0][2].mean <= 0.41e-3
+
+
+def test_ur10_still_looks_like_a_ur10(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
+) -> None:
+    for correction in ur10[1].model.urdf_corrections().values():
+        turn = np.arccos(np.clip((np.trace(correction.rotation) - 1) / 2, -1, 1))
+        assert np.linalg.norm(correction.translation) < 5e-3
+        assert turn < 10e-3
+
+
+def test_ur10_poses() -> None:
+    """The T-Mac's full poses: registration leaves 0.756 mm and 0.111 degrees."""
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    rows = calib_pin.read_measurements(DATA / "ur10_tmac" / "train.csv", chain)
+    assert rows.model == "pose"
+    result = calib_pin.calibrate(chain, rows)
+    position, orientation = result.errors
+    assert result.verdict == "good"
+    assert position.before.mean == pytest.approx(0.756e-3, rel=0.05)
+    assert np.degrees(orientation.before.mean) == pytest.approx(0.111, rel=0.1)
+    assert position.validation_after is not None
+    assert position.validation_after.mean < 0.6 * position.before.mean
+
+
+def test_talos_five_fold(talos_shuffles: list[float]) -> None:
+    assert np.mean(talos_shuffles) <= 0.86e-3
+
+
+@pytest.fixture(scope="module")
+def talos_shuffles() -> list[float]:
+    chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
+    rows = calib_pin.read_measurements(
+        DATA / "talos_left_arm" / "measurements.csv", chain
+    )
+    found = []
+    for seed in range(10):
+        (errors,) = calib_pin.calibrate(chain, rows, seed=seed).errors
+        assert errors.validation_after is not None
+        found.append(errors.validation_after.rms)
+    return found
+
+
+def test_tiago_first_day_on_the_second() -> None:
+    chain = calib_pin.load_chain("example:tiago_no_hand", tip="wrist_ft_tool_link")
+    train, unseen = (
+        calib_pin.read_measurements(DATA / "tiago" / f"{name}.csv", chain)
+        for name in ("train", "validate")
+    )
+    assert (len(train), len(unseen)) == (37, 62)
+    result = calib_pin.calibrate(chain, train, validation=unseen)
+    (errors,) = result.errors
+    assert errors.validation_after is not None
+    assert errors.validation_after.rms <= 3.3e-3
+
+
+def test_weak_data_do_not_move_the_robot_far() -> None:
+    """Few rows: what they cannot tell stays at nominal, and is listed."""
+    chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
+    rows = calib_pin.read_measurements(
+        DATA / "ur10_tmac" / "train.csv", chain, model="position"
+    )
+    few = rows.rows(np.arange(12))
+    fitted = fit(make_problem(chain, few, calib_pin.Setup()), np.random.default_rng(0))
+    robot = ~fitted.problem.parameters.nuisance
+    assert fitted.directions.weak.shape[1] > 0
+    assert np.abs(fitted.theta[robot]).max() < 0.02
+
+
+def test_repetitions_stay_together(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
+) -> None:
+    chain, _ = ur10
+    rows = calib_pin.read_measurements(
+        DATA / "ur10_tmac" / "train.csv", chain, model="position"
+    ).rows(np.arange(40))
+    twice = calib_pin.Measurements.concatenate([rows, rows])
+    assert len(np.unique(twice.groups())) == len(np.unique(rows.groups()))
+    held = calib_pin.calibrate(chain, twice, holdout=0.25)
+    assert held.training + held.validated == 80
+    assert held.validated % 2 == 0
+
+
+def test_nominal_registration_is_the_honest_before() -> None:
+    """A tracker's unknown stand is not robot error: a shifted frame changes nothing."""
+    chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
+    rows = calib_pin.read_measurements(
+        DATA / "talos_left_arm" / "measurements.csv", chain
+    )
+    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = replace(rows, values=rows.values @ R.T + [3.0, -1.0, 2.0])
+    first, second = (
+        calib_pin.calibrate(chain, data, validate=False).errors[0]
+        for data in (rows, moved)
+    )
+    assert first.before.rms == pytest.approx(5.16e-3, abs=1e-5)
+    assert second.before.rms == pytest.approx(first.before.rms, rel=1e-9)
+    assert second.after.rms == pytest.approx(first.after.rms, rel=1e-6)

@@ -1,0 +1,111 @@
+"""Noise: estimates, intervals and predicted accuracy against simulated truth.
+
+For each way of measuring, 200 calibrations of a robot whose true errors lie in the
+gauge (of equal robots the one closest to nominal), frames included. NEES is the
+squared error of the identifiable combinations in the metric of their covariance; its
+mean is the rank if the covariance is right.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import nominal_problem
+from calib_pin.fit import analyze_structure, fit
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.spatial import Floats
+
+RUNS = 200
+FREE_TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+FREE_BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+
+
+@dataclass(frozen=True)
+class Case:
+    """One way of measuring `space6`."""
+
+    model: str
+    setup: Setup
+    rows: int
+    noise: float
+    rank: int
+
+
+CASES = {
+    "pose": Case(
+        "pose", Setup(base_frame=FREE_BASE, tool_frame=FREE_TOOL), 40, 5e-5, 30
+    ),
+    "position": Case(
+        "position", Setup(base_frame=FREE_BASE, tool_frame=FREE_TOOL), 60, 5e-5, 27
+    ),
+    "plane-distance": Case(
+        "plane-distance",
+        Setup(
+            parameters=("dh",),
+            base_frame=FrameSetup(estimate=False),
+            tool_frame=FrameSetup(estimate=False),
+            planes={"wall": PlaneSetup((0.0, 1.0, 4.6), -0.69)},
+        ),
+        120,
+        1e-4,
+        24,
+    ),
+}
+
+
+@pytest.fixture(scope="module", params=CASES)
+def runs(request: pytest.FixtureRequest) -> dict[str, Floats]:
+    """Errors of the combinations, their covariances and errors of the tip."""
+    case = CASES[request.param]
+    rng = np.random.default_rng(7)
+    problem = nominal_problem(calib_pin.load_chain("space6"), case.model, case.setup)
+    zero = np.zeros(len(problem.parameters))
+    found, visible = analyze_structure(problem, zero, rng)
+    assert found.rank == case.rank
+    C = np.array([c.row(len(zero)) for c in found.combinations])
+    scale = problem.parameters.scales
+    q_new = problem.error.chain.random_configurations(30, rng)
+
+    nees, covered, actual, predicted = [], [], [], []
+    for _ in range(RUNS):
+        truth = scale * (visible @ rng.normal(size=visible.shape[1])) * 0.3
+        rows = calib_pin.simulate(
+            problem, truth, rng, count=case.rows, noise=case.noise
+        )
+        fitted = fit(replace(problem, data=rows), rng)
+        assert fitted.rank == case.rank
+        error = C @ (fitted.theta - truth)
+        covariance = C @ fitted.covariance @ C.T
+        nees.append(error @ np.linalg.solve(covariance, error))
+        covered.append(np.abs(error) < 1.959964 * np.sqrt(np.diag(covariance)))
+        # The tip on new configurations, frames and planes included.
+        unseen = problem.about(truth, q_new, problem.data.target * len(q_new)).data
+        new = replace(fitted.problem, data=unseen)
+        unit = new.linearize(fitted.theta)
+        J = unit[1] * new.sigma.reshape(-1)[:, None]
+        residual = unit[0] * new.sigma.reshape(-1)
+        actual.append(residual @ residual)
+        predicted.append(np.trace(J @ fitted.covariance @ J.T))
+    return {
+        "nees": np.array(nees) / case.rank,
+        "covered": np.array(covered),
+        "actual": np.array(actual),
+        "predicted": np.array(predicted),
+    }
+
+
+def test_normalized_error_is_the_rank(runs: dict[str, Floats]) -> None:
+    assert runs["nees"].mean() == pytest.approx(1.0, abs=0.06)
+
+
+def test_intervals_cover_the_truth(runs: dict[str, Floats]) -> None:
+    assert 0.94 <= runs["covered"].mean() <= 0.96
+
+
+def test_predicted_accuracy_on_new_configurations(runs: dict[str, Floats]) -> None:
+    ratio = np.sqrt(runs["actual"].sum() / runs["predicted"].sum())
+    assert ratio == pytest.approx(1.0, abs=0.05)

@@ -1,0 +1,308 @@
+"""The bundled robots against their tables, with kinematics written out here."""
+
+from __future__ import annotations
+
+import csv
+import xml.etree.ElementTree as ElementTree
+from collections.abc import Sequence
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+import yaml
+import yourdfpy
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.io.measurements import read_configurations
+from calib_pin.io.setup import read_setup
+from calib_pin.io.urdf import bundled_robots, load_robot
+from calib_pin.parameterizations import parameterization
+
+Floats = NDArray[np.float64]
+ROBOTS = Path(__file__).parents[1] / "robots"
+NAMES = ("pa10", "space6", "space7")
+H = np.pi / 2.0
+
+# Rows theta, d, a, alpha of A_i = Rz(theta) Tz(d) Tx(a) Rx(alpha).
+STANDARD = {
+    "space6": [
+        (0.0, 0.80, 0.10, -H),
+        (0.0, 0.0, 0.85, 0.0),
+        (0.0, 0.15, 0.05, H),
+        (0.0, 0.75, 0.0, -H),
+        (0.0, 0.0, 0.0, H),
+        (0.0, 0.20, 0.0, 0.0),
+    ],
+    "pa10": [
+        (0.0, 0.317, 0.0, -H),
+        (0.0, 0.0, 0.0, H),
+        (0.0, 0.450, 0.0, -H),
+        (0.0, 0.0, 0.0, H),
+        (0.0, 0.480, 0.0, -H),
+        (0.0, 0.0, 0.0, H),
+        (0.0, 0.070, 0.0, 0.0),
+    ],
+}
+
+# Rows alpha, a, d, theta of Rx(alpha) Tx(a) Rz(theta) Tz(d); the last is the tool.
+MODIFIED = [
+    (0.0, 0.0, 0.20, 0.0),
+    (H, 0.0, 0.13, 0.0),
+    (-H, 0.0, 0.90, -H),
+    (-H, 0.76, 0.10, H),
+    (H, 0.76, 0.90, H),
+    (H, 0.0, 0.13, 0.0),
+    (-H, 0.0, 0.20, 0.0),
+    (0.0, 0.0, 0.20, 0.0),
+]
+
+# Published errors of space7: m_x m_y m_z in mm, delta_x delta_y delta_z in degrees.
+PRESET = {
+    "joint_1": (10.2, -5.8, 3.2, 0.158, -0.114, 0.014),
+    "joint_2": (-9.8, 12.5, 4.8, -0.015, 0.206, -0.086),
+    "joint_3": (6.2, -8.4, 10.7, -0.120, -0.053, 0.132),
+    "joint_4": (6.5, 9.4, -8.9, 0.217, -0.072, 0.096),
+    "joint_5": (-8.7, 5.5, -10.4, 0.174, 0.118, -0.042),
+    "joint_6": (5.9, -8.6, 6.6, 0.065, -0.201, 0.005),
+    "joint_7": (-8.1, -5.2, -7.4, -0.143, 0.081, 0.052),
+    "tool_joint": (10.1, 4.9, 5.2, 0.105, -0.049, -0.172),
+}
+
+
+def about_z(angle: float, shift: float) -> Floats:
+    """Rz(angle) Tz(shift)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[c, -s, 0, 0], [s, c, 0, 0], [0, 0, 1, shift], [0, 0, 0, 1]])
+
+
+def about_x(angle: float, shift: float) -> Floats:
+    """Rx(angle) Tx(shift)."""
+    c, s = np.cos(angle), np.sin(angle)
+    return np.array([[1, 0, 0, shift], [0, c, -s, 0], [0, s, c, 0], [0, 0, 0, 1]])
+
+
+def frames_of(name: str, q: Sequence[float]) -> list[Floats]:
+    """The base and every frame of the table up to the tool, in the base."""
+    frames = [np.eye(4)]
+    if name == "space7":
+        for (alpha, a, d, theta), turn in zip(MODIFIED, [*q, 0.0], strict=True):
+            frames.append(frames[-1] @ about_x(alpha, a) @ about_z(theta + turn, d))
+    else:
+        for (theta, d, a, alpha), turn in zip(STANDARD[name], q, strict=True):
+            frames.append(frames[-1] @ about_z(theta + turn, d) @ about_x(alpha, a))
+    return frames
+
+
+def published(file: str) -> Floats:
+    """Configurations of a file in degrees, read with the standard library alone."""
+    lines = (ROBOTS / "space7" / file).read_text().splitlines()
+    header, *rows = csv.reader(line for line in lines if not line.startswith("#"))
+    assert header == [f"joint_{i} [deg]" for i in range(1, 8)]
+    return np.array(rows, float)
+
+
+def chain_of(name: str) -> Chain:
+    return Chain(load_robot(name))
+
+
+@pytest.fixture
+def rng() -> np.random.Generator:
+    return np.random.default_rng(20221)
+
+
+def test_all_are_bundled() -> None:
+    found = bundled_robots()
+    assert set(NAMES) <= set(found)
+    for name in NAMES:
+        assert found[name].samefile(ROBOTS / name / "robot.urdf")
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_names(name: str) -> None:
+    chain = chain_of(name)
+    count = len(chain.joints)
+    links = ("base_link", *(f"link_{i}" for i in range(1, count + 1)), "tool")
+    assert chain.robot.model.name == name
+    assert chain.joints == tuple(f"joint_{i}" for i in range(1, count + 1))
+    assert set(chain.robot.links) == set(links)
+    assert (chain.base, chain.tip, chain.tip_joint) == (
+        "base_link",
+        "tool",
+        "tool_joint",
+    )
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_pinocchio_agrees_with_the_table(name: str, rng: np.random.Generator) -> None:
+    model = pin.buildModelFromUrdf(str(ROBOTS / name / "robot.urdf"))
+    data, tool = model.createData(), model.getFrameId("tool")
+    for q in rng.uniform(-3.0, 3.0, (50, model.nq)):
+        pin.framesForwardKinematics(model, data, q)
+        frames = frames_of(name, q)
+        assert np.abs(data.oMf[tool].homogeneous - frames[-1]).max() < 1e-12
+        for i in range(1, model.njoints):
+            # The axis of joint i is z of frame i - 1 (standard) or i (modified DH).
+            line = frames[i if name == "space7" else i - 1]
+            found = data.oMi[i].homogeneous
+            assert np.abs(found[:3, 2:] - line[:3, 2:]).max() < 1e-12
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_a_second_reader_agrees_with_the_table(
+    name: str, rng: np.random.Generator
+) -> None:
+    robot = yourdfpy.URDF.load(str(ROBOTS / name / "robot.urdf"), load_meshes=False)
+    assert not robot.errors
+    for q in rng.uniform(-3.0, 3.0, (10, robot.num_dofs)):
+        robot.update_cfg(q)
+        found = robot.get_transform("tool", "base_link")
+        assert np.abs(found - frames_of(name, q)[-1]).max() < 1e-9
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_every_link_can_be_seen(name: str) -> None:
+    root = ElementTree.parse(ROBOTS / name / "robot.urdf").getroot()
+    shapes = {
+        link.get("name"): [shape.tag for shape in link.findall("visual/geometry/*")]
+        for link in root.findall("link")
+    }
+    assert all(set(found) == {"cylinder"} for found in shapes.values()), shapes
+
+
+@pytest.mark.parametrize(
+    ("name", "lower", "upper"),
+    [
+        ("space6", (-170, -190, -60, -170, -120, -170), (170, 10, 220, 170, 120, 170)),
+        ("space7", (-120,) * 7, (120,) * 7),
+        (
+            "pa10",
+            (-177, -91, -174, -137, -255, -165, -360),
+            (177, 91, 174, 137, 255, 165, 360),
+        ),
+    ],
+)
+def test_limits(name: str, lower: Sequence[float], upper: Sequence[float]) -> None:
+    model = chain_of(name).robot.model
+    np.testing.assert_allclose(np.degrees(model.lowerPositionLimit), lower, atol=1e-12)
+    np.testing.assert_allclose(np.degrees(model.upperPositionLimit), upper, atol=1e-12)
+    assert (model.velocityLimit > 0.0).all() and (model.effortLimit > 0.0).all()
+
+
+@pytest.mark.parametrize("name", NAMES)
+def test_setup_fits_the_robot(name: str) -> None:
+    setup = read_setup(ROBOTS / name / "setup.yaml")
+    chain = Chain(load_robot(name), setup.base, setup.tip)
+    names = [
+        s.parameter.name
+        for p in setup.parameters
+        for s in parameterization(p).screws(chain)
+    ]
+    assert len(names) == len(set(names)) >= 4 * len(chain.joints)
+    expected = {"space6": "plane-distance", "space7": "pose", "pa10": "position"}
+    assert setup.model == expected[name]
+    known = name != "pa10"
+    assert (setup.base_frame.estimate is False) == known
+    assert (setup.tool_frame.estimate is False) == known
+
+
+def test_pa10_masses() -> None:
+    model = chain_of("pa10").robot.model
+    inertias = list(model.inertias)[1:]
+    assert [inertia.mass for inertia in inertias] == [8, 6, 5, 4, 3, 2, 1]
+    for inertia in inertias:
+        moments = np.linalg.eigvalsh(inertia.inertia)
+        assert moments[0] > 0.0 and moments[2] < moments[0] + moments[1]
+
+
+def test_pa10_gravity_torque() -> None:
+    model = chain_of("pa10").robot.model
+    data = model.createData()
+    upright = pin.computeGeneralizedGravity(model, data, np.zeros(7)).copy()
+    np.testing.assert_allclose(upright, 0.0, atol=1e-12)
+    # Stretched out horizontally: distances of the centers of mass from the shoulder.
+    distances = np.array([0.1125, 0.3375, 0.57, 0.81, 0.9475, 0.9825])
+    moment = 9.81 * np.dot([6, 5, 4, 3, 2, 1], distances)
+    level = pin.computeGeneralizedGravity(model, data, np.array([0, H, 0, 0, 0, 0, 0]))
+    assert level[1] == pytest.approx(-moment, rel=1e-12)
+    assert level[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_space6_beams_meet_the_plane(rng: np.random.Generator) -> None:
+    plane = read_setup(ROBOTS / "space6" / "setup.yaml").planes["wall"]
+    assert (plane.normal, plane.offset) == ((0.0, 1.0, 4.6), -0.69)
+    normal = np.array(plane.normal) / np.linalg.norm(plane.normal)
+    offset = plane.offset / np.linalg.norm(plane.normal)
+    model = chain_of("space6").robot.model
+    draws = rng.uniform(model.lowerPositionLimit, model.upperPositionLimit, (4000, 6))
+    tools = np.array([frames_of("space6", q)[-1] for q in draws])
+    towards = tools[:, :3, 2] @ normal
+    distance = -(tools[:, :3, 3] @ normal + offset) / towards
+    flat = np.cos(np.radians(70.0))
+    good = (distance > 0.1) & (distance < 3.0) & (towards < -flat)
+    assert 0.18 < good.mean() < 0.23
+    behind = (distance > 0.1) & (distance < 3.0) & (towards > flat)
+    assert behind.mean() < 0.005
+
+
+@pytest.mark.parametrize(
+    ("file", "condition"), [("hand_picked.csv", 354.8), ("swarm.csv", 25.2)]
+)
+def test_space7_published_configurations(file: str, condition: float) -> None:
+    """The identification matrix of Liu et al. 2022, lengths in m.
+
+    Its block i - 1 maps the error of link i to the spatial twist of the tool. Of every
+    dependent pair of columns the later one, z of links 2 to 8, is left out.
+    """
+    degrees = published(file)
+    assert degrees.shape == (6, 7) and np.abs(degrees).max() <= 120.0
+    blocks = [frames_of("space7", q)[:8] for q in np.radians(degrees)]
+    matrix = np.vstack([np.hstack([twist_map(T) for T in row]) for row in blocks])
+    kept = [k for k in range(48) if k < 6 or k % 6 not in (2, 5)]
+    assert np.linalg.matrix_rank(matrix) == len(kept) == 34
+    values = np.linalg.svd(matrix[:, kept], compute_uv=False)
+    assert values[0] / values[-1] == pytest.approx(condition, abs=0.1)
+
+
+def twist_map(T: Floats) -> Floats:
+    """[R, S(P) R; 0, R]."""
+    R, (x, y, z) = T[:3, :3], T[:3, 3]
+    S = np.array([[0.0, -z, y], [z, 0.0, -x], [-y, x, 0.0]])
+    return np.block([[R, S @ R], [np.zeros((3, 3)), R]])
+
+
+@pytest.mark.parametrize("file", ["hand_picked.csv", "swarm.csv"])
+def test_space7_files_read_as_radians(file: str) -> None:
+    q = read_configurations(ROBOTS / "space7" / file, chain_of("space7"))
+    np.testing.assert_allclose(q, np.radians(published(file)), rtol=1e-15)
+
+
+def test_space7_errors_are_the_published_ones() -> None:
+    found: dict[str, Any] = yaml.safe_load(
+        (ROBOTS / "space7" / "errors.yaml").read_text()
+    )
+    screws = parameterization("link-transform").screws(chain_of("space7"))
+    assert list(found) == [screw.parameter.name for screw in screws]
+    for joint, values in PRESET.items():
+        expected = [v * 1e-3 for v in values[:3]] + list(np.radians(values[3:]))
+        components = ("mx", "my", "mz", "dx", "dy", "dz")
+        written = [found[f"{joint}.link-transform.{c}"] for c in components]
+        np.testing.assert_allclose(written, expected, rtol=1e-14)
+
+
+def test_space7_collision_shapes_leave_the_published_sets_free() -> None:
+    file = str(ROBOTS / "space7" / "robot.urdf")
+    model = pin.buildModelFromUrdf(file)
+    shapes = pin.buildGeomFromUrdf(model, file, pin.GeometryType.COLLISION)
+    shapes.addAllCollisionPairs()
+    joints = [shape.parentJoint for shape in shapes.geometryObjects]
+    for pair in list(shapes.collisionPairs):
+        if abs(joints[pair.first] - joints[pair.second]) < 2:
+            shapes.removeCollisionPair(pair)
+    assert len(shapes.collisionPairs) > 10
+    data, placed = model.createData(), shapes.createData()
+    for name in ("hand_picked.csv", "swarm.csv"):
+        for q in np.radians(published(name)):
+            assert not pin.computeCollisions(model, data, shapes, placed, q, True)

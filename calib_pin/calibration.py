@@ -147,6 +147,9 @@ def calibrate(
         stated_sigma=training.sigma is not None,
         outliers=outliers(fitted),
         status=fitted.result.status,
+        at_bounds=tuple(
+            fitted.problem.parameters[k].name for k in fitted.result.active
+        ),
         iterations=fitted.result.nit,
         evaluations=fitted.result.nfev,
         seed=seed,

@@ -66,7 +66,8 @@ class Chain:
         lower: Lower position limits, shape (n,) [rad, m]; -pi where there is none.
         upper: Upper position limits, shape (n,) [rad, m]; pi where there is none.
         axes: Unit axes in the joint frames, shape (n, 3).
-        placements: Nominal joint placements in their parent joint's frame, n SE3.
+        placements: Nominal joint placements in the frame of the chain's joint before
+            them in the tree, else in the root link at zero joint positions, n SE3.
         tip_placement: Tip in the frame of its own moving joint, SE3.
         tip_joint: Fixed joint that carries the tip, if the chain ends with one; the
             URDF can hold an error of the tip there.
@@ -87,7 +88,7 @@ class Chain:
     ) -> None:
         """Find the path and build the reduced Pinocchio model."""
         self.robot = robot
-        self.base = _link(robot, base or robot.root, "base")
+        self.base = _link(robot, robot.root if base is None else base, "base")
         if tip is None:
             leaves = [leaf for leaf in robot.leaves if leaf != self.base]
             if len(leaves) != 1:
@@ -118,15 +119,15 @@ class Chain:
                     file=robot.file,
                 )
         locked = [j for j in range(1, full.njoints) if j not in set(path)]
-        self._model = pin.buildReducedModel(full, locked, pin.neutral(full))
+        self._model = _reduced(full, locked)
         self._data = self._model.createData()
         self._ids = [self._model.getJointId(name) for name in self.joints]
         # The regressor has six columns per joint in the order of the tree.
         columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
         in_order = np.array_equal(columns, np.arange(len(columns)))
         self._columns = slice(None) if in_order else columns
-        self._base_id = _frame(self._model, self.base)
-        self._tip_id = _frame(self._model, self.tip)
+        self._base_id = _frame(self._model, _LINK + self.base)
+        self._tip_id = _frame(self._model, _LINK + self.tip)
 
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
@@ -146,7 +147,8 @@ class Chain:
         self.placements: tuple[pin.SE3, ...] = tuple(
             self._model.jointPlacements[j].copy() for j in self._ids
         )
-        self.tip_placement: pin.SE3 = self._model.frames[self._tip_id].placement.copy()
+        tip_frame = full.frames[_frame(full, self.tip)]
+        self.tip_placement: pin.SE3 = tip_frame.placement.copy()
         on_path = self.tip in robot.fixed_parents and not self.reversed[-1]
         self.tip_joint: str | None = robot.fixed_parents[self.tip] if on_path else None
 
@@ -160,14 +162,7 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4).
         """
-        model, data = self._model, self._data
-        self._place(placements)
-        base, tip = np.empty((2, len(q), 4, 4))
-        for i, configuration in enumerate(self._configurations(q)):
-            pin.forwardKinematics(model, data, configuration)
-            base[i] = pin.updateFramePlacement(model, data, self._base_id).homogeneous
-            tip[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
-        return invert(base) @ tip
+        return self._sweep(q, placements, None, None)
 
     def regressor(
         self, q: Floats, placements: Sequence[pin.SE3] | None = None
@@ -182,22 +177,10 @@ class Chain:
             `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
             the tip per placement twist, joints in chain order.
         """
-        model, data = self._model, self._data
-        self._place(placements)
-        count = len(q)
-        width = 6 * (model.njoints - 1)
-        base, tip = np.empty((2, count, 4, 4))
-        R_tip = np.empty((count, 6, width))
-        R_base = np.empty((count, 6, width)) if self.reversed.any() else None
-        frame_regressor = pin.computeFrameKinematicRegressor
-        for i, configuration in enumerate(self._configurations(q)):
-            pin.forwardKinematics(model, data, configuration)
-            base[i] = pin.updateFramePlacement(model, data, self._base_id).homogeneous
-            tip[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
-            R_tip[i] = frame_regressor(model, data, self._tip_id, pin.LOCAL)
-            if R_base is not None:
-                R_base[i] = frame_regressor(model, data, self._base_id, pin.LOCAL)
-        T = invert(base) @ tip
+        shape = (len(q), 6, 6 * (self._model.njoints - 1))
+        R_tip = np.empty(shape)
+        R_base = np.empty(shape) if self.reversed.any() else None
+        T = self._sweep(q, placements, R_tip, R_base)
         if R_base is not None:
             R_tip -= adjoint(invert(T)) @ R_base
         return T, R_tip[:, :, self._columns]
@@ -216,6 +199,35 @@ class Chain:
     def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
         """Configurations drawn uniformly within the limits, shape (count, n)."""
         return rng.uniform(self.lower, self.upper, (count, len(self.joints)))
+
+    def _sweep(
+        self,
+        q: Floats,
+        placements: Sequence[pin.SE3] | None,
+        R_tip: Floats | None,
+        R_base: Floats | None,
+    ) -> Floats:
+        """Tip poses in the base frame; fills the regressors that are given."""
+        model, data, tip_id = self._model, self._data, self._tip_id
+        self._place(placements)
+        tip = np.empty((len(q), 4, 4))
+        # Without a joint between them the base stands still in the root.
+        base = np.empty((len(q) if self.reversed.any() else min(len(q), 1), 4, 4))
+        for i, configuration in enumerate(self._configurations(q)):
+            pin.forwardKinematics(model, data, configuration)
+            tip[i] = pin.updateFramePlacement(model, data, tip_id).homogeneous
+            if i < len(base):
+                placed = pin.updateFramePlacement(model, data, self._base_id)
+                base[i] = placed.homogeneous
+            if R_tip is not None:
+                R_tip[i] = pin.computeFrameKinematicRegressor(
+                    model, data, tip_id, pin.LOCAL
+                )
+            if R_base is not None:
+                R_base[i] = pin.computeFrameKinematicRegressor(
+                    model, data, self._base_id, pin.LOCAL
+                )
+        return invert(base) @ tip
 
     def _subspace(self, joint: int) -> Floats:
         """Unit twist of a joint in its own frame: the axis, linear or angular."""
@@ -245,6 +257,23 @@ def _link(robot: Robot, name: str, role: str) -> str:
             allowed=", ".join(robot.links) if len(robot.links) <= 12 else None,
         )
     return name
+
+
+_LINK = "\0"
+"""Marks the names of links in a reduced model; no XML can contain it."""
+
+
+def _reduced(full: pin.Model, locked: Sequence[int]) -> pin.Model:
+    """The model with some joints locked at zero.
+
+    Pinocchio looks for a locked joint's frame by its name alone and fails where a
+    link bears the same name, so links are renamed first.
+    """
+    model = full.copy()
+    for frame in model.frames:
+        if frame.type == pin.FrameType.BODY:
+            frame.name = _LINK + frame.name
+    return pin.buildReducedModel(model, locked, pin.neutral(model))
 
 
 def _frame(model: pin.Model, link: str) -> int:

@@ -8,7 +8,7 @@ one place, so with the regressor R of the places the Jacobian is
 
     dT/dtheta = R(q) B(theta)
 
-where `B` does not depend on q.
+where `B` does not depend on q. `PoseLinearization` holds the two factors.
 """
 
 from __future__ import annotations
@@ -25,7 +25,63 @@ from calib_pin.parameterizations import Screw, frame_screws, parameterization
 from calib_pin.parameters import ParameterSet
 from calib_pin.spatial import Floats, adjoint, invert
 
-__all__ = ["ErrorModel"]
+__all__ = ["ErrorModel", "PoseLinearization"]
+
+
+@dataclass(frozen=True)
+class PoseLinearization:
+    """Tool poses of N configurations and their dependence on P parameters.
+
+    Attributes:
+        T: Tool poses in the measuring frame, shape (N, 4, 4).
+        regressor: Body twist of the tip per placement twist, shape (N, 6, 6 n).
+        to_base: Tool poses in the base link, shape (N, 4, 4).
+        to_tip: Tool pose in the tip of the chain, shape (4, 4).
+        to_tool: Tool pose in the corrected tip, shape (4, 4).
+        columns: Body twist at its own place per parameter, shape (6, P).
+        places: Place of each parameter, ascending.
+    """
+
+    T: Floats
+    regressor: Floats
+    to_base: Floats
+    to_tip: Floats
+    to_tool: Floats
+    columns: Floats
+    places: tuple[int, ...]
+
+    def derivative(self, by_twist: Floats) -> Floats:
+        """Derivative by the parameters of something that depends on the tool pose.
+
+        The few rows per configuration go through the chain from the left; the twists
+        themselves, twice as large for a position, are never formed.
+
+        Args:
+            by_twist: Its derivative by the tool's body twist, shape (N, d, 6).
+
+        Returns:
+            Derivative, shape (N, d, P).
+        """
+        rows, size = by_twist.shape[:2]
+        width = self.regressor.shape[2]
+        base, joints, tip = np.searchsorted(
+            self.places, [0, width // 6, width // 6 + 1], side="right"
+        )
+        result = np.empty((rows, size, len(self.places)))
+        at_base = by_twist @ adjoint(invert(self.to_base))
+        result[:, :, :base] = at_base @ self.columns[:, :base]
+        # The parameters of the joints: one block of six rows for each place.
+        B = np.zeros((width, joints - base))
+        for k in range(base, joints):
+            row = 6 * (self.places[k] - 1)
+            B[row : row + 6, k - base] = self.columns[:, k]
+        at_joints = by_twist @ adjoint(invert(self.to_tip)) @ self.regressor
+        of_joints = at_joints.reshape(-1, width) @ B
+        result[:, :, base:joints] = of_joints.reshape(rows, size, -1)
+        at_tip = by_twist @ adjoint(invert(self.to_tool))
+        result[:, :, joints:tip] = at_tip @ self.columns[:, joints:tip]
+        result[:, :, tip:] = by_twist @ self.columns[:, tip:]
+        return result
 
 
 @dataclass(frozen=True)
@@ -84,7 +140,9 @@ class ErrorModel:
             *frame_screws("tool", count + 2, free=estimate_tool),
         ]
         identity = pin.SE3.Identity()
-        return ErrorModel(chain, tuple(screws), identity, identity)
+        model = ErrorModel(chain, tuple(screws), identity, identity)
+        _ = model.parameters  # Checks that no name stands twice.
+        return model
 
     def with_frames(self, base: pin.SE3, tool: pin.SE3) -> ErrorModel:
         """The same model about other reference poses of base and tool."""
@@ -127,6 +185,28 @@ class ErrorModel:
         _, placements, tip, _ = self._placed(self.corrections(theta))
         return np.asarray(self.chain.poses(q, placements) @ tip.homogeneous)
 
+    def linearize(self, q: Floats, theta: Floats) -> PoseLinearization:
+        """Tool poses and what is needed for derivatives of functions of them.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            theta: Parameter values, shape (P,).
+        """
+        columns, corrections = self._columns(theta)
+        base, placements, tip, tool = self._placed(corrections)
+        F, R = self.chain.regressor(q, placements)
+        to_tip = (tip * tool).homogeneous
+        to_base = F @ to_tip
+        return PoseLinearization(
+            T=base.homogeneous @ to_base,
+            regressor=R,
+            to_base=to_base,
+            to_tip=to_tip,
+            to_tool=tool.homogeneous,
+            columns=columns,
+            places=tuple(screw.place for screw in self.screws),
+        )
+
     def jacobian(self, q: Floats, theta: Floats) -> tuple[Floats, Floats]:
         """Tool poses and their derivative.
 
@@ -138,43 +218,30 @@ class ErrorModel:
             Poses, shape (N, 4, 4), and body twists of the tool per parameter, shape
             (N, 6, P), rows (linear, angular).
         """
-        base, placements, tip, tool = self._placed(self.corrections(theta))
-        F, R = self.chain.regressor(q, placements)
-        end = (tip * tool).homogeneous
-        count = len(self.chain.joints)
-        place = np.array([screw.place for screw in self.screws])
-        columns = self._columns(theta)
+        linear = self.linearize(q, theta)
+        return linear.T, linear.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
 
-        joints = (place >= 1) & (place <= count)
-        B = np.zeros((6 * count, int(joints.sum())))
-        for k, (where, column) in enumerate(
-            zip(place[joints], columns.T[joints], strict=True)
-        ):
-            B[6 * (where - 1) : 6 * where, k] = column
-        J = np.empty((len(q), 6, len(self.screws)))
-        # One product with all rows; then from the tip to the tool.
-        twists = (R.reshape(-1, 6 * count) @ B).reshape(len(q), 6, -1)
-        J[:, :, joints] = adjoint(invert(end)) @ twists
-        J[:, :, place == 0] = adjoint(invert(F @ end)) @ columns[:, place == 0]
-        to_tool = adjoint(invert(tool.homogeneous))
-        J[:, :, place == count + 1] = to_tool @ columns[:, place == count + 1]
-        J[:, :, place == count + 2] = columns[:, place == count + 2]
-        return np.asarray(base.homogeneous @ F @ end), J
-
-    def _columns(self, theta: Floats) -> Floats:
-        """Body twist at its own place per parameter, shape (6, P).
+    def _columns(self, theta: Floats) -> tuple[Floats, list[pin.SE3]]:
+        """Body twist at its own place per parameter, and the products of the places.
 
         The screws behind it in the product carry a twist along by their adjoint.
+
+        Returns:
+            Twists, shape (6, P), and the same products as `corrections`.
         """
         columns = np.empty((6, len(self.screws)))
-        behind = [pin.SE3.Identity() for _ in range(self.places)]
+        behind: list[pin.SE3 | None] = [None] * self.places
         for k in reversed(range(len(self.screws))):
-            screw = self.screws[k]
+            screw, amount = self.screws[k], theta[k]
             after = behind[screw.place]
-            columns[:, k] = after.toActionMatrixInverse() @ screw.twist
-            if theta[k] != 0.0:
-                behind[screw.place] = pin.exp6(screw.twist * theta[k]) * after
-        return columns
+            columns[:, k] = screw.twist
+            if after is not None:
+                columns[:, k] = after.toActionMatrixInverse() @ screw.twist
+            if amount != 0.0:
+                motion = pin.exp6(screw.twist * amount)
+                behind[screw.place] = motion if after is None else motion * after
+        identity = pin.SE3.Identity()
+        return columns, [identity if b is None else b for b in behind]
 
     def _placed(
         self, corrections: Sequence[pin.SE3]

@@ -11,9 +11,11 @@ from calib_pin.identifiability import (
     Directions,
     Structure,
     practical_directions,
+    pruned,
     structure,
     visible_directions,
 )
+from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem, observable_configurations
 from calib_pin.solvers import LeastSquaresResult, gauss_newton
 from calib_pin.spatial import Floats
@@ -71,7 +73,9 @@ def fit(
     The robot moves only in directions that its structure shows at nominal geometry and
     that the rows can tell, judged by the standard deviation of unit weight. That is
     known after a fit only, so the choice is repeated until it stands; a better fit
-    admits more directions, with noise-free rows in the end all of them.
+    admits more directions, with noise-free rows in the end all of them. At the solution
+    those are taken back that only looked determined from afar: a tool point that turns
+    out to lie on the last axis, for one.
 
     Args:
         problem: The problem; its frames are registered here.
@@ -81,11 +85,11 @@ def fit(
     problem, before = register(problem, np.zeros(len(problem.parameters)))
     parameters, bounds = problem.parameters, _bounds(problem)
     scale = parameters.scales[:, None]
-    nuisances = int((parameters.free & parameters.nuisance).sum())
-    found, visible = analyze_structure(problem, before.x, rng)
+    found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
 
     directions = practical_directions(before.jac, before.fun, parameters, visible)
-    start, tried = before.x, {directions.basis.shape[1]}
+    start, pruning = before.x, False
+    tried = {directions.basis.shape[1]}
     steps, evaluations = before.nit, before.nfev
     while True:
         result = gauss_newton(
@@ -97,27 +101,32 @@ def fit(
             callback=callback,
         )
         steps, evaluations = steps + result.nit, evaluations + result.nfev
-        J = result.jac @ (scale * directions.basis)
-        _, s, Vt = np.linalg.svd(np.linalg.qr(J, mode="r"), full_matrices=False)
+        moved = _unbounded(scale * directions.basis, result.active)
+        J = np.linalg.qr(result.jac @ moved, mode="r")
+        _, s, Vt = np.linalg.svd(J, full_matrices=False)
         rank = int((s > 1e-12 * s[0]).sum()) if len(s) else 0
         dof = len(result.fun) - rank
         if dof <= 0:
             sigma0 = np.nan
             break
         sigma0 = float(np.sqrt(2.0 * result.cost / dof))
-        again = practical_directions(
-            before.jac, before.fun, parameters, visible, sigma0
-        )
-        count = again.basis.shape[1]
-        if count in tried:
+        again = directions
+        if not pruning:
+            again = practical_directions(
+                before.jac, before.fun, parameters, visible, sigma0
+            )
+            pruning = again.basis.shape[1] in tried
+            tried.add(again.basis.shape[1])
+        if pruning:
+            again = pruned(directions, result.jac, parameters, sigma0)
+        if again.basis.shape[1] == directions.basis.shape[1]:
             break
-        tried.add(count)
-        # Directions are nested: a larger choice goes on from here, a smaller one has
-        # to take values back.
-        start = result.x if count > directions.basis.shape[1] else before.x
+        # Directions that were taken back return to nominal.
+        kept = again.basis @ (again.basis.T @ (result.x[:, None] / scale))
+        start = np.where(parameters.nuisance, result.x, (scale * kept)[:, 0])
         directions = again
 
-    half = scale * directions.basis @ (Vt[:rank].T / s[:rank])
+    half = moved @ (Vt[:rank].T / s[:rank])
     weight = 1.0 if problem.data.sigma is not None else sigma0**2
     return Fit(
         problem=problem,
@@ -128,7 +137,7 @@ def fit(
         rank=rank,
         sigma0=sigma0,
         covariance=weight * half @ half.T,
-        singular_values=_robot_singular_values(J, nuisances),
+        singular_values=_robot_singular_values(result.jac, moved, parameters),
     )
 
 
@@ -185,9 +194,24 @@ def _bounds(problem: Problem) -> tuple[Floats, Floats] | None:
     return bounds if np.isfinite(bounds).any() else None
 
 
-def _robot_singular_values(J: Floats, nuisances: int) -> Floats:
-    """Singular values of the robot columns with the first columns projected out."""
-    U, s, _ = np.linalg.svd(J[:, :nuisances], full_matrices=False)
+def _unbounded(basis: Floats, active: tuple[int, ...]) -> Floats:
+    """Directions of a basis that leave the parameters at their bounds in place."""
+    if not active:
+        return basis
+    _, s, Vt = np.linalg.svd(basis[list(active)])
+    return np.asarray(basis @ Vt[int((s > 1e-12 * s[0]).sum()) :].T)
+
+
+def _robot_singular_values(
+    J: Floats, moved: Floats, parameters: ParameterSet
+) -> Floats:
+    """Singular values of the moved robot directions, the nuisances projected out."""
+    nuisance = parameters.free & parameters.nuisance
+    U, s, _ = np.linalg.svd(
+        J[:, nuisance] * parameters.scales[nuisance], full_matrices=False
+    )
     U = U[:, s > 1e-12 * s.max(initial=0.0)]
-    robot = J[:, nuisances:]
+    # Nuisances may be mixed in where a bound ties them to the robot.
+    directions = np.where(parameters.nuisance[:, None], 0.0, moved)
+    robot = J @ directions[:, np.abs(directions).max(axis=0, initial=0.0) > 0.0]
     return np.asarray(np.linalg.svd(robot - U @ (U.T @ robot), compute_uv=False))

@@ -29,9 +29,13 @@ __all__ = [
     "everett_count",
     "observability",
     "practical_directions",
+    "pruned",
     "structure",
     "visible_directions",
 ]
+
+CRUMB = 1e-6
+"""Ratio to the heaviest term of a sum below which a term is rounding."""
 
 DWARFED = 100.0
 """Ratio of weights from which the first term of a sum does not set its unit."""
@@ -130,10 +134,9 @@ def structure(J: Floats, parameters: ParameterSet) -> Structure:
     sums = []
     for row, pivot in zip(C, pivots, strict=True):
         coefficients = row * scale[pivot] / scale
-        # Rounding leaves crumbs beside the true relations.
         terms = [
             (int(found[k]), float(coefficients[k]))
-            for k in np.flatnonzero(np.abs(row) > 1e-8 * np.abs(row).max())
+            for k in np.flatnonzero(np.abs(row) > 0.0)
         ]
         sums.append(_readable(terms, parameters))
     used = {position for combination in sums for position, _ in combination.terms}
@@ -235,27 +238,49 @@ def practical_directions(
     """
     A = J * parameters.scales
     U = _range(A[:, parameters.free & parameters.nuisance])
-    projected = A @ robot
-    projected -= U @ (U.T @ projected)
-    rest = r - U @ (U.T @ r)
-    left, s, Vt = np.linalg.svd(projected, full_matrices=False)
-    tolerance = _rounding(A) * (s[0] if len(s) else 0.0)
+    system = np.column_stack([A @ robot, r])
+    system -= U @ (U.T @ system)
+    # The triangular factor holds the same problem in few rows.
+    triangle = np.asarray(np.linalg.qr(system, mode="r"))
+    projected, rest = triangle[:, :-1], triangle[:, -1]
+    left, s, Vt = np.linalg.svd(projected, full_matrices=True)
     if sigma0 is None:
-        count = _predicted_count(
-            s, left.T @ rest, float(rest @ rest), len(r), U.shape[1]
-        )
+        along = left.T[: len(s)] @ rest
+        dof = len(r) - U.shape[1]
+        count = _predicted_count(s, along, float(rest @ rest), dof)
     else:
         count = int((s * WEAK > sigma0).sum())
-    count = min(count, int((s > tolerance).sum()))
-    V = (
-        np.linalg.svd(projected, full_matrices=True)[2].T
-        if len(s) < robot.shape[1]
-        else Vt.T
-    )
+    count = min(count, int((s > _rounding(A) * s.max(initial=0.0)).sum()))
     nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
     return Directions(
-        basis=np.column_stack([nuisance, robot @ V[:, :count]]),
-        weak=robot @ V[:, count:],
+        basis=np.column_stack([nuisance, robot @ Vt[:count].T]),
+        weak=robot @ Vt[count:].T,
+    )
+
+
+def pruned(
+    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
+) -> Directions:
+    """The directions that a fit has confirmed; the others join the weak ones.
+
+    Args:
+        directions: What the fit moved.
+        J: Whitened Jacobian at its solution, shape (M, P).
+        parameters: The parameters.
+        sigma0: Standard deviation of unit weight of the fit.
+    """
+    A = J * parameters.scales
+    nuisances = int((parameters.free & parameters.nuisance).sum())
+    robot = directions.basis[:, nuisances:]
+    U = _range(A[:, parameters.free & parameters.nuisance])
+    projected = A @ robot
+    projected -= U @ (U.T @ projected)
+    triangle = np.asarray(np.linalg.qr(projected, mode="r"))
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
+    count = int((s * WEAK > sigma0).sum())
+    return Directions(
+        basis=np.column_stack([directions.basis[:, :nuisances], robot @ Vt[:count].T]),
+        weak=np.column_stack([directions.weak, robot @ Vt[count:].T]),
     )
 
 
@@ -291,17 +316,20 @@ def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combi
     A tool point close to the last axis, say, makes the first term a hundredth of what
     the others weigh; the sum is then a length and not a strangely large angle.
     """
-    weight = [
-        abs(coefficient) * (LENGTH_SCALE if unit == "m" else ANGLE_SCALE)
-        for position, coefficient in terms
-        for unit in [parameters[position].unit]
-    ]
-    heaviest = int(np.argmax(weight))
-    lead = heaviest if weight[heaviest] > DWARFED * weight[0] else 0
-    position, divisor = terms[lead]
+
+    def weight(term: tuple[int, float]) -> float:
+        position, coefficient = term
+        length = parameters[position].unit == "m"
+        return abs(coefficient) * (LENGTH_SCALE if length else ANGLE_SCALE)
+
+    heaviest = max(map(weight, terms))
+    terms = [term for term in terms if weight(term) > CRUMB * heaviest]
+    lead = terms[0]
+    if heaviest > DWARFED * weight(lead):
+        lead = max(terms, key=weight)
     return Combination(
-        tuple((k, coefficient / divisor) for k, coefficient in terms),
-        parameters[position].unit,
+        tuple((position, value / lead[1]) for position, value in terms),
+        parameters[lead[0]].unit,
     )
 
 
@@ -318,20 +346,24 @@ def _range(A: Floats) -> Floats:
     return np.asarray(U[:, s > _rounding(A) * s[0]])
 
 
-def _predicted_count(
-    s: Floats, along: Floats, square: float, rows: int, nuisances: int
-) -> int:
+def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
     """Number of directions whose own linear prediction of sigma0 lets them in.
 
     Directions enter from the best determined on; each lowers the residual that the
     next is judged by. Starting with few keeps a poor linearization from moving what
     the data cannot hold.
+
+    Args:
+        s: Singular values, shape (m,), descending.
+        along: Residual along the left singular vectors, shape (m,).
+        square: Sum of squared residuals without any direction.
+        dof: Residual components minus the rank of the nuisances.
     """
     count = 0
-    while count < len(s):
+    while count < min(len(s), dof - 1):
         left = square - float(along[: count + 1] @ along[: count + 1])
-        dof = rows - nuisances - count - 1
-        if dof <= 0 or s[count] * WEAK <= np.sqrt(max(left, 0.0) / dof):
+        sigma0 = np.sqrt(max(left, 0.0) / (dof - count - 1))
+        if s[count] * WEAK <= sigma0:
             break
         count += 1
     return count

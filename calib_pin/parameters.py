@@ -172,13 +172,22 @@ class ParameterSet:
         """Give a prior standard deviation about zero, by name or glob.
 
         Raises:
-            OptionError: If a glob matches nothing.
+            OptionError: If a glob matches nothing or a deviation is not positive.
         """
+        for pattern, sigma in priors.items():
+            if not sigma > 0.0:
+                raise OptionError(
+                    f"the prior of '{pattern}' is a standard deviation",
+                    value=sigma,
+                    allowed="a positive number",
+                )
         return self._replace(
             {k: {"prior": s} for glob, s in priors.items() for k in self._match(glob)}
         )
 
     def _match(self, pattern: str) -> set[int]:
+        if pattern in self._positions:  # The name of a joint may hold brackets.
+            return {self._positions[pattern]}
         found = {k for k, p in enumerate(self) if fnmatchcase(p.name, pattern)}
         if not found:
             raise OptionError(

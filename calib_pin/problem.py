@@ -18,7 +18,7 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 
-__all__ = ["Problem", "observable_configurations"]
+__all__ = ["Problem", "assumed_sigma", "observable_configurations"]
 
 
 @dataclass(frozen=True)
@@ -90,18 +90,18 @@ class Problem:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
         of_robot, own = self.split(theta)
-        T, twists = self.error.jacobian(self.data.q, of_robot)
-        linear = self.measurement.linearize(T, own, self.data)
-        J = np.concatenate([linear.by_twist @ twists, linear.by_own], axis=2)
-        J /= self.sigma[:, :, None]
-        rows = (linear.residual / self.sigma).reshape(-1)
-        prior = (1.0 / self.parameters.priors)[self._prior]
-        extra = np.zeros((len(prior), len(theta)))
-        extra[np.arange(len(prior)), np.flatnonzero(self._prior)] = prior
-        return (
-            np.concatenate([rows, theta[self._prior] * prior]),
-            np.concatenate([J.reshape(-1, len(theta)), extra]),
-        )
+        poses = self.error.linearize(self.data.q, of_robot)
+        linear = self.measurement.linearize(poses.T, own, self.data)
+        weight = 1.0 / self.sigma[:, :, None]
+        blocks = [poses.derivative(linear.by_twist * weight)]
+        if len(own):
+            blocks.append(linear.by_own * weight)
+        J = _joined(blocks, axis=2).reshape(-1, len(theta))
+        r = (linear.residual / self.sigma).reshape(-1)
+        if not self._prior.any():
+            return r, J
+        prior = np.diag(1.0 / self.parameters.priors)[self._prior]
+        return np.concatenate([r, prior @ theta]), np.concatenate([J, prior])
 
     def register(self, theta: Floats) -> Problem:
         """The same problem about closed-form frames and instrument references.
@@ -112,8 +112,8 @@ class Problem:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         given = (self.setup.base_frame, self.setup.tool_frame)
-        free = self.error.parameters.free
         # A frame of the chain has six parameters at either end.
+        free = self.parameters.free[: len(self.error.screws)]
         unknown = (free[:6].any(), free[-6:].any())
         start: list[pin.SE3 | None] = []
         for frame, estimated in zip(given, unknown, strict=True):
@@ -151,6 +151,11 @@ class Problem:
         """Values of the error model and of the measurement model."""
         count = len(self.error.screws)
         return theta[:count], theta[count:]
+
+
+def _joined(blocks: list[Floats], axis: int) -> Floats:
+    """Blocks side by side; a single one without a copy."""
+    return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=axis)
 
 
 def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:

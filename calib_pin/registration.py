@@ -33,32 +33,22 @@ def register_points(
     Returns:
         Rotation R (3, 3) and translation b (3,) of the base in the measuring frame,
         and the point t (3,) [m].
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> q = chain.random_configurations(9, np.random.default_rng(0))
+        >>> F = chain.poses(q)
+        >>> points = F[:, :3, :3] @ [0.0, 0.0, 0.1] + F[:, :3, 3] + [1.0, 2.0, 3.0]
+        >>> R, b, t = register_points(F, points)
+        >>> np.allclose(R, np.eye(3)), np.allclose(b, [1, 2, 3])
+        (True, True)
+        >>> np.allclose(t, [0, 0, 0.1])
+        True
     """
-    count = len(F)
-    R_i, p_i = F[:, :3, :3], F[:, :3, 3]
-    identity = np.broadcast_to(np.eye(3), (count, 3, 3))
-    if tool is None:
-        A = np.concatenate([R_i, identity], axis=2).reshape(3 * count, 6)
-        fixed = p_i
-    else:
-        A = identity.reshape(3 * count, 3)
-        fixed = p_i + R_i @ tool
-    # Centering by the mean keeps the quadratic form small and well conditioned.
-    center, origin = points.mean(axis=0), fixed.mean(axis=0)
-    # vec(R^T (y_i - center)) = L vec(R), rows over i and the component.
-    L = np.zeros((count, 3, 3, 3))
-    for k in range(3):
-        L[:, k, :, k] = points - center
-    system = np.column_stack([L.reshape(3 * count, 9), (fixed - origin).reshape(-1)])
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    U = U[:, s > 1e-9 * s[0]]
-    system -= U @ (U.T @ system)
-    H, g = system[:, :9].T @ system[:, :9], system[:, :9].T @ system[:, 9]
-    R = _minimize_over_rotations(H, g)
-    right = ((points - center) @ R - (fixed - origin)).reshape(-1)
-    solution = np.linalg.lstsq(A, right, rcond=1e-9)[0]
-    b = center - R @ origin + R @ solution[-3:]
-    return R, b, (solution[:3] if tool is None else tool)
+    R = _minimize_over_rotations(_point_rows(F, points, tool))
+    b, t = _translations(R, F, points, None, tool)
+    return R, b, t
 
 
 def register_poses(
@@ -66,9 +56,10 @@ def register_poses(
 ) -> tuple[Floats, Floats]:
     """Fit `Y_i = B F_i X` to measured poses (robot-world and hand-eye calibration).
 
-    The rotations of B and X follow from the null vector of
-    `Y_i X^T - B F_i = 0` (Kronecker form), polished by alternating Procrustes steps,
-    the translations from a linear problem.
+    The origins of the poses are points, as in `register_points`. For a given rotation
+    of B the best X^T of `Y_i X^T = B F_i` is linear in B as well if it may be any
+    matrix, so that all rows together are a quadratic form in the rotation of B. The
+    origins settle what the rotations leave open where all turns are about one axis.
 
     Args:
         F: Tip poses in the base, shape (N, 4, 4).
@@ -78,38 +69,27 @@ def register_poses(
 
     Returns:
         B and X, each of shape (4, 4).
-    """
-    count = len(F)
-    R_y, R_f = poses[:, :3, :3], F[:, :3, :3]
-    if base is not None:
-        R_b = base[:3, :3]
-        R_x = nearest_rotation(np.einsum("nji,jk,nkl->il", R_f, R_b.T, R_y))
-        R_x = R_x if tool is None else tool[:3, :3]
-    elif tool is not None:
-        R_x = tool[:3, :3]
-        R_b = nearest_rotation(np.einsum("nij,kj,nlk->il", R_y, R_x, R_f))
-    else:
-        R_b, R_x = _hand_eye_rotations(R_y, R_f)
 
-    # R_y t_y-part: t_y = R_b (R_f t_x + t_f) + t_b, linear in (t_b, t_x).
-    A = np.zeros((count, 3, 6))
-    A[:, :, :3] = np.eye(3)
-    A[:, :, 3:] = R_b @ R_f
-    right = poses[:, :3, 3] - F[:, :3, 3] @ R_b.T
-    unknown = np.repeat([base is None, tool is None], 3)
-    known = np.concatenate(
-        [
-            np.zeros(3) if base is None else base[:3, 3],
-            np.zeros(3) if tool is None else tool[:3, 3],
-        ]
-    )
-    right = right - A @ known
-    solution = known.copy()
-    if unknown.any():
-        solution[unknown] += np.linalg.lstsq(
-            A[:, :, unknown].reshape(3 * count, -1), right.reshape(-1), rcond=1e-9
-        )[0]
-    return _pose(R_b, solution[:3]), _pose(R_x, solution[3:])
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> q = chain.random_configurations(9, np.random.default_rng(0))
+        >>> B, X = register_poses(chain.poses(q), chain.poses(q))
+        >>> np.allclose(B, np.eye(4)), np.allclose(X, np.eye(4))
+        (True, True)
+    """
+    R_f, R_y, points = F[:, :3, :3], poses[:, :3, :3], poses[:, :3, 3]
+    t = None if tool is None else tool[:3, 3]
+    R_x = None if tool is None else tool[:3, :3]
+    if base is None:
+        rows = [_point_rows(F, points, t), _rotation_rows(R_f, R_y, R_x)]
+        R_b, b = _minimize_over_rotations(np.concatenate(rows)), None
+    else:
+        R_b, b = base[:3, :3], base[:3, 3]
+    if R_x is None:
+        R_x = nearest_rotation(np.einsum("nji,kj,nkl->il", R_f, R_b, R_y))
+    b, t = _translations(R_b, F, points, b, t)
+    return _pose(R_b, b), _pose(R_x, t)
 
 
 def register_plane(points: Floats) -> tuple[Floats, float]:
@@ -122,6 +102,69 @@ def register_plane(points: Floats) -> tuple[Floats, float]:
     normal = np.linalg.svd(points - center)[2][2]
     offset = -float(normal @ center)
     return (normal, offset) if offset <= 0.0 else (-normal, -offset)
+
+
+def _point_rows(F: Floats, points: Floats, tool: Floats | None) -> Floats:
+    """Rows (A, a), shape (3 N, 10), whose residual `A vec(R) - a` a rotation leaves.
+
+    It is that of `R^T (y_i - b) = R_i t + p_i` with R^T b, and t unless it is known,
+    projected out; vec takes R by rows.
+    """
+    count = len(F)
+    # Centering by the mean keeps the rows small and well conditioned.
+    centered = points - points.mean(axis=0)
+    L = np.zeros((count, 3, 3, 3))
+    for k in range(3):
+        L[:, k, :, k] = centered
+    right = F[:, :3, 3] if tool is None else F[:, :3, 3] + F[:, :3, :3] @ tool
+    right = right - right.mean(axis=0)
+    rows = np.column_stack([L.reshape(3 * count, 9), right.reshape(-1)])
+    U, s, _ = np.linalg.svd(_translation_matrix(F, tool is None), full_matrices=False)
+    U = U[:, s > 1e-9 * s[0]]
+    return np.asarray(rows - U @ (U.T @ rows))
+
+
+def _rotation_rows(R_f: Floats, R_y: Floats, R_x: Floats | None) -> Floats:
+    """Rows (A, a), shape (9 N, 10), of `R_b R_f = R_y R_x^T`, as in `_point_rows`.
+
+    An unknown R_x^T is projected out as a free matrix, the mean of `R_y^T R_b R_f`.
+    """
+    count = len(R_f)
+    L = np.einsum("ia,nbl->nilab", np.eye(3), R_f).reshape(count, 3, 27)
+    right = np.zeros((count, 3, 3))
+    if R_x is None:
+        L -= R_y @ np.mean(np.swapaxes(R_y, 1, 2) @ L, axis=0)
+    else:
+        right = R_y @ R_x.T
+    return np.column_stack([L.reshape(9 * count, 9), right.reshape(-1)])
+
+
+def _translation_matrix(F: Floats, tool: bool) -> Floats:
+    """Matrix of R^T b, and of t where it is unknown, shape (3 N, 3 or 6)."""
+    identity = np.broadcast_to(np.eye(3), (len(F), 3, 3))
+    blocks = [identity, F[:, :3, :3]] if tool else [identity]
+    return np.concatenate(blocks, axis=2).reshape(3 * len(F), -1)
+
+
+def _translations(
+    R: Floats, F: Floats, points: Floats, b: Floats | None, t: Floats | None
+) -> tuple[Floats, Floats]:
+    """Translations b and t of `y_i = R (R_i t + p_i) + b`, given those not None."""
+    center, origin = points.mean(axis=0), F[:, :3, 3].mean(axis=0)
+    if b is not None:
+        center, origin = b, np.zeros(3)
+    right = (points - center) @ R - (F[:, :3, 3] - origin)
+    if t is not None:
+        right = right - F[:, :3, :3] @ t
+    A = _translation_matrix(F, t is None)
+    if b is not None:
+        A = A[:, 3:]
+    found = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
+    if t is None:
+        t = found[-3:]
+    if b is None:
+        b = center - R @ origin + R @ found[:3]
+    return b, t
 
 
 def _pose(R: Floats, t: Floats) -> Floats:
@@ -142,52 +185,39 @@ def _cube_rotations() -> list[Floats]:
     return result
 
 
-def _minimize_over_rotations(H: Floats, g: Floats) -> Floats:
-    """Minimize `r^T H r - 2 g^T r` over rotations, r the rows of R, from all starts.
+def _minimize_over_rotations(rows: Floats) -> Floats:
+    """Rotation R of least `|A vec(R) - a|^2`, with rows (A, a) of shape (M, 10).
 
-    All starts take their damped Newton steps at once.
+    All starts take their damped Gauss-Newton steps at once.
     """
+    # The triangular factor has the same residual norm. Unlike the normal matrix it
+    # keeps small residuals exact, which the last digits of R need.
+    factor: Floats = np.asarray(np.linalg.qr(rows, mode="r"))
+    A, a = factor[:, :9], factor[:, 9]
 
-    def cost(R: Floats) -> Floats:
-        r = R.reshape(-1, 9)
-        return np.asarray(np.einsum("ni,ij,nj->n", r, H, r) - 2.0 * r @ g)
+    def residual(R: Floats) -> Floats:
+        return np.asarray(R.reshape(-1, 9) @ A.T - a)
 
     R: Floats = np.array(_cube_rotations())
-    values, damping = cost(R), np.full(len(R), 1e-3)
+    residuals, damping = residual(R), np.full(len(R), 1e-3)
+    values = np.sum(residuals**2, axis=1)
     generators = skew(np.eye(3))
     for _ in range(100):
-        # Columns: derivative of the entries of R Exp(w) by w.
-        D = (R[:, None] @ generators).reshape(-1, 3, 9)
-        gradient = D @ (R.reshape(-1, 9) @ H - g)[:, :, None]
-        curvature = D @ H @ np.swapaxes(D, 1, 2)
+        # Rows: derivative of the residual by w in R Exp(w).
+        D = (R[:, None] @ generators).reshape(-1, 3, 9) @ A.T
+        gradient = D @ residuals[:, :, None]
+        curvature = D @ np.swapaxes(D, 1, 2)
         size = np.trace(curvature, axis1=1, axis2=2) / 3.0 + 1e-300
         curvature += (damping * size)[:, None, None] * np.eye(3)
         step: Floats = np.asarray(-np.linalg.solve(curvature, gradient)[:, :, 0])
         candidates: Floats = R @ so3_exp(step)
-        fresh = cost(candidates)
+        tried = residual(candidates)
+        fresh = np.sum(tried**2, axis=1)
         better = fresh <= values
         R = np.where(better[:, None, None], candidates, R)
+        residuals = np.where(better[:, None], tried, residuals)
         values = np.where(better, fresh, values)
         damping = np.where(better, np.maximum(damping / 10.0, 1e-12), damping * 10.0)
         if (np.linalg.norm(step[np.argmin(values)]) < 1e-9) or (damping > 1e8).all():
             break
     return np.asarray(R[np.argmin(values)])
-
-
-def _hand_eye_rotations(R_y: Floats, R_f: Floats) -> tuple[Floats, Floats]:
-    """Rotations B and X of `Y_i = B F_i X` from `Y_i X^T - B F_i = 0`."""
-    count = len(R_y)
-    identity = np.eye(3)
-    # Row-major vec: vec(Y X^T) = (Y kron I) vec(X^T), vec(B F) = (I kron F^T) vec(B).
-    K = np.zeros((count, 9, 18))
-    K[:, :, :9] = np.einsum("nij,kl->nikjl", R_y, identity).reshape(count, 9, 9)
-    K[:, :, 9:] = -np.einsum("ij,nlk->nikjl", identity, R_f).reshape(count, 9, 9)
-    M = K.reshape(9 * count, 18)
-    null = np.linalg.eigh(M.T @ M)[1][:, 0]
-    X_t, B = null[:9].reshape(3, 3), null[9:].reshape(3, 3)
-    sign = np.sign(np.linalg.det(X_t)) or 1.0
-    R_x, R_b = nearest_rotation(sign * X_t).T, nearest_rotation(sign * B)
-    for _ in range(20):
-        R_b = nearest_rotation(np.einsum("nij,kj,nlk->il", R_y, R_x, R_f))
-        R_x = nearest_rotation(np.einsum("nji,kj,nkl->il", R_f, R_b, R_y))
-    return R_b, R_x

@@ -237,6 +237,7 @@ class CalibrationResult(Identification):
         stated_sigma: Whether the rows state their standard deviations.
         outliers: Rows that do not fit.
         status: How the solver ended.
+        at_bounds: Names of the parameters that stand at a bound.
         iterations: Steps of the solver.
         evaluations: Residual evaluations of the solver.
         seed: Seed of configurations and splits.
@@ -257,6 +258,7 @@ class CalibrationResult(Identification):
     stated_sigma: bool
     outliers: tuple[Outlier, ...]
     status: Status
+    at_bounds: tuple[str, ...]
     iterations: int
     evaluations: int
     seed: int

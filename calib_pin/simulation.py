@@ -77,9 +77,10 @@ def simulate(
             raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
     if noise is not None and not 0.0 <= noise < np.inf:
         raise OptionError("noise is out of range", value=noise, allowed="0 or more")
+    if (q is None) == (count is None):
+        raise OptionError("give either configurations or their count")
     if q is None:
-        if count is None:
-            raise OptionError("give configurations or their count")
+        assert count is not None
         q, target = observable_configurations(problem, theta, count, rng)
     else:
         names = tuple(dict.fromkeys(problem.data.target)) or ("",)

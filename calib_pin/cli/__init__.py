@@ -23,32 +23,48 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # would change the last bits of a result.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
+    # A file name may hold what the terminal's encoding does not.
+    for stream in (sys.stdout, sys.stderr):
+        if hasattr(stream, "reconfigure"):
+            stream.reconfigure(errors="backslashreplace")
 
     from typer.exceptions import TyperException
 
     from calib_pin.cli.app import app
     from calib_pin.errors import CalibPinError
 
-    words = list(sys.argv[1:] if arguments is None else arguments)
-    debug = "--debug" in words
-    words = [word for word in words if word != "--debug"]
+    given = list(sys.argv[1:] if arguments is None else arguments)
+    words = [word for word in given if word != "--debug"]
     try:
-        status = app(words, standalone_mode=False, prog_name="calib-pin")
-    except (CalibPinError, TyperException) as error:
-        if debug:
-            raise
-        message = getattr(error, "format_message", error.__str__)()
-        _complain(" ".join(message.split()))
-        return 1
-    except KeyboardInterrupt:
-        _complain("interrupted")
-        return 130
+        status = app(words, standalone_mode=False, prog_name="calib-pin", obj=given)
     except BrokenPipeError:
         # The reader of our output went away; that is its right.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
+    except KeyboardInterrupt:
+        _complain("interrupted")
+        return 130
+    except Exception as error:
+        if "--debug" in given:
+            raise
+        if isinstance(error, CalibPinError):
+            _complain(str(error))
+        elif isinstance(error, TyperException):
+            _complain(_usage(error))
+        else:
+            reason = f"{type(error).__name__}: {error}"
+            _complain(f"internal error, please report it with --debug: {reason}")
+        return 1
     return status if isinstance(status, int) else 0
 
 
+def _usage(error: Exception) -> str:
+    """What is wrong with the words, and where the right ones stand."""
+    message = getattr(error, "format_message", error.__str__)().strip().rstrip(".")
+    context = getattr(error, "ctx", None)
+    command = getattr(context, "command_path", "calib-pin")
+    return f"{message}; see {command} --help"
+
+
 def _complain(message: str) -> None:
-    print(f"calib-pin: {message}", file=sys.stderr)
+    print(f"calib-pin: {' '.join(message.split())}", file=sys.stderr)

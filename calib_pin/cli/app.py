@@ -5,6 +5,7 @@ from __future__ import annotations
 import typer
 
 from calib_pin.cli.calibrate import calibrate
+from calib_pin.cli.command import Command
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.identify import identify
 from calib_pin.cli.robots import robots
@@ -14,23 +15,35 @@ __all__ = ["app"]
 
 app = typer.Typer(
     name="calib-pin",
-    help="Calibrate a robot's URDF from measurements. --debug shows tracebacks.",
     add_completion=False,
-    no_args_is_help=True,
     rich_markup_mode=None,
     pretty_exceptions_enable=False,
 )
-for command in (calibrate, identify, evaluate, simulate, robots):
-    app.command(command.__name__)(command)
+for command, summary in (
+    (calibrate, "Fit a robot to measurements; write the corrected URDF."),
+    (identify, "Which parameters can be known, and which only together."),
+    (evaluate, "Accuracy of a robot or a calibration on measurements."),
+    (simulate, "Measurements of a robot with known errors."),
+    (robots, "The bundled robots."),
+):
+    app.command(command.__name__, cls=Command, short_help=summary)(command)
 
 
-@app.callback(invoke_without_command=True)
-def version(
+@app.callback(
+    invoke_without_command=True,
+    epilog="Lengths are in m and angles in rad unless a unit stands beside them. Exit "
+    "status: 0 good, 1 wrong input or option, 2 the result must not be trusted.",
+)
+def overview(
+    context: typer.Context,
     show: bool = typer.Option(False, "--version", help="Print the version."),
+    _debug: bool = typer.Option(False, "--debug", help="Show tracebacks."),
 ) -> None:
-    """Calibrate a robot's URDF from measurements. --debug shows tracebacks."""
+    """Calibrate a robot's URDF from measurements."""
     if show:
-        from importlib.metadata import version as installed
+        from importlib.metadata import version
 
-        typer.echo(f"calib-pin {installed('calib-pin')}")
+        typer.echo(f"calib-pin {version('calib-pin')}")
         raise typer.Exit
+    if context.invoked_subcommand is None:
+        typer.echo(context.get_help())

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib_pin.cli.options import (
+    FIT,
+    OUTPUT,
     Base,
     Force,
     Model,
@@ -17,9 +19,14 @@ from calib_pin.cli.options import (
     Seed,
     SetupFile,
     Tip,
+    check_outputs,
+    exists,
+    notice,
+    number,
     open_chain,
     open_measurements,
     open_setup,
+    require_distinct,
     show,
 )
 
@@ -30,13 +37,23 @@ __all__ = ["calibrate"]
 
 
 def calibrate(
+    context: typer.Context,
     robot: RobotName,
     measurements: Annotated[
-        list[Path], typer.Argument(metavar="MEASUREMENTS...", help="CSV files.")
+        list[Path],
+        typer.Argument(
+            metavar="MEASUREMENTS...", help="CSV files, one row per measurement."
+        ),
     ],
     output: Annotated[
         Path | None,
-        typer.Option("-o", "--output", metavar="DIR", help="Where results go."),
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="DIR",
+            help="Folder of the results; without it they are only printed.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     setup: SetupFile = None,
     model: Model = None,
@@ -44,26 +61,43 @@ def calibrate(
     tip: Tip = None,
     parameters: Parameters = None,
     solver: Annotated[
-        str, typer.Option("--solver", metavar="NAME", help="gauss-newton.")
+        str,
+        typer.Option(
+            "--solver", metavar="NAME", help="gauss-newton.", rich_help_panel=FIT
+        ),
     ] = "gauss-newton",
     validation: Annotated[
         Path | None,
-        typer.Option("--validation", metavar="FILE", help="Rows to check with."),
+        typer.Option(
+            "--validation",
+            metavar="FILE",
+            help="Check the fit on the rows of this file.",
+            rich_help_panel=FIT,
+        ),
     ] = None,
     holdout: Annotated[
         float | None,
-        typer.Option("--holdout", metavar="PART", help="Part of rows to check with."),
+        typer.Option(
+            "--holdout",
+            metavar="PART",
+            help="Check the fit on this part of the rows, such as 0.2.",
+            parser=number(float, "--holdout", "a number between 0 and 1"),
+            rich_help_panel=FIT,
+        ),
     ] = None,
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> int:
-    """Calibrate a robot and write the corrected URDF and calibration.json to DIR.
+    """Fit a robot to measurements and write the corrected URDF.
 
-    Without --validation, --holdout or a `set` column the fit is checked by five-fold
-    cross-validation. Exit status 2: the result must not be trusted.
+    DIR gets <robot name>.urdf and calibration.json. Without --validation, --holdout
+    or a column 'set' (train, validate) the fit is checked by five-fold
+    cross-validation. Exit status 2: the result must not be trusted, the reason comes
+    first, and no URDF is written.
     """
     import time
+    from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.errors import OptionError
@@ -73,59 +107,66 @@ def calibrate(
         raise OptionError("unknown solver", value=solver, allowed="gauss-newton")
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     chain = open_chain(robot, stated)
+    inputs = [robot, setup, validation, *measurements]
+    files = None if output is None else _outputs(output, chain.robot.name)
+    check_outputs(files or (), inputs, force)
+    require_distinct([*measurements, *([] if validation is None else [validation])])
     rows = open_measurements(measurements, chain, stated, quiet=quiet)
     unseen = None
     if validation is not None:
-        unseen = open_measurements([validation], chain, stated, quiet=True)
-    files = None if output is None else _outputs(output, chain.robot.name, force)
+        same = replace(stated, model=rows.model)
+        unseen = open_measurements([validation], chain, same, quiet=True)
+    if rows.validate.any() and (unseen is not None or holdout is not None):
+        option = "--holdout" if unseen is None else "--validation"
+        notice(f"the rows that 'set' marks for validation are not used with {option}")
 
     start = time.perf_counter()
     result = run(chain, rows, stated, validation=unseen, holdout=holdout, seed=seed)
     seconds = time.perf_counter() - start
-    written = [] if files is None else _write(result, files, seconds, force)
+    written = []
+    if files is not None:
+        words = ("calib-pin", *context.obj)
+        written = _write(result, files, words, seconds, force)
     if not quiet:
         show(report(result))
         for path in written:
             typer.echo(f"wrote {path}")
+    elif result.verdict != "good":
+        notice(f"untrusted: {result.reason}")
     return 0 if result.verdict == "good" else 2
 
 
-def _outputs(folder: Path, robot: str, force: bool) -> tuple[Path, Path]:
-    """Paths of URDF and JSON; complains before the work, not after it."""
+def _outputs(folder: Path, robot: str) -> tuple[Path, Path]:
+    """Paths of URDF and JSON."""
     import re
 
     from calib_pin.errors import OptionError
 
+    if exists(folder) and not folder.is_dir():
+        raise OptionError("is a file, not a folder", file=folder)
     # The name comes from the file: it must not lead out of the folder.
     name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    files = folder / f"{name}.urdf", folder / "calibration.json"
-    if folder.exists() and not folder.is_dir():
-        raise OptionError("is a file, not a folder", file=folder)
-    for path in files:
-        if path.exists() and not force:
-            raise OptionError("exists already; --force replaces it", file=path)
-    return files
+    return folder / f"{name}.urdf", folder / "calibration.json"
 
 
 def _write(
-    result: CalibrationResult, files: tuple[Path, Path], seconds: float, force: bool
+    result: CalibrationResult,
+    files: tuple[Path, Path],
+    words: tuple[str, ...],
+    seconds: float,
+    force: bool,
 ) -> list[Path]:
     """Write the corrected URDF, if it can be trusted, and calibration.json."""
-    import sys
     from datetime import UTC, datetime
     from importlib.metadata import version
 
+    from calib_pin.io.documents import Provenance, calibration_document, encode
     from calib_pin.io.files import write_atomically
-    from calib_pin.io.results import (
-        Provenance,
-        calibration_document,
-        encode,
-        write_urdf,
-    )
+    from calib_pin.io.results import write_urdf
 
     urdf, json = files
     provenance = Provenance(
-        command=("calib-pin", *sys.argv[1:]),
+        command=words,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds=seconds,
         versions={
@@ -135,9 +176,13 @@ def _write(
         },
     )
     document = encode(calibration_document(result, provenance))
-    written = [json]
     if result.verdict == "good":
         write_urdf(result.model, urdf, force=force)
-        written.insert(0, urdf)
+        write_atomically(json, document, force=force)
+        return [urdf, json]
     write_atomically(json, document, force=force)
-    return written
+    if exists(urdf):
+        # An earlier run's, which would pass for the result of this one.
+        urdf.unlink()
+        notice(f"removed {urdf} of an earlier run")
+    return [json]

@@ -8,14 +8,18 @@ from typing import Annotated
 import typer
 
 from calib_pin.cli.options import (
+    FIT,
     Base,
     Json,
     Model,
     SetupFile,
     Tip,
+    exists,
+    notice,
     open_chain,
     open_measurements,
     open_setup,
+    require_distinct,
     show,
 )
 
@@ -26,7 +30,8 @@ def evaluate(
     robot: Annotated[
         str,
         typer.Argument(
-            metavar="ROBOT|calibration.json", help="A robot, or a calibration."
+            metavar="ROBOT|calibration.json",
+            help="URDF file, bundled robot, example:NAME, or a calibration.",
         ),
     ],
     measurements: Annotated[
@@ -38,7 +43,11 @@ def evaluate(
     tip: Tip = None,
     register: Annotated[
         bool,
-        typer.Option("--register", help="Fit base, tool and instrument to these rows."),
+        typer.Option(
+            "--register",
+            help="Fit the frames and the instrument of a calibration to these rows.",
+            rich_help_panel=FIT,
+        ),
     ] = False,
     json: Json = False,
 ) -> int:
@@ -52,21 +61,27 @@ def evaluate(
     from calib_pin.calibration import evaluate as run
     from calib_pin.chain import Chain
     from calib_pin.errors import OptionError
-    from calib_pin.io.results import encode, read_calibration
+    from calib_pin.io.documents import encode
+    from calib_pin.io.results import read_calibration
     from calib_pin.report.text import evaluation_report
     from calib_pin.result import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     subject: Chain | CalibratedModel
+    inside = Path(robot, "calibration.json")
+    if exists(inside):
+        raise OptionError("is a folder", file=robot, allowed=f"{inside}, or a robot")
     if robot.endswith(".json"):
         if base is not None or tip is not None or model is not None:
             raise OptionError("a calibration has its own base, tip and model")
-        subject = read_calibration(robot)
+        subject = read_calibration(robot, notice=notice)
         chain = subject.chain
-        stated = replace(stated, model=subject.measurement.name)
+        joints = stated.joints or subject.setup.joints
+        stated = replace(stated, model=subject.measurement.name, joints=joints)
     else:
         subject = chain = open_chain(robot, stated)
-    rows = open_measurements(measurements, chain, stated, quiet=json)
+    require_distinct(measurements)
+    rows = open_measurements(measurements, chain, stated)
     evaluation = run(subject, rows, stated, registration=register)
     if json:
         errors = {

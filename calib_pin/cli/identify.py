@@ -19,6 +19,7 @@ from calib_pin.cli.options import (
     open_chain,
     open_measurements,
     open_setup,
+    require_distinct,
     show,
 )
 
@@ -29,7 +30,10 @@ def identify(
     robot: RobotName,
     measurements: Annotated[
         list[Path] | None,
-        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
+        typer.Argument(
+            metavar="[MEASUREMENTS...]",
+            help="CSV files; without them the structure is analyzed.",
+        ),
     ] = None,
     setup: SetupFile = None,
     model: Model = None,
@@ -49,7 +53,7 @@ def identify(
     from calib_pin.calibration import calibrate as run
     from calib_pin.calibration import identify as structural
     from calib_pin.errors import OptionError
-    from calib_pin.io.results import encode, identification_document
+    from calib_pin.io.documents import encode, identification_document
     from calib_pin.report.text import identification_report
     from calib_pin.result import Identification
 
@@ -57,6 +61,7 @@ def identify(
     chain = open_chain(robot, stated)
     found: Identification
     if measurements:
+        require_distinct(measurements)
         rows = open_measurements(measurements, chain, stated)
         result = run(chain, rows, stated, validate=False, seed=seed)
         found, verdict, reason = result, result.verdict, result.reason

@@ -8,58 +8,122 @@ from typing import Annotated
 import typer
 
 from calib_pin.cli.options import (
+    OUTPUT,
     Base,
     Force,
     Parameters,
     RobotName,
     SetupFile,
     Tip,
+    check_outputs,
+    number,
     open_chain,
     open_setup,
 )
 
 __all__ = ["simulate"]
 
+STUDY = "Simulation"
+"""Heading of `--help`."""
+
 
 def simulate(
+    context: typer.Context,
     robot: RobotName,
     output: Annotated[
-        Path, typer.Option("-o", "--output", metavar="CSV", help="Measurement file.")
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="CSV",
+            help="Measurement file to write.",
+            rich_help_panel=OUTPUT,
+        ),
     ],
     model: Annotated[
         str | None,
-        typer.Option("--model", metavar="NAME", help="How the robot is measured."),
+        typer.Option(
+            "--model",
+            metavar="NAME",
+            help="How the robot is measured: position, pose or plane-distance.",
+            rich_help_panel=STUDY,
+        ),
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option("--count", metavar="N", help="Random configurations.", min=1),
+        typer.Option(
+            "--count",
+            metavar="N",
+            help="Number of random configurations; or else",
+            parser=number(int, "--count", "1 to 1000000", 1, 1e6),
+            rich_help_panel=STUDY,
+        ),
     ] = None,
     configurations: Annotated[
         Path | None,
-        typer.Option("--configurations", metavar="CSV", help="Or these ones."),
+        typer.Option(
+            "--configurations",
+            metavar="CSV",
+            help="the configurations of this file.",
+            rich_help_panel=STUDY,
+        ),
     ] = None,
     errors: Annotated[
         Path | None,
         typer.Option(
-            "--errors", metavar="YAML", help="True errors by parameter name (SI)."
+            "--errors",
+            metavar="YAML",
+            help="True errors by parameter name [m, rad]; default drawn.",
+            rich_help_panel=STUDY,
         ),
     ] = None,
     seed: Annotated[
-        int, typer.Option("--seed", metavar="N", help="Seed; draws errors.", min=0)
+        int,
+        typer.Option(
+            "--seed",
+            metavar="N",
+            help="Seed of errors, configurations and noise.",
+            parser=number(int, "--seed", "0, 1, 2, ...", 0),
+            rich_help_panel=STUDY,
+        ),
     ] = 0,
     noise: Annotated[
         float | None,
-        typer.Option("--noise", metavar="S", help="Standard deviation [m, rad]."),
+        typer.Option(
+            "--noise",
+            metavar="S",
+            help="Standard deviation of every component [m, rad]; default that of "
+            "the setup file, or 0.1 mm and 0.1 mrad.",
+            parser=number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
+            rich_help_panel=STUDY,
+        ),
     ] = None,
     repeats: Annotated[
-        int, typer.Option("--repeats", metavar="K", help="Readings per configuration.")
+        int,
+        typer.Option(
+            "--repeats",
+            metavar="K",
+            help="Readings per configuration.",
+            parser=number(int, "--repeats", "1 to 1000000", 1, 1e6),
+            rich_help_panel=STUDY,
+        ),
     ] = 1,
     average: Annotated[
-        bool, typer.Option("--average", help="Average the readings into one row.")
+        bool,
+        typer.Option(
+            "--average",
+            help="Average the readings into one row.",
+            rich_help_panel=STUDY,
+        ),
     ] = False,
     truth: Annotated[
         Path | None,
-        typer.Option("--truth", metavar="URDF", help="Write the true robot."),
+        typer.Option(
+            "--truth",
+            metavar="URDF",
+            help="Write the robot with its true errors.",
+            rich_help_panel=OUTPUT,
+        ),
     ] = None,
     setup: SetupFile = None,
     base: Base = None,
@@ -72,10 +136,11 @@ def simulate(
     Errors that are not given are drawn uniformly within plus and minus 1 mm and
     3 mrad of every parameter. Frames and planes are those of the setup file.
     """
+    import shlex
+
     import numpy as np
 
     from calib_pin.calibration import nominal_problem
-    from calib_pin.cli.options import notice
     from calib_pin.errors import OptionError
     from calib_pin.io.measurements import read_configurations, write_measurements
     from calib_pin.io.results import write_urdf
@@ -92,41 +157,34 @@ def simulate(
         )
     if (count is None) == (configurations is None):
         raise OptionError("give either --count or --configurations")
-    for path in (output, truth):
-        if path is not None and path.exists() and not force:
-            raise OptionError("exists already; --force replaces it", file=path)
+    check_outputs((output, truth), (robot, setup, configurations, errors), force)
     chain = open_chain(robot, stated)
     problem = nominal_problem(chain, stated.model, stated)
     rng = np.random.default_rng(seed)
-    theta = (
-        draw_errors(problem.parameters, rng)
-        if errors is None
-        else problem.parameters.vector(read_true_errors(errors))
-    )
+    if errors is None:
+        theta = draw_errors(problem.parameters, rng)
+    else:
+        given = read_true_errors(errors, problem.parameters.names)
+        theta = problem.parameters.vector(given)
+    q = None
+    if configurations is not None:
+        q = read_configurations(configurations, chain, stated.joints)
     rows = run(
         problem,
         theta,
         rng,
-        q=None
-        if configurations is None
-        else read_configurations(configurations, chain, stated.joints),
+        q=q,
         count=count,
         noise=noise,
         repeats=repeats,
         average=average,
     )
-    source = "drawn" if errors is None else f"from {errors}"
-    write_measurements(
-        output,
-        rows,
-        comments=[
-            f"simulated by calib-pin: {robot}, {stated.model}, errors {source}, "
-            f"seed {seed}, {repeats} readings{' averaged' if average else ''}"
-        ],
-        force=force,
-    )
-    notice(f"wrote {len(rows)} rows to {output}")
+    # `--force` is left out: it changes nothing of what follows.
+    words = [word for word in context.obj if word != "--force"]
+    comment = f"simulated by: {shlex.join(['calib-pin', *words])}"
+    write_measurements(output, rows, comments=[comment], force=force)
+    typer.echo(f"wrote {len(rows)} rows to {output}")
     if truth is not None:
         write_urdf(CalibratedModel.create(problem, theta), truth, force=force)
-        notice(f"wrote the true robot to {truth}")
+        typer.echo(f"wrote the true robot to {truth}")
     return 0

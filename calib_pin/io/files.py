@@ -2,12 +2,13 @@
 
 from __future__ import annotations
 
+import difflib
 import errno
 import os
 import uuid
 from pathlib import Path
 
-from calib_pin.errors import InputError, OptionError, OutputError, nearest
+from calib_pin.errors import InputError, OptionError, OutputError
 
 __all__ = ["read_bytes", "write_atomically"]
 
@@ -90,10 +91,13 @@ def _reason(error: Exception) -> str:
 
 
 def _nearest_sibling(path: Path) -> str:
+    """A hint at a file of a similar name; the same ending alone is no similarity."""
     try:
-        return nearest(path.name, [file.name for file in path.parent.iterdir()])
-    except OSError:
+        stems = {file.stem: file.name for file in path.parent.iterdir()}
+    except (OSError, ValueError):
         return ""
+    match = difflib.get_close_matches(path.stem, stems, n=1, cutoff=0.6)
+    return f" (did you mean '{stems[match[0]]}'?)" if match else ""
 
 
 def _discard(temporary: Path) -> None:

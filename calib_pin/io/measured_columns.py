@@ -52,6 +52,9 @@ RESERVED = MEASURED | {"target", "set", "sigma"} | {f"sigma_{c}" for c in MEASUR
 LARGEST_SIGMA = 1.0
 """Largest standard deviation that can be meant [m, rad]."""
 
+SMALLEST_SIGMA = 1e-12
+"""Smallest standard deviation that can be meant [m, rad]."""
+
 
 def check_model(model: str) -> None:
     """Check the name of a measurement model.
@@ -157,6 +160,14 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         kind = components[component]
         column = table.numbers(name, kind, positive=True)
         table.check_size(name, column, kind, LARGEST_SIGMA)
+        row = int(np.argmin(column))
+        if column[row] < SMALLEST_SIGMA:
+            raise table.cell_error(
+                "too small for a standard deviation",
+                name,
+                row,
+                f"{SMALLEST_SIGMA:g} {kind.si} or more",
+            )
         columns.append(column)
     return found, np.stack(columns, axis=1)
 

@@ -1,199 +1,53 @@
-"""`calibration.json`: a result as a file, and the calibrated robot back from it."""
+"""The calibrated robot out of `calibration.json`, and into a corrected URDF."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
-from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from collections.abc import Callable, Mapping, Sequence
+from itertools import permutations
 from pathlib import Path
+from reprlib import repr
 from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.chain import Chain
+from calib_pin.chain import Chain, Robot
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import CalibPinError, InputError, OutputError
+from calib_pin.errors import CalibPinError, InputError, OutputError, RobotError
+from calib_pin.io.documents import FORMAT, VERSION, Json, sha256
 from calib_pin.io.files import read_bytes
-from calib_pin.io.urdf import load_robot, write_corrected_urdf
+from calib_pin.io.setup import setup_of
+from calib_pin.io.urdf import locate_robot, parse_robot, write_corrected_urdf
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.result import (
-    Accuracy,
-    CalibratedModel,
-    CalibrationResult,
-    Identification,
-    QuantityErrors,
-)
-from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
-__all__ = [
-    "FORMAT",
-    "VERSION",
-    "Provenance",
-    "calibration_document",
-    "encode",
-    "identification_document",
-    "read_calibration",
-    "sha256",
-    "write_urdf",
-]
-
-FORMAT = "calib-pin/calibration"
-VERSION = 1
+__all__ = ["read_calibration", "write_urdf"]
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""
 
-Json = dict[str, Any]
+ENDS = ("base", "tool")
+"""The frames at the two ends of a chain."""
+
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad]."""
 
 
-@dataclass(frozen=True)
-class Provenance:
-    """How a result came about.
-
-    Attributes:
-        command: The command line.
-        created: Time of writing, ISO 8601.
-        seconds: Time the solver took.
-        versions: Version of each package by name.
-    """
-
-    command: tuple[str, ...]
-    created: str
-    seconds: float
-    versions: Mapping[str, str]
-
-
-def sha256(data: bytes) -> str:
-    """Hexadecimal SHA-256 of bytes."""
-    return hashlib.sha256(data).hexdigest()
-
-
-def encode(document: Mapping[str, Any]) -> bytes:
-    """JSON text of a document; numbers that are not finite become null."""
-    text = json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
-    return text.encode() + b"\n"
-
-
-def identification_document(found: Identification) -> Json:
-    """The parts `parameters` and `identifiability` of section 8 of the contract."""
-    ranks = found.identifiability
-    return {
-        "parameters": [
-            {**asdict(parameter), "groups": list(parameter.groups)}
-            for parameter in found.parameters
-        ],
-        "identifiability": {
-            "parameters": ranks.parameters,
-            "rank": ranks.rank,
-            "structural_rank": ranks.structural_rank,
-            "structural_gap": ranks.gap,
-            "everett": ranks.everett,
-            "weak": ranks.weak,
-            "condition": ranks.condition,
-            "singular_values": list(ranks.singular_values),
-            "observability": ranks.observability,
-            "coupled": [
-                {
-                    "group": group.number,
-                    "expression": group.expression,
-                    "unit": group.unit,
-                    "value": group.value,
-                    "sigma": group.sigma,
-                    "terms": [
-                        {"parameter": name, "coefficient": coefficient}
-                        for name, coefficient in group.terms
-                    ],
-                }
-                for group in found.groups
-            ],
-            "correlated": [
-                {"first": first, "second": second, "correlation": value}
-                for first, second, value in ranks.correlated
-            ],
-        },
-    }
-
-
-def calibration_document(result: CalibrationResult, provenance: Provenance) -> Json:
-    """A result as the JSON document of version 1.
-
-    Raises:
-        InputError: If a measurement file cannot be read again for its hash.
-    """
-    model, robot = result.model, result.model.chain.robot
-    planes = {}
-    if isinstance(model.measurement, PlaneDistance):
-        planes = {
-            plane.name: {
-                "normal": np.asarray(plane.normal).tolist(),
-                "offset": plane.offset,
-                "estimated": plane.estimate,
-            }
-            for plane in model.measurement.planes
-        }
-    free = model.error.parameters.free
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "verdict": {"status": result.verdict, "reason": result.reason},
-        "robot": {
-            "name": robot.name,
-            "file": robot.file,
-            "sha256": sha256(robot.source),
-            "base": model.chain.base,
-            "tip": model.chain.tip,
-            "joints": list(model.chain.joints),
-        },
-        "measurements": {
-            "files": [
-                {"file": file, "sha256": sha256(read_bytes(file))}
-                for file in result.files
-            ],
-            "model": model.measurement.name,
-            "training": result.training,
-            "validation": result.validated,
-        },
-        **identification_document(result),
-        "errors": {e.name: _errors(e, result.validation) for e in result.errors},
-        "statistics": {
-            "chi2": result.chi2,
-            "dof": result.dof,
-            "sigma0": result.sigma0,
-            "stated_sigma": result.stated_sigma,
-            "outliers": [asdict(outlier) for outlier in result.outliers],
-        },
-        "solver": {
-            "name": "gauss-newton",
-            "status": result.status.value,
-            "iterations": result.iterations,
-            "evaluations": result.evaluations,
-            "seconds": provenance.seconds,
-            "seed": result.seed,
-        },
-        "frames": {
-            "base": _frame(model.error.base, bool(free[:6].any())),
-            "tool": _frame(model.tool, bool(free[-6:].any())),
-        },
-        "targets": {},
-        "planes": planes,
-        "residual_model": None,
-        "provenance": {
-            **provenance.versions,
-            "command": list(provenance.command),
-            "created": provenance.created,
-        },
-    }
-
-
-def read_calibration(path: str | Path) -> CalibratedModel:
+def read_calibration(
+    path: str | Path, *, notice: Callable[[str], None] | None = None
+) -> CalibratedModel:
     """The calibrated robot of a `calibration.json`.
 
-    The robot is found where the file says, or beside the file itself, and must be the
-    one that was calibrated.
+    The robot is looked for where the file says, from the working folder and from that
+    of the file, and beside the file itself. It must be the one that was calibrated.
+
+    Args:
+        path: The file.
+        notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
         InputError: If the file is not such a document or of a later version, or the
@@ -202,26 +56,35 @@ def read_calibration(path: str | Path) -> CalibratedModel:
     """
     try:
         document = json.loads(read_bytes(path).decode("utf-8-sig"))
+    except RecursionError as error:
+        raise InputError("not a calibration of calib-pin", file=path) from error
     except ValueError as error:
-        reason = f"not a calibration: {error}"
-        raise InputError(reason, file=path) from error
+        line = getattr(error, "lineno", None)
+        reason = f"not a calibration: {getattr(error, 'msg', error)}"
+        raise InputError(reason, file=path, line=line) from error
     if not isinstance(document, dict) or document.get("format") != FORMAT:
         raise InputError("not a calibration of calib-pin", file=path)
     version = document.get("version")
-    if not isinstance(version, int) or not 1 <= version <= VERSION:
+    if type(version) is not int or not 1 <= version <= VERSION:
         raise InputError(
             "a calibration of another version",
             file=path,
             value=version,
             allowed=f"1 to {VERSION}",
         )
+    robot = _find_robot(document, Path(path))
     try:
-        return _model(document, Path(path))
-    except CalibPinError:
-        raise
-    except (KeyError, TypeError, ValueError, AttributeError, IndexError) as error:
-        reason = f"damaged or edited calibration ({type(error).__name__}: {error})"
+        model = _model(document, robot)
+        verdict = document["verdict"]
+        if notice is not None and verdict["status"] != "good":
+            notice(f"{path} must not be trusted: {verdict['reason']}")
+    except KeyError as error:
+        reason = f"damaged or edited calibration: {error} is missing"
         raise InputError(reason, file=path) from error
+    except (CalibPinError, TypeError, ValueError, AttributeError) as error:
+        reason = f"damaged or edited calibration: {error}"
+        raise InputError(reason, file=path) from error
+    return model
 
 
 def write_urdf(
@@ -257,98 +120,150 @@ def write_urdf(
     write_corrected_urdf(path, chain.robot, model.urdf_corrections(), check, force)
 
 
-def _model(document: Json, path: Path) -> CalibratedModel:
-    about = document["robot"]
-    beside = path.parent / Path(about["file"]).name
-    moved = not Path(about["file"]).is_file() and beside.is_file()
-    robot = load_robot(beside if moved else about["file"])
-    if sha256(robot.source) != about["sha256"]:
-        raise InputError(
-            f"the robot '{about['file']}' is not the one that was calibrated: its "
-            "content has changed",
+def _find_robot(document: Json, path: Path) -> Robot:
+    """The robot that was calibrated, recognized by its content."""
+    try:
+        name, content = document["robot"]["file"], document["robot"]["sha256"]
+        stated = locate_robot(name)
+        places = (stated, path.parent / stated, path.parent / stated.name)
+    except RobotError:
+        raise
+    except (KeyError, TypeError, AttributeError) as error:
+        reason = "damaged or edited calibration: it names no robot"
+        raise InputError(reason, file=path) from error
+    found = None
+    for place in dict.fromkeys(places):
+        try:
+            data = read_bytes(place)
+        except InputError:
+            continue
+        if sha256(data) == content:
+            return parse_robot(data, name if place == stated else str(place))
+        found = found or place
+    if found is None:
+        raise RobotError(
+            f"the robot '{name}' that was calibrated is neither there nor beside the "
+            "calibration",
             file=path,
         )
-    chain = Chain(robot, about["base"], about["tip"])
-    values = {entry["name"]: float(entry["value"]) for entry in document["parameters"]}
-    kinds = dict.fromkeys(name.rsplit(".", 2)[-2] for name in values)
-    known = ("placement", "link-transform", "dh", "joint-offset")
-    error = ErrorModel.create(
-        chain,
-        # The names of `dh` are among those of `dh-full`.
-        ["dh-full" if kind == "dh" else kind for kind in known if kind in kinds],
-        estimate_base=bool(document["frames"]["base"]["estimated"]),
-        estimate_tool=bool(document["frames"]["tool"]["estimated"]),
+    raise InputError(
+        f"'{found}' is not the robot that was calibrated: its content differs",
+        file=path,
     )
-    theta = error.parameters.vector(
-        {
-            name: value
-            for name, value in values.items()
-            if name.rsplit(".", 2)[-2] not in ("frame", "plane")
-        }
-    )
-    base, tool = (_read_frame(document["frames"][name]) for name in ("base", "tool"))
+
+
+def _model(document: Json, robot: Robot) -> CalibratedModel:
+    about = document["robot"]
+    chain = Chain(robot, _text(about["base"]), _text(about["tip"]))
+    if list(chain.joints) != about["joints"]:
+        raise ValueError("the joints are not those from base to tip")
+    frames = document["frames"]
+    (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
+    values = _values(document["parameters"])
+    error = _error_model(chain, list(values), free_base, free_tool)
+    stated = {name: values[name] for name in error.parameters.names}
+    theta = error.parameters.vector(stated)
+    theta[error.parameters.nuisance] = 0.0  # The frames hold these.
     if chain.tip_joint is None:
         tool = error.corrections(theta)[-2].actInv(tool)
-    planes = {
-        name: PlaneSetup(
-            normal=_triple(plane["normal"]),
-            offset=float(plane["offset"]),
-            estimate=bool(plane["estimated"]),
-        )
-        for name, plane in document["planes"].items()
-    }
-    setup = Setup(
-        base=chain.base,
-        tip=chain.tip,
-        model=document["measurements"]["model"],
-        planes=planes,
-    )
+    planes = {name: _read_plane(plane) for name, plane in document["planes"].items()}
+    model = _text(document["measurements"]["model"])
+    if model == "plane-distance" and not planes:
+        raise ValueError("the planes are missing")
+    if "setup" in document:
+        setup = setup_of(document["setup"])
+    else:  # It is no part of the contract; what is known follows from the rest.
+        known = (_known_frame(base, free_base), _known_frame(tool, free_tool))
+        setup = Setup(base_frame=known[0], tool_frame=known[1], planes=planes)
     return CalibratedModel(
         error=error.with_frames(base, tool),
-        measurement=measurement_model(str(setup.model), setup),
+        measurement=measurement_model(model, Setup(planes=planes)),
         theta=theta,
         setup=setup,
     )
 
 
-def _frame(pose: pin.SE3, estimated: bool) -> Json:
-    return {
-        "xyz": pose.translation.tolist(),
-        "rpy": pin.rpy.matrixToRpy(pose.rotation).tolist(),
-        "estimated": estimated,
-    }
+def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
+    """Value of every parameter by name."""
+    values: dict[str, float] = {}
+    for entry in entries:
+        name = _text(entry["name"])
+        if name in values:
+            raise ValueError(f"parameter '{name}' is here twice")
+        (values[name],) = _numbers([entry["value"]], 1)
+    return values
 
 
-def _read_frame(entry: Mapping[str, Sequence[float]]) -> pin.SE3:
-    rotation = pin.rpy.rpyToMatrix(*map(float, entry["rpy"]))
-    return pin.SE3(rotation, np.array(entry["xyz"], float))
+def _error_model(
+    chain: Chain, names: Sequence[str], free_base: bool, free_tool: bool
+) -> ErrorModel:
+    """The error model with parameters of these names in this order.
+
+    The order matters: it is that of the screws at a place, so also that in which the
+    user named the parameterizations.
+    """
+    names = [name for name in names if _kind(name) != "plane"]
+    kinds = dict.fromkeys(map(_kind, names))
+    if any(name.removesuffix(".dh.beta") + ".dh.d" in names for name in names):
+        kinds = {"dh-full" if kind == "dh" else kind: None for kind in kinds}
+    found = [kind for kind in kinds if kind in PARAMETERIZATIONS]
+    for order in permutations(found):
+        error = ErrorModel.create(
+            chain, order, estimate_base=free_base, estimate_tool=free_tool
+        )
+        if list(error.parameters.names) == names:
+            return error
+    raise ValueError("the parameters are not those of this chain, in their order")
 
 
-def _triple(values: Sequence[float]) -> tuple[float, float, float]:
-    x, y, z = map(float, values)
-    return x, y, z
+def _kind(name: str) -> str:
+    """The kind in `<owner>.<kind>.<component>`; an owner may contain points."""
+    _, kind, _ = name.rsplit(".", 2)
+    return kind
 
 
-def _errors(errors: QuantityErrors, method: str) -> Json:
-    def plain(accuracy: Accuracy | None) -> Json | None:
-        return None if accuracy is None else asdict(accuracy)
-
-    return {
-        "unit": errors.unit,
-        "training": {"before": plain(errors.before), "after": plain(errors.after)},
-        "validation": {
-            "method": method,
-            "before": plain(errors.validation_before),
-            "after": plain(errors.validation_after),
-        },
-    }
+def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:
+    """A frame and whether it was estimated."""
+    roll, pitch, yaw = _numbers(entry["rpy"], 3)
+    position = np.array(_numbers(entry["xyz"], 3))
+    return pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), position), _flag(entry)
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
+def _known_frame(pose: pin.SE3, estimated: bool) -> FrameSetup:
+    if estimated:
+        return FrameSetup(estimate=True)
+    x, y, z = map(float, pose.translation)
+    roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(pose.rotation))
+    return FrameSetup((x, y, z), (roll, pitch, yaw), estimate=False)
+
+
+def _read_plane(entry: Mapping[str, Any]) -> PlaneSetup:
+    x, y, z = _numbers(entry["normal"], 3)
+    if not 0.99 < math.hypot(x, y, z) < 1.01:
+        raise ValueError("the normal of a plane is not of unit length")
+    (offset,) = _numbers([entry["offset"]], 1)
+    return PlaneSetup(normal=(x, y, z), offset=offset, estimate=_flag(entry))
+
+
+def _flag(entry: Mapping[str, Any]) -> bool:
+    if not isinstance(entry["estimated"], bool):
+        raise ValueError("'estimated' is neither true nor false")
+    return entry["estimated"]
+
+
+def _text(value: object) -> str:
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{repr(value)} stands in the place of a name")
     return value
+
+
+def _numbers(values: Sequence[object], count: int) -> list[float]:
+    """Finite numbers of a known count."""
+    if len(values) != count:
+        raise ValueError(f"{len(values)} numbers stand in the place of {count}")
+    for value in values:
+        number = isinstance(value, float | int) and not isinstance(value, bool)
+        # Python reads NaN, Infinity and numbers of any length, JSON knows none.
+        if not number or not abs(value) < LARGEST:  # type: ignore[arg-type]
+            raise ValueError(f"{repr(value)} stands in the place of a number")
+    return [float(value) for value in values]  # type: ignore[arg-type]

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import asdict
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.setup import Setup
+from calib_pin.setup import FrameSetup, Setup
 
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
 
-__all__ = ["read_setup"]
+__all__ = ["read_setup", "setup_document", "setup_of"]
 
 ALLOWED: Mapping[str, str] = {
     "model_type": "a mapping of keys to values",
@@ -66,6 +67,57 @@ def read_setup(path: str | Path) -> Setup:
         raise _error(tree, first) from None
     _check_joints(tree, setup)
     return setup
+
+
+def setup_document(setup: Setup) -> dict[str, Any]:
+    """A setup as plain data with the keys of a setup file; defaults are left out.
+
+    Example:
+        >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
+        {'tip': 'tool0', 'parameters': ['placement'], 'fixed': ['*.placement.z']}
+    """
+    data = {
+        "base": setup.base,
+        "tip": setup.tip,
+        "model": setup.model,
+        "parameters": list(setup.parameters),
+        "frames": {
+            name: {k: v for k, v in asdict(frame).items() if v is not None}
+            for name, frame in (("base", setup.base_frame), ("tool", setup.tool_frame))
+            if frame != FrameSetup()
+        },
+        "planes": {name: asdict(plane) for name, plane in setup.planes.items()},
+        "joints": {name: asdict(joint) for name, joint in setup.joints.items()},
+        "fixed": list(setup.fixed),
+        "bounds": dict(setup.bounds),
+        "prior": dict(setup.prior),
+        "noise": dict(setup.noise),
+    }
+    return {key: value for key, value in data.items() if value}
+
+
+def setup_of(document: Mapping[str, Any]) -> Setup:
+    """The setup of what `setup_document` made, read back from a JSON file.
+
+    Unknown keys are those of a later version and are passed over.
+
+    Raises:
+        ValueError: If it is not such a document.
+
+    Example:
+        >>> setup_of(setup_document(Setup(tip="tool0"))).tip
+        'tool0'
+    """
+    from pydantic import ValidationError
+
+    from calib_pin.io.setup_schema import SetupFile
+
+    known = {key: document[key] for key in SetupFile.model_fields if key in document}
+    try:
+        return SetupFile.model_validate(known).setup()
+    except ValidationError as error:
+        place = _dotted(error.errors(include_url=False)[0]["loc"])
+        raise ValueError(f"'setup.{place}' cannot have this value") from None
 
 
 def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:

@@ -30,21 +30,33 @@ __all__ = ["LATER", "SetupFile", "known_keys"]
 LATER = ("targets", "distances", "gravity", "payloads", "obstacles", "region")
 """Documented keys that this version does not know yet."""
 
+SMALLEST = 1e-12
+"""Smallest standard deviation that can be meant [m, rad]."""
+
+STEEPEST = 1e6
+"""Largest length of a normal, and the inverse of the smallest."""
+
 
 def _number(value: object) -> float:
     # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
     number = as_number(value) if isinstance(value, str) else value
     if isinstance(number, bool) or not isinstance(number, float | int):
         raise ValueError("a number")
+    try:
+        number = float(number)
+    except OverflowError:  # A JSON file may hold integers of any length.
+        number = math.inf
     if not math.isfinite(number):
         raise ValueError("a finite number")
-    return float(number)
+    return number
 
 
 def _positive(value: object) -> float:
     number = _number(value)
     if number <= 0.0:
         raise ValueError("a positive number")
+    if number < SMALLEST:
+        raise ValueError(f"a number of at least {SMALLEST:g}")
     return number
 
 
@@ -103,9 +115,16 @@ def _angles(value: object) -> tuple[float, float, float]:
 def _normal(value: object) -> tuple[float, float, float]:
     allowed = "three finite numbers that are not all 0, such as [0, 0, 1]"
     normal = _numbers(value, allowed)
-    if math.hypot(*normal) == 0.0:
+    if not 1.0 / STEEPEST <= math.hypot(*normal) <= STEEPEST:
         raise ValueError(allowed)
     return normal
+
+
+def _offset(value: object) -> float:
+    number = _number(value)
+    if abs(number) > LENGTH.largest * STEEPEST:
+        raise ValueError("the offset f of n . p + f = 0, in m where n has length 1")
+    return number
 
 
 def _bound(value: object) -> float | tuple[float, float]:
@@ -188,7 +207,7 @@ class PlaneSection(_Section):
     """A member of `planes`."""
 
     normal: Normal
-    offset: Number
+    offset: Annotated[float, PlainValidator(_offset)]
     estimate: Flag = True
 
 

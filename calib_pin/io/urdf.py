@@ -29,6 +29,7 @@ __all__ = [
     "edit_origins",
     "load_chain",
     "load_robot",
+    "locate_robot",
     "parse_robot",
     "robot_file",
     "write_corrected_urdf",
@@ -124,7 +125,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
         'panda_link0'
     """
     name = str(name_or_path)
-    path = _locate(name)
+    path = locate_robot(name)
     try:
         source = read_bytes(path)
     except InputError as error:
@@ -235,8 +236,19 @@ def write_corrected_urdf(
     write_atomically(path, corrected, force=force)
 
 
-def _locate(name: str) -> Path:
-    """Path of the URDF that a user's word stands for."""
+def locate_robot(name: str) -> Path:
+    """Path of the URDF that a user's word stands for, whether or not it is there.
+
+    Args:
+        name: As for `load_robot`.
+
+    Raises:
+        RobotError: If example-robot-data has no such robot.
+
+    Example:
+        >>> locate_robot("pa10").name, locate_robot("my/arm.urdf").name
+        ('robot.urdf', 'arm.urdf')
+    """
     path = Path(name)
     bundled = bundled_robots()
     if name in bundled and not path.is_file():
@@ -283,7 +295,7 @@ def _example(name: str) -> Path:
 
 def _is_source(path: Path, robot: Robot) -> bool:
     try:
-        return path.samefile(_locate(robot.file))
+        return path.samefile(locate_robot(robot.file))
     except (OSError, ValueError, RobotError):
         return False  # One of them does not exist.
 

@@ -27,15 +27,18 @@ __all__ = [
 
 
 def _plane_distance(setup: Setup, targets: Sequence[str]) -> PlaneDistance:
-    planes = [
-        Plane(
-            name,
-            np.array(given.normal) / np.linalg.norm(given.normal),
-            given.offset / float(np.linalg.norm(given.normal)),
-            given.estimate,
+    planes = []
+    for name, given in setup.planes.items():
+        normal = np.array(given.normal, float)
+        length = float(np.linalg.norm(normal))
+        if not 0.0 < length < np.inf:
+            raise OptionError(
+                f"the normal of the plane '{name}' has no direction",
+                value=list(given.normal),
+            )
+        planes.append(
+            Plane(name, normal / length, given.offset / length, given.estimate)
         )
-        for name, given in setup.planes.items()
-    ]
     if not planes:
         names = dict.fromkeys(name or "plane" for name in targets)
         planes = [Plane(name) for name in names or ("plane",)]
@@ -61,7 +64,7 @@ def measurement_model(
         targets: The targets that the rows name.
 
     Raises:
-        OptionError: If there is no such model; names the nearest.
+        OptionError: If there is no such model, or a plane has no normal.
     """
     if name not in MEASUREMENT_MODELS:
         raise OptionError(

@@ -149,10 +149,9 @@ class PlaneDistance:
             n_tool = np.einsum("ni,nij->nj", normal, R) / c[:, None]
             hit = (p + h[:, None] * b) / c[:, None]
             slope = 1.0 / c
-        by_twist = np.empty((len(T), 1, 6))
-        by_twist[:, 0, :3] = -n_tool
-        # n . R (w x e_z) = -n . R [e_z]x w
-        by_twist[:, 0, 3:] = h[:, None] * (n_tool @ skew(np.array([0.0, 0.0, 1.0])))
+            # n . R (w x e_z) = -n . R [e_z]x w
+            by_turn_of_beam = h[:, None] * (n_tool @ skew(np.array([0.0, 0.0, 1.0])))
+        by_twist = np.concatenate([-n_tool, by_turn_of_beam], axis=1)[:, None, :]
         by_own = np.zeros((len(T), 1, 3 * len(self.planes)))
         row = np.arange(len(T))
         for k in range(2):

@@ -4,11 +4,12 @@ Standard DH with Hayati's angle (Liu et al. 2012):
 
     A_i = Rz(theta_i) Tz(d_i) Tx(a_i) Rx(alpha_i) Ry(beta_i)
 
-z is the axis of joint i, x the common normal to the axis of joint i + 1 and y, at the
-foot of the normal on that axis, completes the frame. Where the two axes are parallel
-the common normal can slide along them: a small tilt moves it by meters, so beta_i
-(a turn about y) takes the place of d_i. Errors of A_i are exact as an ordered product
-of screws, because Rz and Tz commute, Tx and Rx commute, and beta is nominally zero.
+z is the axis of joint i, x the common normal that points to the axis of joint i + 1
+(along z_i x z_i+1 where they meet) and y, at the foot of the normal on that axis,
+completes the frame. Where the two axes are parallel the common normal can slide along
+them: a small tilt moves it by meters, so beta_i (a turn about y) takes the place of
+d_i. Errors of A_i are exact as an ordered product of screws, because Rz and Tz
+commute, Tx and Rx commute, and beta is nominally zero.
 The lines are read off the URDF; its own frames need not follow the convention.
 """
 
@@ -116,7 +117,7 @@ def _link_twists(
         if np.linalg.norm(x) < 1e-9:
             x = tip_x - np.dot(tip_x, z) * z
             if np.linalg.norm(x) < 1e-3:
-                x = np.cross(z, np.roll(tip_x, 1))
+                x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
     else:
         x = np.cross(z, z_next)
         # Feet of the common normal: point + s z + t x = point_next + u z_next.

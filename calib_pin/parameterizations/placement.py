@@ -8,7 +8,6 @@ import numpy as np
 
 from calib_pin.chain import Chain
 from calib_pin.parameterizations.base import COMPONENTS, Screw, robot_parameter
-from calib_pin.spatial import adjoint
 
 __all__ = ["LinkTransform", "Placement"]
 
@@ -37,9 +36,9 @@ class LinkTransform:
     """`<joint>.link-transform.mx|my|mz|dx|dy|dz`: the error in the parent frame.
 
     To first order `M_j = (I + Delta) M_j0` with position part m and rotation part
-    delta in the frame of the preceding joint (Liu et al. 2022, section 1.2); here the
-    exact motion `Exp(mx) ... Exp(dz) M_j0`, moved through the placement by the
-    adjoint. The fixed transform from the last joint to the tip is the last link.
+    delta in the frame of the preceding joint of the tree (Liu et al. 2022, section
+    1.2); here the exact motion `Exp(mx) ... Exp(dz) M_j0`, moved through the placement
+    by the adjoint. The fixed transform from the last joint to the tip is the last link.
     """
 
     name = "link-transform"
@@ -47,17 +46,19 @@ class LinkTransform:
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Six screws at every moving joint and at the tip's fixed joint."""
         count = len(chain.joints)
+        # The chain's own placements reach back past joints that it does not contain.
+        model = chain.robot.model
         links = [
-            (place, joint, chain.placements[place - 1].homogeneous)
+            (place, joint, model.jointPlacements[model.getJointId(joint)])
             for place, joint in enumerate(chain.joints, start=1)
         ]
         if chain.tip_joint is not None:
-            links.append((count + 1, chain.tip_joint, chain.tip_placement.homogeneous))
+            links.append((count + 1, chain.tip_joint, chain.tip_placement))
         components = ("mx", "my", "mz", "dx", "dy", "dz")
         return [
             Screw(robot_parameter(joint, self.name, component, unit), place, twist)
             for place, joint, placement in links
             for component, unit, twist in zip(
-                components, UNITS, adjoint(np.linalg.inv(placement)).T, strict=True
+                components, UNITS, placement.toActionMatrixInverse().T, strict=True
             )
         ]

@@ -60,7 +60,18 @@ def format_report(result: CalibrationResult) -> str:
 def plain_text(content: RenderableType) -> str:
     """Render without colors, at most 80 columns wide."""
     stream = io.StringIO()
-    Console(file=stream, width=WIDTH, color_system=None, highlight=False).print(content)
+    console = Console(
+        file=stream,
+        width=WIDTH,
+        color_system=None,
+        # A notebook would show what is meant for the stream.
+        force_jupyter=False,
+        # Names are what they are: no markup and no emoji codes in them.
+        highlight=False,
+        markup=False,
+        emoji=False,
+    )
+    console.print(content)
     return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
 
 
@@ -68,10 +79,12 @@ def report(result: CalibrationResult) -> RenderableType:
     """Verdict, accuracy, identifiability and what does not fit."""
     return Group(
         _verdict(result),
+        _subject(result),
         "",
-        *_accuracy(result.errors, result.validation),
+        *_accuracy(result),
         "",
         identification_report(result, fitted=True),
+        *_listed("at a bound", result.at_bounds),
         *_statistics(result),
         *_outliers(result),
     )
@@ -97,9 +110,7 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
     }
     for status, meaning in remarks.items():
         names = [p.name for p in found.parameters if p.status == status]
-        if names:
-            parts += ["", Text(f"{meaning}:", style="bold")]
-            parts += [Padding(line, (0, 0, 0, 2)) for line in _compressed(names)]
+        parts += _listed(meaning, names)
     return Group(*parts)
 
 
@@ -120,22 +131,38 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
 
 def _verdict(result: CalibrationResult) -> Text:
     if result.verdict != "good":
-        return Text(f"UNTRUSTED: {result.reason}.", style="bold red")
+        return Text(f"UNTRUSTED: {result.reason.rstrip('.')}.", style="bold red")
     if result.validation == "none":
         text = "GOOD: the fit converged; too few rows to check it on unseen ones."
-    else:
+    elif all(_better(error) for error in result.errors):
         text = "GOOD: the fit converged and is better on rows it has not seen."
+    else:
+        text = "GOOD: the fit converged and is no worse on rows it has not seen."
     return Text(text, style="bold green")
 
 
-def _accuracy(
-    errors: Sequence[QuantityErrors], method: str
-) -> Iterator[RenderableType]:
+def _better(error: QuantityErrors) -> bool:
+    before, after = error.validation_before, error.validation_after
+    return before is None or after is None or after.rms < before.rms
+
+
+def _subject(result: CalibrationResult) -> Text:
+    """Which robot was measured in which way."""
+    model = result.model
+    chain, rows = model.chain, f"{result.training} rows"
+    return Text(
+        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
+        f"{chain.tip}; {model.measurement.name}, {rows} fitted",
+        style="dim",
+    )
+
+
+def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
     table = _table("Accuracy", ("rows", "robot", "mean", "rms", "max", "unit"))
-    for error in errors:
+    for error in result.errors:
         pairs = [("fitted", error.before, error.after)]
         if error.validation_before and error.validation_after:
-            unseen = f"unseen ({method})"
+            unseen = f"unseen ({result.validation})"
             pairs.append((unseen, error.validation_before, error.validation_after))
         name = error.name
         for rows, before, after in pairs:
@@ -144,7 +171,21 @@ def _accuracy(
                 table.add_row(name, rows, robot, *cells)
                 name = rows = ""
     yield table
-    yield Text("Base, tool and instrument are fitted in either case.", style="dim")
+    yield Text(_registered(result), style="dim")
+
+
+def _registered(result: CalibrationResult) -> str:
+    """What is fitted even where the robot is nominal."""
+    owners = dict.fromkeys(
+        f"{owner} {kind}"
+        for parameter in result.parameters
+        if parameter.status != "fixed"
+        for owner, kind, _ in [parameter.name.rsplit(".", 2)]
+        if kind in ("frame", "plane")
+    )
+    if not owners:
+        return "Frames and instrument are known, nothing is registered."
+    return f"Fitted in either case: {', '.join(owners)}."
 
 
 def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
@@ -168,9 +209,10 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         )
     if ranks.singular_values:
         first, last = ranks.singular_values[0], ranks.singular_values[-1]
-        lines.append(("singular values", f"{_number(first)} ... {_number(last)}"))
+        spread = f"{_number(first)} ... {_number(last)}"
+        lines.append(("singular values", f"{spread}   (scaled, whitened)"))
         lines.append(("condition number", _number(ranks.condition)))
-    if ranks.observability:
+    if ranks.singular_values and ranks.observability:
         indices = "  ".join(f"{k} {_number(v)}" for k, v in ranks.observability.items())
         lines.append(("observability", indices))
     grid = Table.grid(padding=(0, 2))
@@ -183,9 +225,7 @@ def _identifiable(
     parameters: Sequence[ParameterEstimate], fitted: bool
 ) -> RenderableType:
     if not fitted:
-        names = [parameter.name for parameter in parameters]
-        lines = [Padding(line, (0, 0, 0, 2)) for line in _compressed(names)]
-        return Group(Text("identifiable:", style="bold"), *lines)
+        return Group(*list(_listed("identifiable", [p.name for p in parameters]))[1:])
     table = _table("Identifiable parameters", ("value", "std. dev.", "unit"))
     for parameter in parameters:
         table.add_row(parameter.name, *_estimate(parameter))
@@ -220,12 +260,22 @@ def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
     sigmas = "stated" if result.stated_sigma else "assumed"
     grid.add_row("  chi-square", f"{_number(result.chi2)} with {result.dof} dof")
     grid.add_row("  sigma0", f"{_number(result.sigma0)} times the {sigmas} sigma")
+    remark = ""
     if result.stated_sigma and result.dof > 0:
         low, high = _chi2_interval(result.dof)
-        inside = low <= result.chi2 <= high
-        verdict = "inside" if inside else "outside"
-        grid.add_row("", f"{verdict} the 95 % interval {low:.4g} ... {high:.4g}")
+        where = "inside"
+        if result.chi2 < low:
+            where, remark = "below", "less than their sigma says: it may be too large."
+        elif result.chi2 > high:
+            where = "above"
+            remark = (
+                "more than their sigma says: the standard deviations are too small."
+            )
+        interval = f"{_number(low)} ... {_number(high)}"
+        grid.add_row("", f"{where} the 95 % interval {interval}")
     yield grid
+    if remark:
+        yield Padding(f"The rows scatter {remark}", (0, 0, 0, 2))
     pairs = result.identifiability.correlated
     if pairs:
         yield ""
@@ -239,9 +289,11 @@ def _outliers(result: CalibrationResult) -> Iterator[RenderableType]:
     if not result.outliers:
         return
     yield ""
-    yield Text("Rows that do not fit", style="bold")
+    count = f"{len(result.outliers)} of {result.training}"
+    yield Text(f"Rows that do not fit ({count})", style="bold")
     for outlier in result.outliers[:LISTED_ROWS]:
-        yield Padding(f"{outlier.place}  {outlier.size:.1f} sigma", (0, 0, 0, 2))
+        size = _number(outlier.size)
+        yield Padding(f"{outlier.place}  {size} sigma", (0, 0, 0, 2))
     yield from _rest(len(result.outliers), "rows")
 
 
@@ -255,7 +307,7 @@ def _table(title: str, columns: Iterable[str]) -> Table:
     table = Table(
         title=title, title_justify="left", title_style="bold", box=None, pad_edge=False
     )
-    table.add_column("")
+    table.add_column("", overflow="fold")
     for column in columns:
         left = column in ("unit", "rows", "robot")
         table.add_column(column, justify="left" if left else "right", no_wrap=True)
@@ -281,9 +333,21 @@ def _number(value: float) -> str:
     """Four significant digits, plain where that is short."""
     if not math.isfinite(value):
         return "inf" if value > 0 else "unknown"
-    if value == 0.0 or 1e-3 <= abs(value) < 1e5:
-        return f"{value:.4g}" if abs(value) >= 1.0 else f"{value:.4f}"
+    size = abs(value)
+    if size == 0.0 or 1e-3 <= size < 1.0:
+        return f"{value:.4f}"
+    if 1.0 <= size < 1e5:
+        return f"{value:.{max(0, 3 - int(math.log10(size)))}f}"
     return f"{value:.1e}"
+
+
+def _listed(meaning: str, names: Sequence[str]) -> Iterator[RenderableType]:
+    """Names under a heading, if there are any."""
+    if names:
+        yield ""
+        yield Text(f"{meaning}:", style="bold")
+        for line in _compressed(names):
+            yield Padding(line, (0, 0, 0, 2))
 
 
 def _compressed(names: Sequence[str]) -> Iterator[str]:

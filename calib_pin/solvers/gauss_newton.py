@@ -23,6 +23,9 @@ from calib_pin.spatial import Floats
 
 __all__ = ["LeastSquaresResult", "Status", "gauss_newton"]
 
+SHORTEST = 1e-12
+"""Length of a step, in units of the basis, that ends the iteration."""
+
 ROUNDING = 1e-7
 """Length of a step, in units of the basis, that may fail to improve by rounding."""
 
@@ -117,53 +120,94 @@ def gauss_newton(
     """
     x = np.array(x0, float)
     r, J = linearize(x)
-    cost = 0.5 * float(r @ r)
-    damping, evaluations = 0.0, 1
+    cost, evaluations = 0.5 * float(r @ r), 1
     active: tuple[int, ...] = ()
-    if not np.isfinite(cost):
-        status = Status.NOT_FINITE
-        return LeastSquaresResult(x, r, J, cost, 0, evaluations, active, status)
-    way, iteration, status = 0.0, 0, Status.ITERATIONS
-    while iteration < max_iterations:
-        system = _Step(J @ basis, r, rank_tolerance)
-        limits = None if bounds is None else (bounds[0] - x, bounds[1] - x)
-        first_length = None
-        while True:
-            dy, active = system.solve(damping, basis, limits)
-            length = float(np.linalg.norm(dy))
-            first_length = length if first_length is None else first_length
-            done = (
-                system.promised(dy) <= tolerance * cost
-                or length <= 1e-12 + tolerance * way
-            )
-            candidate = x + basis @ dy
-            if bounds is not None:
-                # Rounding must not carry a component across its bound.
-                candidate = np.clip(candidate, *bounds)
-            fresh = residual(candidate)
-            evaluations += 1
-            improved = 0.5 * float(fresh @ fresh) < cost
-            if improved or done or not damped or first_length <= ROUNDING:
-                break
-            damping = max(10.0 * damping, 1e-6 * system.curvature)
-            if damping > 1e8 * system.curvature:
-                break
-        if improved or not damped:
-            x = candidate
-            way += length
+    way, iteration, damping = 0.0, 0, 0.0
+    status = Status.ITERATIONS if np.isfinite(cost) else Status.NOT_FINITE
+    while status is Status.ITERATIONS and iteration < max_iterations:
+        step = _Step(J @ basis, r, rank_tolerance)
+        limit = max(tolerance * way, SHORTEST), tolerance * cost
+        trial = _search(step, residual, x, basis, bounds, damping, limit, damped)
+        evaluations, active = evaluations + trial.evaluations, trial.active
+        if trial.improved or not damped:
+            x, way = trial.x, way + trial.length
             r, J = linearize(x)
             cost = 0.5 * float(r @ r)
-            damping = damping / 10.0 if damping > 1e-9 * system.curvature else 0.0
+            damping = trial.damping / 10.0
+            damping = damping if damping > 1e-9 * step.curvature else 0.0
             iteration += 1
             if callback is not None:
                 callback(iteration, cost)
-        if done or (not improved and damped and first_length <= ROUNDING):
-            status = Status.CONVERGED
-            break
-        if not improved and damped:
+        elif not trial.done:
             status = Status.STALLED
-            break
+        if trial.done:
+            status = Status.CONVERGED
     return LeastSquaresResult(x, r, J, cost, iteration, evaluations, active, status)
+
+
+@dataclass(frozen=True)
+class _Trial:
+    """A step that was tried: where it led and whether to take it."""
+
+    x: Floats
+    length: float
+    damping: float
+    improved: bool
+    done: bool
+    active: tuple[int, ...]
+    evaluations: int
+
+
+def _search(
+    step: _Step,
+    residual: Residual,
+    x: Floats,
+    basis: Floats,
+    bounds: tuple[Floats, Floats] | None,
+    damping: float,
+    limit: tuple[float, float],
+    damped: bool,
+) -> _Trial:
+    """Damp the step until the cost falls, or until there is nothing left to gain.
+
+    Args:
+        step: The linearized problem at x.
+        residual: Residual at x.
+        x: Where the step starts, shape (P,).
+        basis: Directions, shape (P, k).
+        bounds: Bounds of x.
+        damping: Damping to begin with.
+        limit: Length and promised decrease below which a step ends the iteration.
+        damped: Whether to damp at all.
+    """
+    room = None if bounds is None else (bounds[0] - x, bounds[1] - x)
+    first, evaluations = None, 0
+    while True:
+        dy, active = step.solve(damping, basis, room)
+        length = float(np.linalg.norm(dy))
+        first = length if first is None else first
+        done = length <= limit[0] or step.promised(dy) <= limit[1]
+        candidate = x + basis @ dy
+        if bounds is not None:
+            # Rounding must not carry a component across its bound.
+            candidate = np.clip(candidate, *bounds)
+        fresh = residual(candidate)
+        evaluations += 1
+        improved = float(fresh @ fresh) < step.square
+        # A step this short that fails to improve has met rounding, not a wall.
+        rounding = not improved and first <= ROUNDING
+        exhausted = damping > 1e8 * step.curvature
+        if improved or done or rounding or exhausted or not damped:
+            return _Trial(
+                x=candidate,
+                length=length,
+                damping=damping,
+                improved=improved,
+                done=done or rounding,
+                active=active,
+                evaluations=evaluations,
+            )
+        damping = max(10.0 * damping, 1e-6 * step.curvature)
 
 
 class _Step:
@@ -176,6 +220,7 @@ class _Step:
         width = A.shape[1]
         self.A = R[:, :width]
         self.r = R[:, width]
+        self.square = float(r @ r)
         self.rank_tolerance = rank_tolerance
         self.svd = np.linalg.svd(self.A, full_matrices=False)
         self.curvature = float(self.svd[1][0] ** 2) if width else 0.0

@@ -1,0 +1,32 @@
+"""How the commands present themselves in `--help`."""
+
+from __future__ import annotations
+
+from typing import Any
+
+from typer.core import TyperCommand
+
+__all__ = ["Command"]
+
+
+class Command(TyperCommand):
+    """A command whose help reads `ROBOT MEASUREMENTS...`, options by topic."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """The words of the usage line."""
+        arguments = [p for p in self.get_params(ctx) if p.param_type_name != "option"]
+        return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Arguments, then the options under the heading of their help panel."""
+        topics: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            if param.param_type_name != "option":
+                row = (param.metavar or "", getattr(param, "help", None) or "")
+                topics.setdefault("Arguments", []).append(row)
+            elif record := param.get_help_record(ctx):
+                topic = getattr(param, "rich_help_panel", None) or "Other"
+                topics.setdefault(topic, []).append(record)
+        for topic, rows in topics.items():
+            with formatter.section(topic):
+                formatter.write_dl(rows)

@@ -1,0 +1,214 @@
+"""`calibration.json`: a result as a JSON document, section 8 of the contract."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Mapping
+from dataclasses import asdict, dataclass
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.io.files import read_bytes
+from calib_pin.io.setup import setup_document
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.result import (
+    Accuracy,
+    CalibrationResult,
+    Identification,
+    QuantityErrors,
+)
+
+__all__ = [
+    "FORMAT",
+    "VERSION",
+    "Json",
+    "Provenance",
+    "calibration_document",
+    "encode",
+    "identification_document",
+    "sha256",
+]
+
+FORMAT = "calib-pin/calibration"
+VERSION = 1
+
+Json = dict[str, Any]
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result came about.
+
+    Attributes:
+        command: The command line.
+        created: Time of writing, ISO 8601.
+        seconds: Time the solver took.
+        versions: Version of each package by name.
+    """
+
+    command: tuple[str, ...]
+    created: str
+    seconds: float
+    versions: Mapping[str, str]
+
+
+def sha256(data: bytes) -> str:
+    """Hexadecimal SHA-256 of bytes."""
+    return hashlib.sha256(data).hexdigest()
+
+
+def encode(document: Mapping[str, Any]) -> bytes:
+    """JSON text of a document; numbers that are not finite become null."""
+    text = json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
+    # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
+    return text.encode("utf-8", "backslashreplace") + b"\n"
+
+
+def identification_document(found: Identification) -> Json:
+    """The parts `parameters` and `identifiability` of section 8 of the contract."""
+    ranks = found.identifiability
+    return {
+        "parameters": [
+            {**asdict(parameter), "groups": list(parameter.groups)}
+            for parameter in found.parameters
+        ],
+        "identifiability": {
+            "parameters": ranks.parameters,
+            "rank": ranks.rank,
+            "structural_rank": ranks.structural_rank,
+            "structural_gap": ranks.gap,
+            "everett": ranks.everett,
+            "weak": ranks.weak,
+            "condition": ranks.condition,
+            "singular_values": list(ranks.singular_values),
+            "observability": ranks.observability,
+            "coupled": [
+                {
+                    "group": group.number,
+                    "expression": group.expression,
+                    "unit": group.unit,
+                    "value": group.value,
+                    "sigma": group.sigma,
+                    "terms": [
+                        {"parameter": name, "coefficient": coefficient}
+                        for name, coefficient in group.terms
+                    ],
+                }
+                for group in found.groups
+            ],
+            "correlated": [
+                {"first": first, "second": second, "correlation": value}
+                for first, second, value in ranks.correlated
+            ],
+        },
+    }
+
+
+def calibration_document(result: CalibrationResult, provenance: Provenance) -> Json:
+    """A result as the JSON document of version 1.
+
+    Raises:
+        InputError: If a measurement file cannot be read again for its hash.
+    """
+    model, robot = result.model, result.model.chain.robot
+    planes = {}
+    if isinstance(model.measurement, PlaneDistance):
+        planes = {
+            plane.name: {
+                "normal": np.asarray(plane.normal).tolist(),
+                "offset": plane.offset,
+                "estimated": plane.estimate,
+            }
+            for plane in model.measurement.planes
+        }
+    free = model.error.parameters.free
+    return {
+        "format": FORMAT,
+        "version": VERSION,
+        "verdict": {"status": result.verdict, "reason": result.reason},
+        "robot": {
+            "name": robot.name,
+            "file": robot.file,
+            "sha256": sha256(robot.source),
+            "base": model.chain.base,
+            "tip": model.chain.tip,
+            "joints": list(model.chain.joints),
+        },
+        "measurements": {
+            "files": [
+                {"file": file, "sha256": sha256(read_bytes(file))}
+                for file in result.files
+            ],
+            "model": model.measurement.name,
+            "training": result.training,
+            "validation": result.validated,
+        },
+        **identification_document(result),
+        "errors": {e.name: _errors(e, result.validation) for e in result.errors},
+        "statistics": {
+            "chi2": result.chi2,
+            "dof": result.dof,
+            "sigma0": result.sigma0,
+            "stated_sigma": result.stated_sigma,
+            "outliers": [asdict(outlier) for outlier in result.outliers],
+        },
+        "solver": {
+            "name": "gauss-newton",
+            "status": result.status.value,
+            "iterations": result.iterations,
+            "evaluations": result.evaluations,
+            "at_bounds": list(result.at_bounds),
+            "seconds": provenance.seconds,
+            "seed": result.seed,
+        },
+        "frames": {
+            "base": _frame(model.error.base, bool(free[:6].any())),
+            "tool": _frame(model.tool, bool(free[-6:].any())),
+        },
+        "targets": {},
+        "planes": planes,
+        "residual_model": None,
+        "setup": setup_document(model.setup),
+        "provenance": {
+            **provenance.versions,
+            "command": list(provenance.command),
+            "created": provenance.created,
+        },
+    }
+
+
+def _frame(pose: pin.SE3, estimated: bool) -> Json:
+    return {
+        "xyz": pose.translation.tolist(),
+        "rpy": pin.rpy.matrixToRpy(pose.rotation).tolist(),
+        "estimated": estimated,
+    }
+
+
+def _errors(errors: QuantityErrors, method: str) -> Json:
+    def plain(accuracy: Accuracy | None) -> Json | None:
+        return None if accuracy is None else asdict(accuracy)
+
+    return {
+        "unit": errors.unit,
+        "training": {"before": plain(errors.before), "after": plain(errors.after)},
+        "validation": {
+            "method": method,
+            "before": plain(errors.validation_before),
+            "after": plain(errors.validation_after),
+        },
+    }
+
+
+def _finite(value: Any) -> Any:
+    if isinstance(value, float):
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {str(key): _finite(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [_finite(item) for item in value]
+    return value

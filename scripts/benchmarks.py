@@ -1,0 +1,166 @@
+"""Speed of the main jobs, each beside a reference measured in the same run.
+
+The machines are shared and noisy: read the ratios, not the seconds. Every figure is the
+best of several repetitions, which is the one that noise disturbs least.
+"""
+
+from __future__ import annotations
+
+import os
+import subprocess
+import sys
+import tempfile
+import time
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+from scipy.optimize import least_squares
+
+import calib_pin
+from calib_pin.calibration import make_problem, nominal_problem
+from calib_pin.fit import fit
+from calib_pin.problem import Problem
+from calib_pin.setup import FrameSetup, Setup
+
+DATA = Path(
+    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
+)
+
+
+def best(job: Callable[[], object], repetitions: int = 7) -> float:
+    """Shortest time of a job [s]."""
+    times = []
+    for _ in range(repetitions):
+        start = time.perf_counter()
+        job()
+        times.append(time.perf_counter() - start)
+    return min(times)
+
+
+def show(name: str, seconds: float, reference: str, other: float) -> None:
+    """One line of the table."""
+    ratio = other / seconds
+    print(f"{name:<40}{1e3 * seconds:9.1f} ms  {ratio:6.1f} x the speed of {reference}")
+
+
+def talos_problem() -> Problem:
+    """The TALOS measurements, or as many simulated ones where they are absent."""
+    chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
+    file = DATA / "talos_left_arm" / "measurements.csv"
+    if file.is_file():
+        return make_problem(chain, calib_pin.read_measurements(file, chain), Setup())
+    print(f"(no real measurements in {DATA}: simulated ones)")
+    tool = FrameSetup((0.1, 0.05, 0.1))
+    nominal = nominal_problem(chain, "position", Setup(tool_frame=tool))
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(nominal.parameters, rng)
+    rows = calib_pin.simulate(nominal, truth, rng, count=61, noise=3e-4)
+    return make_problem(chain, rows, Setup())
+
+
+def fit_talos() -> None:
+    """A whole fit of 61 rows against scipy on the same residual, without a rank."""
+    problem = talos_problem()
+    seconds = best(lambda: fit(problem, np.random.default_rng(0)))
+    registered = fit(problem, np.random.default_rng(0))
+    scales = problem.parameters.scales
+
+    def scipy_fit() -> None:
+        least_squares(
+            lambda x: registered.problem.residual(x * scales),
+            registered.before / scales,
+            method="trf",
+        )
+
+    reference = best(scipy_fit, 1)
+    show("TALOS fit, 61 rows x 66", seconds, "scipy's", reference)
+
+
+def jacobian() -> None:
+    """One Jacobian of 500 position rows x 48 parameters."""
+    chain = calib_pin.load_chain("space6")
+    nominal = nominal_problem(chain, "position", Setup())
+    rng = np.random.default_rng(0)
+    theta = rng.normal(size=len(nominal.parameters)) * 1e-3
+    q = chain.random_configurations(500, rng)
+    problem = nominal.about(theta, q, [""] * 500)
+    seconds = best(lambda: problem.linearize(theta), 20)
+
+    def differences() -> None:
+        for k in range(len(theta)):
+            shift = 1e-6 * np.eye(len(theta))[k]
+            problem.residual(theta + shift)
+            problem.residual(theta - shift)
+
+    reference = best(differences, 3)
+    show(
+        "Jacobian, 500 rows x 48", seconds, "central differences", reference
+    )
+    model, data = chain.robot.model, chain.robot.model.createData()
+
+    def kinematics() -> None:
+        for row in q:
+            pin.forwardKinematics(model, data, row)
+
+    share = best(kinematics, 20) / seconds
+    print(f"{'':<40}{'':>14}bare forward kinematics are {100 * share:.0f} % of it")
+
+
+def commands() -> None:
+    """Whole processes of the command line."""
+
+    def run(*words: str) -> None:
+        command = [sys.executable, "-m", "calib_pin.cli", *words]
+        subprocess.run(command, check=True, capture_output=True)
+
+    bare = best(lambda: subprocess.run([sys.executable, "-c", ""], check=True))
+    loaded = best(
+        lambda: subprocess.run([sys.executable, "-c", "import pinocchio"], check=True)
+    )
+    helped = best(lambda: run("--help"))
+    show("calib-pin --help", helped, "importing pinocchio", loaded)
+    print(f"{'':<40}{'':>14}an empty Python process takes {1e3 * bare:.0f} ms")
+    with tempfile.TemporaryDirectory() as folder:
+        rows = Path(folder) / "rows.csv"
+        tool = Path(folder) / "setup.yaml"
+        tool.write_text("frames: {tool: {xyz: [0.05, 0.1, 0.1]}}\n")
+        model = ("--model", "position", "--setup", str(tool), "--noise", "1e-4")
+        run("simulate", "space6", *model, "--count", "500", "-o", str(rows))
+        out = str(Path(folder) / "out")
+        whole = best(
+            lambda: run("calibrate", "space6", str(rows), "-o", out, "--force"), 3
+        )
+    show("calib-pin calibrate, 500 rows, 5-fold", whole, "one scipy fit", _scipy())
+
+
+def _scipy() -> float:
+    """Time of one scipy fit of 500 rows with differences [s]."""
+    chain = calib_pin.load_chain("space6")
+    nominal = nominal_problem(chain, "position", Setup())
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(nominal.parameters, rng)
+    rows = calib_pin.simulate(nominal, truth, rng, count=500, noise=1e-4)
+    problem = nominal.about(0 * truth, rows.q, rows.target)
+    scales = problem.parameters.scales
+    return best(
+        lambda: least_squares(lambda x: problem.residual(x * scales), truth / scales), 1
+    )
+
+
+BENCHMARKS = {"fit": fit_talos, "jacobian": jacobian, "commands": commands}
+
+
+def main() -> None:
+    """Run the benchmarks that are named, or all."""
+    chosen = sys.argv[1:] or list(BENCHMARKS)
+    unknown = [name for name in chosen if name not in BENCHMARKS]
+    if unknown:
+        sys.exit(f"unknown benchmark {unknown[0]}; there are {', '.join(BENCHMARKS)}")
+    for name in chosen:
+        BENCHMARKS[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,390 @@
+"""calibration.json: what comes back is the robot that was calibrated, or an error."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Iterator
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib_pin.calibration import calibrate, evaluate, nominal_problem
+from calib_pin.chain import Chain
+from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
+from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.results import read_calibration, write_urdf
+from calib_pin.io.setup import setup_document, setup_of
+from calib_pin.io.urdf import load_robot
+from calib_pin.measurements import Measurements
+from calib_pin.result import CalibratedModel, CalibrationResult
+from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+from calib_pin.simulation import simulate
+
+ARM = """<robot name="arm">
+  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+  <link name="d"/><link name="tool"/>
+  <joint name="j.1" type="revolute">
+    <origin xyz="0 0 0.4"/><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
+  </joint>
+  <joint name="j.2" type="revolute">
+    <origin xyz="0.1 0 0" rpy="0.1 0 0"/>
+    <parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="plane" type="revolute">
+    <origin xyz="0.5 0 0.05"/><parent link="b"/><child link="c"/><axis xyz="0 1 0"/>
+    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
+  </joint>
+  <joint name="tool" type="prismatic">
+    <origin xyz="0.4 0 0" rpy="0.3 0.2 0"/>
+    <parent link="c"/><child link="d"/><axis xyz="0 0 -1"/>
+    <limit lower="0" upper="0.4" effort="1" velocity="1"/>
+  </joint>
+  <joint name="flange" type="fixed">
+    <origin xyz="0.1 0.02 0.05" rpy="0 1.4 0"/>
+    <parent link="d"/><child link="tool"/>
+  </joint>
+</robot>
+"""
+
+WALL = {"my.wall": PlaneSetup((1.0, 0.2, 0.3), -1.8)}
+KNOWN = FrameSetup((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), estimate=False)
+PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, {"numpy": "2"})
+
+CASES: dict[str, tuple[str, Setup]] = {
+    "position": ("position", Setup()),
+    "position without a tool joint": ("position", Setup(tip="d")),
+    "pose, dh": ("pose", Setup(parameters=("dh",))),
+    "pose, dh without a tool joint": ("pose", Setup(parameters=("dh",), tip="d")),
+    "pose, dh-full": ("pose", Setup(parameters=("dh-full",))),
+    "pose, link-transform": ("pose", Setup(parameters=("link-transform",))),
+    "pose, joint-offset": ("pose", Setup(parameters=("joint-offset",))),
+    "pose, offset first": ("pose", Setup(parameters=("joint-offset", "placement"))),
+    "pose, offset last": ("pose", Setup(parameters=("placement", "joint-offset"))),
+    "pose, dh and placement": ("pose", Setup(parameters=("dh", "placement"))),
+    "pose, backwards": ("pose", Setup(base="tool", tip="base")),
+    "pose, dh backwards": ("pose", Setup(base="tool", tip="a", parameters=("dh",))),
+    "pose, known base": ("pose", Setup(base_frame=KNOWN)),
+    "pose, known tool": ("pose", Setup(tool_frame=KNOWN)),
+    "pose, known tool without a joint": ("pose", Setup(tip="d", tool_frame=KNOWN)),
+    "pose, everything": (
+        "pose",
+        Setup(
+            fixed=("*.placement.rz", "base.frame.z"),
+            bounds={"j.1.placement.x": 0.01, "j.2.*": (-0.1, 0.2)},
+            prior={"*.placement.*": 0.01},
+            noise={"position": 1e-3, "orientation": 1e-5},
+            joints={"J1": JointMap("j.1", -1, 2.0, 0.1, {"J2": 0.5})},
+        ),
+    ),
+    "plane-distance": (
+        "plane-distance",
+        Setup(planes=WALL, parameters=("joint-offset",)),
+    ),
+    "plane-distance, known plane": (
+        "plane-distance",
+        Setup(
+            planes={"my.wall": replace(WALL["my.wall"], estimate=False)},
+            parameters=("dh",),
+            tool_frame=KNOWN,
+        ),
+    ),
+}
+
+
+def calibrated(
+    file: Path, model: str, setup: Setup
+) -> tuple[CalibrationResult, Measurements]:
+    """A calibration of the arm, and rows that were not fitted."""
+    chain = Chain(load_robot(file), setup.base, setup.tip)
+    problem = nominal_problem(chain, model, replace(setup, fixed=(), prior={}))
+    rng = np.random.default_rng(3)
+    moved = problem.parameters.free & ~problem.parameters.nuisance
+    theta = np.where(moved, rng.uniform(-2e-3, 2e-3, len(moved)), 0.0)
+    rows = simulate(problem, theta, rng, count=60, noise=1e-4)
+    new = simulate(problem, theta, rng, count=15, noise=1e-4)
+    rows, new = replace(rows, sigma=None), replace(new, sigma=None)
+    return calibrate(chain, rows, setup, validate=False), new
+
+
+def write(result: CalibrationResult, folder: Path) -> Path:
+    folder.mkdir(exist_ok=True)
+    file = folder / "calibration.json"
+    file.write_bytes(encode(calibration_document(result, PROVENANCE)))
+    return file
+
+
+@pytest.fixture
+def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    monkeypatch.chdir(tmp_path)
+    Path("arm.urdf").write_text(ARM)
+    return Path("arm.urdf")
+
+
+@pytest.fixture
+def stored(arm: Path) -> tuple[CalibrationResult, Path]:
+    result, _ = calibrated(arm, "position", Setup(parameters=("joint-offset",)))
+    return result, write(result, Path("out"))
+
+
+def predict(model: CalibratedModel, rows: Measurements) -> Any:
+    own = np.zeros(len(model.measurement.parameters))
+    T = model.poses(rows.q)
+    return T, model.measurement.predict(T, own, rows.target)
+
+
+# --- what comes back ---------------------------------------------------------------
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_predictions_come_back(case, arm):
+    result, rows = calibrated(arm, *CASES[case])
+    model = result.model
+    # Something must have been estimated, or the test would show nothing.
+    assert np.abs(model.theta).max() > 1e-5
+
+    found = read_calibration(write(result, Path("out")))
+
+    assert found.chain.joints == model.chain.joints
+    assert found.error.parameters.names == model.error.parameters.names
+    for there, here in zip(predict(found, rows), predict(model, rows), strict=True):
+        np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-12)
+    corrections = model.urdf_corrections()
+    assert found.urdf_corrections().keys() == corrections.keys()
+    for joint, correction in found.urdf_corrections().items():
+        assert correction.isApprox(corrections[joint], 1e-12)
+    np.testing.assert_allclose(
+        found.tool.homogeneous, model.tool.homogeneous, atol=1e-12
+    )
+    assert found.setup == model.setup
+    for registration in (False, True):
+        there, here = (
+            evaluate(subject, rows, registration=registration)
+            for subject in (found, model)
+        )
+        assert there.registered == here.registered == registration
+        for a, b in zip(there.errors, here.errors, strict=True):
+            assert a[:2] == b[:2]
+            assert a[2].rms == pytest.approx(b[2].rms, rel=1e-6)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_the_corrected_robot_is_the_calibrated_one(case, arm):
+    result, rows = calibrated(arm, *CASES[case])
+    model = result.model
+    write_urdf(model, Path("corrected.urdf"))
+    chain = Chain(load_robot("corrected.urdf"), model.chain.base, model.chain.tip)
+    found = model.error.base.homogeneous @ chain.poses(rows.q) @ model.tool.homogeneous
+    np.testing.assert_allclose(found, model.poses(rows.q), atol=1e-12)
+
+
+def test_what_the_contract_does_not_ask_for_may_be_missing(arm):
+    result, rows = calibrated(arm, "pose", Setup(base_frame=KNOWN))
+    file = write(result, Path("out"))
+    document = json.loads(file.read_text())
+    del document["setup"]
+    document["later"] = {"unknown": 1}
+    document["parameters"][0]["note"] = "unknown"
+    file.write_text(json.dumps(document))
+    found = read_calibration(file)
+    np.testing.assert_allclose(found.poses(rows.q), result.model.poses(rows.q))
+    for registration in (False, True):
+        there = evaluate(found, rows, registration=registration)
+        here = evaluate(result.model, rows, registration=registration)
+        for a, b in zip(there.errors, here.errors, strict=True):
+            assert a[2].rms == pytest.approx(b[2].rms, rel=1e-9)
+
+
+@pytest.mark.parametrize("case", CASES)
+def test_a_setup_comes_back(case):
+    setup = CASES[case][1]
+    text = json.dumps(setup_document(setup))
+    assert setup_of(json.loads(text)) == setup
+
+
+def test_numbers_that_are_not_finite_become_null(arm):
+    result, _ = calibrated(arm, "position", Setup())
+    odd = replace(result, sigma0=float("nan"), chi2=float("inf"))
+    text = encode(calibration_document(odd, PROVENANCE)).decode()
+    assert json.loads(text)["statistics"]["sigma0"] is None
+    assert json.loads(text)["statistics"]["chi2"] is None
+    assert "NaN" not in text
+    assert "Infinity" not in text
+
+
+def test_any_file_name_can_be_encoded():
+    # Bytes of a file name that are no UTF-8 arrive as lone surrogates.
+    text = encode({"file": "ä\udcff\n"})
+    assert json.loads(text) == {"file": "ä\udcff\n"}
+    assert "ä".encode() in text
+
+
+def test_the_notice_of_an_untrusted_one(stored):
+    result, _ = stored
+    notes: list[str] = []
+    bad = replace(result, verdict="untrusted", reason="too few rows")
+    read_calibration(write(bad, Path("out")), notice=notes.append)
+    assert notes == ["out/calibration.json must not be trusted: too few rows"]
+
+
+# --- where the robot is ------------------------------------------------------------
+
+
+def test_a_moved_folder_finds_the_robot_beside(stored, tmp_path, monkeypatch):
+    result, _ = stored
+    Path("arm.urdf").rename("out/arm.urdf")
+    Path("out").rename("moved")
+    assert read_calibration("moved/calibration.json").theta == pytest.approx(
+        result.model.theta
+    )
+    monkeypatch.chdir(tmp_path / "moved")
+    assert read_calibration("calibration.json").chain.robot.name == "arm"
+
+
+def test_the_robot_is_found_from_the_folder_of_the_file(arm, tmp_path, monkeypatch):
+    Path("robots").mkdir()
+    Path("arm.urdf").rename("robots/arm.urdf")
+    result, _ = calibrated(Path("robots/arm.urdf"), "position", Setup())
+    write(result, tmp_path)
+    elsewhere = tmp_path / "elsewhere"
+    elsewhere.mkdir()
+    monkeypatch.chdir(elsewhere)
+    assert read_calibration("../calibration.json").chain.robot.name == "arm"
+
+
+def test_the_corrected_robot_beside_is_not_taken_for_it(stored):
+    result, file = stored
+    # Both have the same name, as the commands write them.
+    write_urdf(result.model, Path("out/arm.urdf"))
+    assert read_calibration(file).chain.robot.file == "arm.urdf"
+    Path("arm.urdf").unlink()
+    with pytest.raises(InputError, match=r"'out/arm\.urdf' is not the robot"):
+        read_calibration(file)
+    # With the original back at its side, a wrong one at the stated place is passed.
+    Path("out/arm.urdf").write_text(ARM)
+    Path("arm.urdf").write_text(ARM.replace("0.4", "0.41"))
+    assert read_calibration(file).chain.robot.file == "out/arm.urdf"
+
+
+def test_a_changed_robot_is_refused(stored):
+    _, file = stored
+    Path("arm.urdf").write_text(ARM + "\n")
+    with pytest.raises(InputError, match="content differs"):
+        read_calibration(file)
+
+
+def test_a_robot_that_is_gone(stored):
+    _, file = stored
+    Path("arm.urdf").unlink()
+    with pytest.raises(RobotError, match=r"'arm\.urdf' that was calibrated is neither"):
+        read_calibration(file)
+
+
+# --- the corrected URDF ------------------------------------------------------------
+
+
+def test_the_original_is_never_replaced(stored):
+    result, _ = stored
+    with pytest.raises(OptionError, match="own URDF"):
+        write_urdf(result.model, Path("arm.urdf"), force=True)
+    write_urdf(result.model, Path("new.urdf"))
+    with pytest.raises(OptionError, match="--force"):
+        write_urdf(result.model, Path("new.urdf"))
+    write_urdf(result.model, Path("new.urdf"), force=True)
+    assert Path("arm.urdf").read_text() == ARM
+
+
+# --- damage ------------------------------------------------------------------------
+
+
+def places(value: Any, path: tuple[Any, ...] = ()) -> Iterator[tuple[Any, ...]]:
+    """The path of everything in a document."""
+    if path:
+        yield path
+    items: Any = ()
+    if isinstance(value, dict):
+        items = value.items()
+    elif isinstance(value, list):
+        items = enumerate(value)
+    for key, item in items:
+        yield from places(item, (*path, key))
+
+
+USED = ("format", "version", "robot", "parameters", "frames", "planes", "setup")
+JUNK = (None, True, -1, 7.5, 10**400, float("nan"), "x", "", [], {}, [[0]], ["a"] * 3)
+
+
+def test_no_damage_passes_unnoticed_or_crashes(arm):
+    setup = Setup(planes=WALL, parameters=("joint-offset",), noise={"distance": 1e-3})
+    result, rows = calibrated(arm, "plane-distance", setup)
+    file = write(result, Path("out"))
+    good = json.loads(file.read_text())
+    expected = predict(read_calibration(file), rows)[1]
+    rng = np.random.default_rng(0)
+    every = [path for path in places(good) if path[0] in (*USED, "measurements")]
+    for path in every:
+        for junk in ("delete", *rng.choice(np.array(JUNK, object), 1)):
+            document = json.loads(json.dumps(good))
+            part = document
+            for step in path[:-1]:
+                part = part[step]
+            if junk == "delete":
+                del part[path[-1]]
+            else:
+                part[path[-1]] = junk
+            file.write_text(json.dumps(document))
+            try:
+                found = read_calibration(file)
+            except CalibPinError as error:
+                message = str(error)
+                assert message.startswith("out/calibration.json")
+                assert len(message) < 400
+                continue
+            # What was accepted predicts finite numbers, and others only where a
+            # number stands in the place of a number.
+            values = predict(found, rows)[1]
+            assert np.isfinite(values).all(), (path, junk)
+            if not np.allclose(values, expected):
+                assert isinstance(junk, int | float), (path, junk)
+
+
+@pytest.mark.parametrize(
+    ("data", "part"),
+    [
+        (b"", "not a calibration"),
+        (b"\xff\xfe", "not a calibration"),
+        (b"[]", "not a calibration"),
+        (b"null", "not a calibration"),
+        (b'{"format": "calib-pin/calibration"}', "another version"),
+        (b'{"format": "calib-pin/calibration", "version": true}', "another version"),
+        (b'{"format": "calib-pin/calibration", "version": 0}', "another version"),
+        (b'{"format": "calib-pin/calibration", "version": 1}', "names no robot"),
+        (b"[" * 100_000, "not a calibration"),
+        (b'{"version": ' + b"1" * 5000 + b"}", "not a calibration"),
+    ],
+)
+def test_files_that_are_no_calibration(data, part, tmp_path):
+    file = tmp_path / "calibration.json"
+    file.write_bytes(data)
+    with pytest.raises(InputError, match=part):
+        read_calibration(file)
+    assert part  # and not something else
+
+
+def test_a_byte_order_mark_is_no_damage(stored):
+    _, file = stored
+    file.write_bytes(b"\xef\xbb\xbf" + file.read_bytes())
+    read_calibration(file)
+
+
+@pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
+def test_a_file_that_was_cut_off(cut, stored):
+    _, file = stored
+    data = file.read_bytes().rstrip()
+    file.write_bytes(data[: int(cut * len(data))])
+    with pytest.raises(InputError, match="not a calibration"):
+        read_calibration(file)

@@ -1,0 +1,263 @@
+"""The distance along a beam to one of several planes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.errors import InputError, OptionError
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
+from calib_pin.measurements import Measurements
+from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.spatial import Floats, so3_exp
+
+FLOOR = Plane("floor", np.array([0.0, 0.0, 1.0]), 1.0)
+WALL = Plane("wall", np.array([0.6, 0.0, 0.8]), -2.0)
+
+
+def beam(point: Any, direction: Any, roll: float = 0.0) -> Floats:
+    """A tool pose at a point whose z axis has a direction."""
+    R = pin.Quaternion.FromTwoVectors(np.array([0.0, 0.0, 1.0]), np.array(direction))
+    return np.asarray(
+        pin.SE3(
+            R.matrix() @ so3_exp(np.array([0.0, 0.0, roll])), np.array(point)
+        ).homogeneous
+    )
+
+
+def beams(seed: int = 0, count: int = 30) -> Floats:
+    rng = np.random.default_rng(seed)
+    ends = rng.normal(size=(2, count, 3))
+    return np.array(
+        [beam(p, d, r) for p, d, r in zip(*ends, ends[0, :, 0], strict=True)]
+    )
+
+
+def data_of(T: Floats, values: Floats, target: Any = "") -> Measurements:
+    names = (target,) * len(T) if isinstance(target, str) else tuple(target)
+    q = np.zeros((len(T), 1))
+    return Measurements(
+        ("j",),
+        q,
+        "plane-distance",
+        values,
+        target=names,
+        lines=np.arange(2, len(T) + 2),
+        files=("m.csv",) * len(T),
+    )
+
+
+def test_distances() -> None:
+    # The floor is z = -1.
+    model = PlaneDistance((FLOOR,))
+    T = np.array(
+        [
+            beam([0, 0, 0], [0.0, 0, -1]),
+            beam([5, 7, 1], [0.0, 0, -1]),
+            beam([0, 0, 0], [0.6, 0, -0.8]),
+            beam([0, 0, 0], [0.0, 0, 1]),
+            beam([0, 0, -1], [0.0, 0, 1]),
+        ]
+    )
+    h = model.predict(T, np.zeros(3), ("",) * 5)
+    np.testing.assert_allclose(h[:, 0], [1.0, 2.0, 1.25, -1.0, 0.0], atol=1e-15)
+
+
+def test_the_beam_ends_on_its_plane() -> None:
+    model = PlaneDistance((FLOOR, WALL))
+    T, own = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
+    target = tuple(("wall", "floor")[i % 2] for i in range(len(T)))
+    h = model.predict(T, own, target)
+    hits = T[:, :3, 3] + h * T[:, :3, 2]
+    for name, part in (("floor", own[:3]), ("wall", own[3:])):
+        plane = {"floor": FLOOR, "wall": WALL}[name]
+        normal, offset, _ = plane.turned(part)
+        chosen = [name == other for other in target]
+        np.testing.assert_allclose(hits[chosen] @ normal + offset, 0.0, atol=1e-13)
+
+
+@pytest.mark.parametrize("normal", [*np.eye(3), *-np.eye(3), np.array([0.6, 0.0, 0.8])])
+def test_a_turned_plane(normal: Floats) -> None:
+    plane = Plane("p", normal, -0.5)
+    t_1, t_2 = plane.tangents
+    frame = np.array([t_1, t_2, normal])
+    np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
+    own = np.array([0.3, -0.4, 0.2])
+    turned, offset, slope = plane.turned(own)
+    expected = so3_exp(0.3 * t_1) @ so3_exp(-0.4 * t_2) @ normal
+    np.testing.assert_allclose(turned, expected, atol=1e-15)
+    assert abs(np.linalg.norm(turned) - 1.0) < 1e-15
+    assert offset == pytest.approx(-0.3)
+    step = 1e-6
+    for k in range(2):
+        shift = step * np.eye(3)[k]
+        ahead, behind = (plane.turned(own + s)[0] for s in (shift, -shift))
+        np.testing.assert_allclose(
+            slope[:, k], (ahead - behind) / (2 * step), atol=1e-9
+        )
+    still, offset, _ = plane.turned(np.zeros(3))
+    np.testing.assert_array_equal(still, normal)
+    assert offset == -0.5
+
+
+def test_derivatives() -> None:
+    model = PlaneDistance((FLOOR, WALL))
+    T, own = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
+    target = tuple(("wall", "floor")[i % 2] for i in range(len(T)))
+    seen = model.observable(T, own, target)
+    T, target = T[seen], tuple(np.array(target)[seen])
+    assert len(T) > 5
+    data = data_of(T, np.zeros((len(T), 1)), target)
+    linear = model.linearize(T, own, data)
+    step = 1e-6
+    for k in range(6):
+        shift = pin.exp6(step * np.eye(6)[k])
+        ahead = model.residual(T @ shift.homogeneous, own, data)
+        behind = model.residual(T @ shift.inverse().homogeneous, own, data)
+        difference = (ahead - behind) / (2 * step)
+        np.testing.assert_allclose(linear.by_twist[:, :, k], difference, atol=1e-7)
+        shift = step * np.eye(6)[k]
+        ahead, behind = (model.residual(T, own + s, data) for s in (shift, -shift))
+        difference = (ahead - behind) / (2 * step)
+        np.testing.assert_allclose(linear.by_own[:, :, k], difference, atol=1e-7)
+    # A turn about the beam changes nothing, and each row has one plane.
+    np.testing.assert_allclose(linear.by_twist[:, :, 5], 0.0, atol=1e-15)
+    on_wall = np.array(target) == "wall"
+    assert not linear.by_own[on_wall][:, :, :3].any()
+    assert not linear.by_own[~on_wall][:, :, 3:].any()
+
+
+def test_what_can_be_observed() -> None:
+    model = PlaneDistance((FLOOR,))
+    flat = np.radians(71.0)
+    T = np.array(
+        [
+            beam([0, 0, 0], [0.0, 0, -1]),
+            beam([0, 0, 0], [0.0, 0, 1]),  # The plane lies behind.
+            beam([0, 0, -2], [0.0, 0, 1]),
+            beam([0, 0, 4.1], [0.0, 0, -1]),  # Farther than 5 m.
+            beam([0, 0, 3.9], [0.0, 0, -1]),
+            beam([0, 0, 0], [np.sin(flat), 0, -np.cos(flat)]),  # Too flat.
+            beam([0, 0, 0], [np.sin(flat - 0.04), 0, -np.cos(flat - 0.04)]),
+            beam([0, 0, 0], [1.0, 0, 0]),  # Parallel: no distance at all.
+            beam([0, 0, -1], [1.0, 0, 0]),
+        ]
+    )
+    seen = model.observable(T, np.zeros(3), ("",) * len(T))
+    assert seen.tolist() == [True, False, True, False, True, False, True, False, False]
+
+
+def test_a_parallel_beam_has_no_finite_distance() -> None:
+    model = PlaneDistance((FLOOR,))
+    T = beam([0, 0, 0], [1.0, 0, 0])[None]
+    T[0, 2, 2] = 0.0
+    assert not np.isfinite(model.predict(T, np.zeros(3), ("",))).any()
+    assert not np.isfinite(
+        model.linearize(T, np.zeros(3), data_of(T, np.zeros((1, 1)))).residual
+    ).any()
+
+
+def test_parameters() -> None:
+    known = replace(WALL, estimate=False)
+    parameters = PlaneDistance((FLOOR, known)).parameters
+    assert [p.name for p in parameters] == [
+        f"{plane}.plane.{c}" for plane in ("floor", "wall") for c in "uvf"
+    ]
+    assert [p.unit for p in parameters] == 2 * ["rad", "rad", "m"]
+    assert [p.free for p in parameters] == 3 * [True] + 3 * [False]
+    assert all(p.nuisance for p in parameters)
+
+
+# Registration.
+
+
+def test_unknown_planes_are_registered_from_the_hits() -> None:
+    true = PlaneDistance((FLOOR, WALL))
+    F = beams(1)
+    target = tuple(("wall", "floor")[i % 2] for i in range(len(F)))
+    B, X = pin.exp6(np.full(6, 0.2)), pin.exp6(np.full(6, -0.1))
+    T = B.homogeneous @ F @ X.homogeneous
+    data = data_of(T, true.predict(T, np.zeros(6), target), target)
+    unknown = PlaneDistance((Plane("wall"), Plane("floor")))
+    found, base, tool = unknown.register(F, data, B, X)
+    assert (base, tool) == (B, X)
+    for plane, reference in zip(found.planes, (WALL, FLOOR), strict=True):
+        assert plane.name == reference.name and plane.normal is not None
+        sign = np.sign(plane.normal @ reference.normal)
+        np.testing.assert_allclose(sign * plane.normal, reference.normal, atol=1e-12)
+        assert sign * plane.offset == pytest.approx(reference.offset, abs=1e-12)
+        assert plane.offset <= 0.0
+
+
+def test_given_planes_and_frames_stay() -> None:
+    F = beams(2)
+    data = data_of(F, np.ones((len(F), 1)))
+    found, base, tool = PlaneDistance((WALL,)).register(F, data, None, None)
+    assert found.planes == (WALL,)
+    assert base == tool == pin.SE3.Identity()
+
+
+def test_beam_parallel_to_its_plane() -> None:
+    F = np.array([beam([0, 0, 0], [0.0, 0, -1])] * 3)
+    F[1] = beam([0, 0, 0], [1.0, 0, 5e-4])
+    data = data_of(F, np.ones((3, 1)))
+    with pytest.raises(InputError) as caught:
+        PlaneDistance((FLOOR,)).register(F, data, None, None)
+    assert str(caught.value) == "m.csv:3: the beam is parallel to the plane 'floor'"
+
+
+@pytest.mark.parametrize("target", ["wal", ""])
+def test_unknown_plane(target: str) -> None:
+    F = beams(3, 2)
+    data = data_of(F, np.ones((2, 1)), target)
+    with pytest.raises(InputError) as caught:
+        PlaneDistance((FLOOR, WALL)).register(F, data, None, None)
+    text = str(caught.value)
+    assert f"there is no plane '{target}'" in text
+    assert "column 'target'" in text and "allowed: floor, wall" in text
+    assert ("did you mean 'wall'?" in text) == (target == "wal")
+
+
+# From a setup.
+
+
+def test_planes_of_a_setup_are_normalized() -> None:
+    planes = {
+        "wall": PlaneSetup((0.0, 3.0, 4.0), -10.0, estimate=False),
+        "floor": PlaneSetup((0.0, 0.0, 1.0), 1.0),
+    }
+    model = measurement_model("plane-distance", Setup(planes=planes), ["floor"])
+    assert isinstance(model, PlaneDistance)
+    wall, floor = model.planes
+    assert (wall.name, wall.offset, wall.estimate) == ("wall", -2.0, False)
+    np.testing.assert_allclose(wall.normal, [0.0, 0.6, 0.8])
+    assert (floor.name, floor.estimate) == ("floor", True)
+
+
+@pytest.mark.parametrize(
+    ("targets", "names"),
+    [
+        ([], ["plane"]),
+        (["", ""], ["plane"]),
+        (["b", "a", "b"], ["b", "a"]),
+    ],
+)
+def test_planes_of_the_rows(targets: list[str], names: list[str]) -> None:
+    model = measurement_model("plane-distance", Setup(), targets)
+    assert isinstance(model, PlaneDistance)
+    assert [plane.name for plane in model.planes] == names
+    assert all(plane.normal is None and plane.estimate for plane in model.planes)
+
+
+@pytest.mark.parametrize(
+    "normal", [(0.0, 0.0, 0.0), (np.nan, 0.0, 1.0), (np.inf, 0, 0)]
+)
+def test_normal_without_a_direction(normal: tuple[float, float, float]) -> None:
+    setup = Setup(planes={"wall": PlaneSetup(normal, 1.0)})
+    with pytest.raises(OptionError, match="normal of the plane 'wall'"):
+        measurement_model("plane-distance", setup)

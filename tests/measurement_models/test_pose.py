@@ -1,0 +1,81 @@
+"""The 6-D pose of the tool."""
+
+from __future__ import annotations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.io.urdf import load_chain
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurements import Measurements
+from calib_pin.spatial import Floats, so3_exp
+
+BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
+TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))
+
+
+def tips(count: int = 12) -> Floats:
+    chain = load_chain("space6")
+    return chain.poses(chain.random_configurations(count, np.random.default_rng(0)))
+
+
+def data_of(T: Floats) -> Measurements:
+    values = Pose().predict(T, np.zeros(0), ())
+    return Measurements(("j",), np.zeros((len(T), 1)), "pose", values)
+
+
+def test_values_are_position_and_quaternion() -> None:
+    T = np.eye(4)[None].copy()
+    T[0, :3, 3] = [1, 2, 3]
+    T[0, :3, :3] = so3_exp(np.array([0.0, 0.0, np.pi / 2]))
+    values = Pose().predict(T, np.zeros(0), ("",))
+    half = np.sqrt(0.5)
+    np.testing.assert_allclose(values, [[1, 2, 3, 0, 0, half, half]], atol=1e-15)
+
+
+def test_residual_is_in_the_measuring_frame_and_in_the_tool() -> None:
+    T = tips()
+    data = data_of(T)
+    shift, turn = np.array([0.01, -0.02, 0.03]), np.array([0.1, 0.2, -0.3])
+    moved = T.copy()
+    moved[:, :3, 3] += shift
+    moved[:, :3, :3] = T[:, :3, :3] @ so3_exp(turn)
+    residual = Pose().residual(moved, np.zeros(0), data)
+    np.testing.assert_allclose(residual[:, :3], np.tile(shift, (12, 1)), atol=1e-14)
+    np.testing.assert_allclose(residual[:, 3:], np.tile(turn, (12, 1)), atol=1e-14)
+
+
+def test_either_sign_of_a_quaternion() -> None:
+    T = tips()
+    data = data_of(T)
+    data.values[:, 3:] *= -1.0
+    np.testing.assert_allclose(Pose().residual(T, np.zeros(0), data), 0.0, atol=1e-14)
+
+
+def test_large_residuals_keep_their_derivative() -> None:
+    # The body twist near a half turn, where J_log is far from the identity.
+    T = tips()
+    data, own = data_of(T), np.zeros(0)
+    T[:, :3, :3] = T[:, :3, :3] @ so3_exp(np.array([2.0, -1.0, 1.5]))
+    linear = Pose().linearize(T, own, data)
+    step = 1e-6
+    for k in range(6):
+        shift = pin.exp6(step * np.eye(6)[k])
+        ahead = Pose().residual(T @ shift.homogeneous, own, data)
+        behind = Pose().residual(T @ shift.inverse().homogeneous, own, data)
+        np.testing.assert_allclose(
+            linear.by_twist[:, :, k], (ahead - behind) / (2 * step), rtol=0, atol=1e-8
+        )
+
+
+@pytest.mark.parametrize("base", [None, BASE])
+@pytest.mark.parametrize("tool", [None, TOOL])
+@pytest.mark.parametrize("count", [4, 12])
+def test_registration(count: int, base: pin.SE3 | None, tool: pin.SE3 | None) -> None:
+    F = tips(count)
+    data = data_of(BASE.homogeneous @ F @ TOOL.homogeneous)
+    model, found_base, found_tool = Pose().register(F, data, base, tool)
+    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
+    np.testing.assert_allclose(found_tool.homogeneous, TOOL.homogeneous, atol=1e-11)
+    assert model == Pose()

@@ -1,0 +1,145 @@
+"""What all parameterizations share: names, units, places, and combinations."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+import pytest
+
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import OptionError
+from calib_pin.io.urdf import load_chain
+from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
+from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, owner
+
+COMPONENTS = {
+    "placement": ["x", "y", "z", "rx", "ry", "rz"],
+    "link-transform": ["mx", "my", "mz", "dx", "dy", "dz"],
+    "dh": ["theta", "d", "a", "alpha", "beta"],
+    "dh-full": ["theta", "d", "a", "alpha", "beta"],
+    "joint-offset": ["q"],
+}
+ROBOTS = [
+    ("space6", None, None),
+    ("example:tiago_no_hand", None, "arm_7_link"),
+    ("example:talos_reduced", "gripper_right_base_link", "gripper_left_base_link"),
+    ("example:panda", "panda_link8", "panda_link0"),
+]
+
+
+def test_registry() -> None:
+    assert set(PARAMETERIZATIONS) == set(COMPONENTS)
+    for name, member in PARAMETERIZATIONS.items():
+        assert member.name == name
+        assert parameterization(name) is member
+
+
+def test_unknown_name() -> None:
+    with pytest.raises(OptionError) as caught:
+        parameterization("placment")
+    text = str(caught.value)
+    assert "unknown parameterization 'placment' (did you mean 'placement'?)" in text
+    assert "allowed: placement, link-transform, dh, dh-full, joint-offset" in text
+
+
+@pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)
+@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+def test_names_units_scales(
+    name: str, robot: str, base: str | None, tip: str | None
+) -> None:
+    chain = load_chain(robot, base=base, tip=tip)
+    screws = parameterization(name).screws(chain)
+    kind = "dh" if name == "dh-full" else name
+    owners = [*chain.joints, chain.tip_joint]
+    for screw in screws:
+        joint, of_kind, component = screw.parameter.name.rsplit(".", 2)
+        assert of_kind == kind
+        assert component in COMPONENTS[name]
+        assert joint in owners
+        assert 1 <= screw.place <= len(chain.joints) + 1
+        linear, angular = np.linalg.norm(screw.twist.reshape(2, 3), axis=1)
+        if screw.parameter.unit == "m":
+            assert (screw.parameter.scale, angular) == (LENGTH_SCALE, 0.0)
+            assert abs(linear - 1.0) < 1e-12
+        else:
+            assert (screw.parameter.unit, screw.parameter.scale) == ("rad", ANGLE_SCALE)
+            assert abs(angular - 1.0) < 1e-12
+            # A turn, without a shift along its axis.
+            assert abs(screw.twist[:3] @ screw.twist[3:]) < 1e-12
+        assert not screw.parameter.nuisance and screw.parameter.free
+    names = [screw.parameter.name for screw in screws]
+    assert len(set(names)) == len(names)
+    # Joint by joint from base to tip.
+    joints = list(dict.fromkeys(name.rsplit(".", 2)[0] for name in names))
+    assert joints == [joint for joint in owners if joint in joints]
+
+
+@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+def test_zero_is_the_nominal_robot(name: str) -> None:
+    chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
+    model = ErrorModel.create(chain, [name])
+    q = chain.random_configurations(3, np.random.default_rng(0))
+    zero = np.zeros(len(model.parameters))
+    np.testing.assert_array_equal(model.poses(q, zero), chain.poses(q))
+
+
+def test_combinations_go_place_by_place() -> None:
+    chain = load_chain("space6")
+    model = ErrorModel.create(chain, ["joint-offset", "placement"])
+    places = [screw.place for screw in model.screws]
+    assert places == sorted(places)
+    names = model.parameters.names
+    assert names[:6] == tuple(
+        f"base.frame.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")
+    )
+    assert names[6] == "joint_1.joint-offset.q"
+    assert names[7:13] == tuple(
+        f"joint_1.placement.{c}" for c in ("x", "y", "z", "rx", "ry", "rz")
+    )
+    assert names[-6] == "tool.frame.x"
+    assert len(names) == 6 * 8 + 6
+    # The other way round the offset comes behind the six.
+    other = ErrorModel.create(chain, ["placement", "joint-offset"]).parameters.names
+    assert set(other) == set(names)
+    assert other[12] == "joint_1.joint-offset.q"
+
+
+@pytest.mark.parametrize("twice", [["placement", "placement"], ["dh", "dh-full"]])
+def test_a_parameter_cannot_be_defined_twice(twice: list[str]) -> None:
+    with pytest.raises(OptionError, match="is defined twice"):
+        ErrorModel.create(load_chain("space6"), twice)
+
+
+def test_no_parameterization_at_all() -> None:
+    model = ErrorModel.create(load_chain("space6"), [])
+    assert len(model.parameters) == 12
+    T, J = model.jacobian(np.zeros((2, 6)), np.zeros(12))
+    assert (T.shape, J.shape) == ((2, 4, 4), (2, 6, 12))
+
+
+def test_joints_called_base_and_tool(
+    urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
+) -> None:
+    assert [owner(name) for name in ("base", "tool", "Base", "tool0")] == [
+        "joint:base",
+        "joint:tool",
+        "Base",
+        "tool0",
+    ]
+    chain = chain_of(
+        urdf_of(
+            {"name": "base", "parent": "a", "child": "b"},
+            {"name": "elbow", "parent": "b", "child": "c", "axis": (0, 1, 0)},
+            {"name": "tool", "parent": "c", "child": "d", "type": "fixed"},
+        )
+    )
+    names = ErrorModel.create(chain, ["link-transform"]).parameters.names
+    owners = list(dict.fromkeys(name.rsplit(".", 2)[0] for name in names))
+    assert owners == ["base", "joint:base", "elbow", "joint:tool", "tool"]
+    assert "base.frame.x" in names and "joint:base.link-transform.mx" in names
+    for kind in ("placement", "joint-offset", "dh"):
+        of_kind = ErrorModel.create(chain, [kind]).parameters.names
+        assert any(name.startswith(f"joint:base.{kind}.") for name in of_kind)
+        assert not any(name.startswith(f"base.{kind}.") for name in of_kind)

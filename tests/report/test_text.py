@@ -1,0 +1,339 @@
+"""The report as people read it: plain, 80 columns, mm and degrees, nothing cut off."""
+
+from __future__ import annotations
+
+import io
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+from rich.console import Console
+
+from calib_pin.calibration import calibrate, evaluate, identify, nominal_problem
+from calib_pin.chain import Chain
+from calib_pin.io.urdf import load_robot, parse_robot
+from calib_pin.report.text import (
+    evaluation_report,
+    format_report,
+    identification_report,
+    plain_text,
+    report,
+)
+from calib_pin.result import Accuracy, CalibrationResult, Outlier
+from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.simulation import draw_errors, simulate
+
+ARM = """<robot name="arm">
+  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+  <joint name="{0}" type="revolute">
+    <origin xyz="0 0 0.4"/><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
+  </joint>
+  <joint name="{1}" type="revolute">
+    <origin xyz="0.1 0.3 0"/><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="{2}" type="prismatic">
+    <origin xyz="0.5 0 0.05" rpy="0.5 0.1 0"/>
+    <parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.4" effort="1" velocity="1"/>
+  </joint>
+</robot>
+"""
+
+
+def solve(
+    names: tuple[str, str, str] = ("j1", "j2", "j3"),
+    model: str = "pose",
+    setup: Setup | None = None,
+    count: int = 30,
+    **options: object,
+) -> CalibrationResult:
+    chain = Chain(parse_robot(ARM.format(*names).encode(), "arm.urdf"))
+    setup = setup or Setup()
+    problem = nominal_problem(chain, model, setup)
+    rng = np.random.default_rng(1)
+    theta = draw_errors(problem.parameters, rng)
+    rows = simulate(problem, theta, rng, count=count)
+    return calibrate(chain, rows, setup, **options)
+
+
+@pytest.fixture(scope="module")
+def result() -> CalibrationResult:
+    return solve(setup=Setup(fixed=("base.frame.r*",)))
+
+
+def section(text: str, title: str) -> list[str]:
+    """The lines from a title to the next empty line."""
+    lines = text.splitlines()
+    start = next(k for k, line in enumerate(lines) if line.startswith(title))
+    end = next((k for k in range(start, len(lines)) if not lines[k]), len(lines))
+    return lines[start:end]
+
+
+# --- form --------------------------------------------------------------------------
+
+
+def test_plain_text_of_80_columns(result):
+    text = format_report(result)
+    assert text.isascii()
+    assert "\x1b" not in text
+    assert text.endswith("\n")
+    assert not re.search(r" $", text, re.MULTILINE)
+    assert "\n\n\n" not in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_colors_on_a_terminal(result):
+    stream = io.StringIO()
+    Console(file=stream, force_terminal=True, width=100).print(report(result))
+    assert "\x1b[" in stream.getvalue()
+
+
+@pytest.mark.parametrize("variable", ["FORCE_COLOR", "TTY_COMPATIBLE"])
+def test_plain_whatever_the_environment_says(result, variable, monkeypatch):
+    expected = format_report(result)
+    monkeypatch.setenv(variable, "1")
+    monkeypatch.setenv("COLUMNS", "40")
+    assert format_report(result) == expected
+
+
+def test_in_a_notebook_the_text_is_returned(result, monkeypatch):
+    expected = format_report(result)
+    monkeypatch.setattr("rich.console._is_jupyter", lambda: True)
+    assert format_report(result) == expected
+
+
+def test_names_are_neither_markup_nor_emoji():
+    names = ("[bold]a[/red]", ":robot:", "[b")
+    text = format_report(solve(names))
+    for name in names:
+        assert f"{name}.placement.x" in text
+
+
+def test_long_names_are_wrapped_and_not_cut():
+    names = tuple(f"left_arm_{'very_' * k}long_{k}_joint" for k in (1, 7, 20))
+    text = format_report(solve(names, setup=Setup(parameters=("dh",))))
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text
+    solid = re.sub(r"\s+", "", text)
+    for name in names:
+        assert f"{name}.dh." in solid
+
+
+# --- content -----------------------------------------------------------------------
+
+
+def test_verdicts(result):
+    def first(**changes: object) -> str:
+        text = format_report(replace(result, **changes))
+        return " ".join(text.split("\n\n")[0].splitlines()[:-1])
+
+    assert first() == "GOOD: the fit converged and is better on rows it has not seen."
+    assert "too few rows to check" in first(validation="none")
+    same = tuple(
+        replace(e, validation_after=e.validation_before) for e in result.errors
+    )
+    assert "is no worse on rows" in first(errors=same)
+    for reason in ("it did not converge", "it did not converge."):
+        text = first(verdict="untrusted", reason=reason)
+        assert text == "UNTRUSTED: it did not converge."
+
+
+def test_the_subject(result):
+    lines = format_report(result).splitlines()
+    assert lines[1] == "arm: 3 joints from base to c; pose, 30 rows fitted"
+
+
+def test_accuracy_in_millimeters_and_degrees(result):
+    lines = section(format_report(result), "Accuracy")
+    assert len(lines) == 1 + 1 + 2 * 2 * 2 + 1
+    position = next(e for e in result.errors if e.name == "position")
+    words = lines[2].split()
+    assert words[:3] == ["position", "fitted", "nominal"]
+    assert words[-1] == "mm"
+    assert float(words[3]) == pytest.approx(1e3 * position.before.mean, rel=1e-3)
+    orientation = next(e for e in result.errors if e.name == "orientation")
+    words = lines[-2].split()
+    assert words[0] == "calibrated"
+    assert words[-1] == "deg"
+    after = orientation.validation_after
+    assert after is not None
+    assert float(words[3]) == pytest.approx(np.degrees(after.max), abs=1e-4)
+    assert "unseen (5-fold)" in lines[4]
+    assert lines[-1] == "Fitted in either case: base frame, tool frame."
+
+
+def test_without_frames_nothing_is_registered():
+    known = Setup(fixed=("base.frame.*", "tool.frame.*"), parameters=("joint-offset",))
+    text = format_report(solve(setup=known))
+    assert "Frames and instrument are known, nothing is registered." in text
+
+
+def test_planes_are_fitted_in_either_case():
+    setup = Setup(
+        planes={"wall": PlaneSetup((0, 0, 1), -2.0)},
+        fixed=("tool.frame.*",),
+        parameters=("joint-offset",),
+    )
+    lines = section(
+        format_report(solve(model="plane-distance", setup=setup)), "Accuracy"
+    )
+    assert lines[-1] == "Fitted in either case: wall plane."
+    assert lines[2].split()[0] == "distance"
+
+
+@pytest.mark.parametrize(
+    ("value", "shown"),
+    [
+        (0.0, "0.0000"),
+        (8.1e-3, "8.100"),
+        (0.0123456, "12.35"),
+        (1.2345678, "1235"),
+        (0.5e-3, "0.5000"),
+        (1e-12, "1.0e-09"),
+        (99.9996e-3, "100.00"),
+        (123.45, "1.2e+05"),
+        (float("inf"), "inf"),
+        (float("nan"), "unknown"),
+    ],
+)
+def test_numbers(result, value, shown):
+    size = Accuracy(value, value, value)
+    errors = (replace(result.errors[0], before=size),)
+    text = format_report(replace(result, errors=errors))
+    assert section(text, "Accuracy")[2].split()[-4:] == [shown] * 3 + ["mm"]
+
+
+def test_ranks(result):
+    lines = section(format_report(result), "Identifiability")
+    text = " ".join(" ".join(lines).split())
+    ranks = result.identifiability
+    assert f"free parameters {ranks.parameters} structural rank" in text
+    # 4 * 2 + 2 * 1 + 6, of which three rotations of the base are held.
+    assert "Everett's count 4R + 2P + 6 = 16 for full poses" in text
+    assert f"practical rank {ranks.rank} " in text
+    assert "condition number" in text
+    for index in ("O1", "O2", "O3", "O4", "O5"):
+        assert index in text
+
+
+def test_every_parameter_is_listed_with_its_status(result):
+    text = format_report(result)
+    lines = section(text, "Identifiable parameters")[2:]
+    names = [line.split()[0] for line in lines]
+    known = [p for p in result.parameters if p.status == "identifiable"]
+    assert names == [p.name for p in known]
+    for line, parameter in zip(lines, known, strict=True):
+        _, value, sigma, unit = line.split()
+        factor = 1e3 if unit == "mm" else np.degrees(1.0)
+        assert unit == {"m": "mm", "rad": "deg"}[parameter.unit]
+        assert float(value) == pytest.approx(factor * parameter.value, abs=1e-4)
+        assert float(sigma) == pytest.approx(factor * parameter.sigma, abs=1e-4)
+    assert section(text, "fixed:") == ["fixed:", "  base.frame.rx|ry|rz"]
+    solid = re.sub(r"\s+", "", text)
+    for parameter in result.parameters:
+        if parameter.status == "coupled":
+            assert parameter.name in solid
+
+
+def test_groups_are_formulae(result):
+    lines = section(format_report(result), "Coupled groups")
+    for group in result.groups:
+        # A long sum goes on in the next lines, the value stands beside the first.
+        first, _ = group.terms[0]
+        start = next(
+            k for k, x in enumerate(lines) if x.split()[0] == str(group.number)
+        )
+        assert first in lines[start]
+        below = "".join(lines[start : start + len(group.terms)])
+        for name, _ in group.terms:
+            assert name in below
+        factor = {"m": 1e3, "rad": np.degrees(1.0)}[group.unit]
+        assert f"{factor * group.value:+.4f}" in lines[start]
+    first = lines[2].split()
+    assert first[0] == "1"
+    assert first[-1] in ("mm", "deg")
+    assert "coefficients in SI units" in lines[0]
+
+
+def test_weak_and_unidentifiable_parameters():
+    # A tracker that is far worse than the robot tells nothing of its joints.
+    result = solve(model="position", setup=Setup(noise={"position": 0.05}))
+    text = format_report(result)
+    weak = section(text, "weak (these measurements cannot tell")
+    assert any("placement" in line for line in weak)
+    assert "directions left at nominal" in text
+    dead = section(text, "unidentifiable (no effect on what is measured)")
+    assert dead[1:] == ["  tool.frame.rx|ry|rz"]
+
+
+def test_parameters_at_a_bound():
+    result = solve(setup=Setup(bounds={"j2.placement.*": 1e-5}))
+    assert result.at_bounds
+    lines = section(format_report(result), "at a bound:")
+    assert all(line.startswith("  j2.placement.") for line in lines[1:])
+
+
+@pytest.mark.parametrize(
+    ("factor", "where", "remark"),
+    [
+        (0.1, "below", "scatter less than"),
+        (1.0, "inside", ""),
+        (9.0, "above", "scatter more than"),
+    ],
+)
+def test_chi_square(result, factor, where, remark):
+    chi2 = factor * result.dof
+    text = format_report(replace(result, chi2=chi2, stated_sigma=True))
+    lines = section(text, "Statistics")
+    assert f"with {result.dof} dof" in lines[1]
+    assert f"{where} the 95 % interval" in lines[3]
+    assert ("scatter" in text) == bool(remark)
+    assert remark in text
+    assumed = format_report(replace(result, chi2=chi2, stated_sigma=False))
+    assert "interval" not in assumed
+    assert "times the assumed sigma" in assumed
+
+
+def test_correlations_and_outliers_are_counted(result):
+    pairs = tuple((f"a{k}", f"b{k}", -0.99) for k in range(8))
+    rows = tuple(Outlier(f"rows.csv:{k}", k, 1234.6 - k) for k in range(7))
+    ranks = replace(result.identifiability, correlated=pairs)
+    text = format_report(replace(result, identifiability=ranks, outliers=rows))
+    lines = section(text, "Correlated above 0.95")
+    assert lines[1] == "  -0.990  a0  |  b0"
+    assert lines[-1] == "  and 3 more pairs in calibration.json"
+    lines = section(text, "Rows that do not fit (7 of 30)")
+    assert lines[1] == "  rows.csv:0  1235 sigma"
+    assert lines[-1] == "  and 2 more rows in calibration.json"
+    none = replace(result.identifiability, correlated=())
+    text = format_report(replace(result, identifiability=none, outliers=()))
+    assert "Correlated" not in text
+    assert "do not fit" not in text
+
+
+def test_structure_without_estimates():
+    chain = Chain(load_robot("pa10"))
+    text = plain_text(identification_report(identify(chain, "pose"), fitted=False))
+    assert text.startswith("Identifiability\n")
+    assert "std. dev." not in text
+    assert "practical rank" not in text
+    assert "structural rank   34" in text
+    assert section(text, "identifiable:")[1] == "  joint_2.placement.x|rx"
+    assert max(map(len, text.splitlines())) <= 80
+
+
+def test_evaluations(result):
+    chain = Chain(parse_robot(ARM.format("j1", "j2", "j3").encode(), "arm.urdf"))
+    problem = nominal_problem(chain, "pose", Setup())
+    rng = np.random.default_rng(2)
+    rows = simulate(problem, np.zeros(len(problem.parameters)), rng, count=12)
+    text = plain_text(evaluation_report(evaluate(chain, rows)))
+    assert text.splitlines()[2].split()[:2] == ["position", "12"]
+    assert "mm" in text
+    assert "deg" in text
+    assert "Base, tool and instrument were registered on these rows." in text
+    text = plain_text(evaluation_report(evaluate(result.model, rows)))
+    assert "Nothing was fitted to these rows." in text

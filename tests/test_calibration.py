@@ -1,0 +1,206 @@
+"""Splits, validation, verdicts and evaluation."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import nominal_problem
+from calib_pin.errors import InputError, OptionError
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import FrameSetup, Setup
+
+TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
+
+
+def measured(
+    count: int, *, seed: int = 1, noise: float = 5e-5, size: float = 1.0
+) -> tuple[calib_pin.Chain, calib_pin.Measurements]:
+    """Positions of `space6` with drawn errors, without sigma columns."""
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
+    rng = np.random.default_rng(seed)
+    truth = size * calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=noise)
+    return chain, replace(rows, sigma=None)
+
+
+def test_five_folds_by_default() -> None:
+    chain, rows = measured(60)
+    result = calib_pin.calibrate(chain, rows)
+    assert (result.verdict, result.validation) == ("good", "5-fold")
+    assert (result.training, result.validated) == (60, 60)
+    (errors,) = result.errors
+    assert errors.validation_before is not None
+    assert errors.validation_after is not None
+    assert errors.after.rms < errors.validation_after.rms < 0.2 * errors.before.rms
+
+
+def test_rows_marked_for_validation_are_not_fitted() -> None:
+    chain, rows = measured(60)
+    marked = replace(rows, validate=np.arange(60) >= 40)
+    first = calib_pin.calibrate(chain, marked)
+    assert (first.validation, first.training, first.validated) == ("set", 40, 20)
+    # Whatever stands in those rows, the fit is the same.
+    spoiled = rows.values.copy()
+    spoiled[40:] += 0.01
+    second = calib_pin.calibrate(chain, replace(marked, values=spoiled))
+    assert np.array_equal(first.model.theta, second.model.theta)
+
+
+def test_a_validation_file_takes_the_place_of_folds() -> None:
+    chain, rows = measured(80)
+    result = calib_pin.calibrate(
+        chain, rows.rows(np.arange(50)), validation=rows.rows(np.arange(50, 80))
+    )
+    assert (result.validation, result.training, result.validated) == ("file", 50, 30)
+
+
+def test_holdout_sets_a_part_aside() -> None:
+    chain, rows = measured(60)
+    result = calib_pin.calibrate(chain, rows, holdout=0.25)
+    assert result.validation == "holdout"
+    assert (result.training, result.validated) == (45, 15)
+    other = calib_pin.calibrate(chain, rows, holdout=0.25, seed=1)
+    assert not np.array_equal(result.model.theta, other.model.theta)
+
+
+def test_repetitions_never_stand_on_both_sides() -> None:
+    chain, rows = measured(30)
+    twice = rows.rows(np.repeat(np.arange(30), 2))
+    result = calib_pin.calibrate(chain, twice, holdout=0.3)
+    assert result.training + result.validated == 60
+    assert result.training % 2 == result.validated % 2 == 0
+
+
+@pytest.mark.parametrize("holdout", [0.0, 1.0, -0.5, np.nan])
+def test_holdout_out_of_range(holdout: float) -> None:
+    chain, rows = measured(20)
+    with pytest.raises(OptionError, match="between 0 and 1"):
+        calib_pin.calibrate(chain, rows, holdout=holdout)
+
+
+def test_validation_rows_and_holdout_exclude_each_other() -> None:
+    chain, rows = measured(20)
+    with pytest.raises(OptionError, match="not both"):
+        calib_pin.calibrate(chain, rows, validation=rows, holdout=0.2)
+
+
+def test_nothing_left_to_fit() -> None:
+    chain, rows = measured(20)
+    with pytest.raises(InputError, match="no row is left"):
+        calib_pin.calibrate(chain, replace(rows, validate=np.ones(20, bool)))
+
+
+def test_fewer_values_than_the_structural_rank() -> None:
+    chain, rows = measured(8)
+    result = calib_pin.calibrate(chain, rows)
+    assert result.verdict == "untrusted"
+    assert "24 measured values cannot determine 27" in result.reason
+
+
+def test_no_redundancy() -> None:
+    chain, rows = measured(9, noise=0.0)
+    result = calib_pin.calibrate(chain, rows)
+    assert result.verdict == "untrusted"
+    assert "nothing to check the fit with" in result.reason
+
+
+def test_worse_on_unseen_rows() -> None:
+    """A robot with the opposite errors is not served by the calibration."""
+    chain, rows = measured(40)
+    _, opposite = measured(40, size=-1.0)
+    result = calib_pin.calibrate(chain, rows, validation=opposite)
+    assert result.verdict == "untrusted"
+    assert "worse than the nominal one: position" in result.reason
+
+
+def test_too_few_rows_for_folds_are_not_validated() -> None:
+    chain, rows = measured(10)
+    result = calib_pin.calibrate(chain, rows)
+    assert (result.validation, result.validated) == ("none", 0)
+    assert result.errors[0].validation_after is None
+
+
+def test_an_outlier_is_named() -> None:
+    chain, rows = measured(60)
+    values = rows.values.copy()
+    values[17, 1] += 0.003
+    result = calib_pin.calibrate(chain, replace(rows, values=values))
+    assert [outlier.row for outlier in result.outliers] == [17]
+    assert result.outliers[0].place == "row 17"
+
+
+def test_stated_sigmas_set_the_covariance() -> None:
+    chain, rows = measured(60)
+    stated = replace(rows, sigma=np.full((60, 3), 5e-4))
+    assumed = calib_pin.calibrate(chain, rows, validate=False)
+    tenfold = calib_pin.calibrate(chain, stated, validate=False)
+    assert tenfold.stated_sigma and not assumed.stated_sigma
+    # The true noise is a tenth of what is stated: chi-square shows it, the covariance
+    # follows the statement.
+    assert tenfold.sigma0 == pytest.approx(0.1, rel=0.15)
+    names = [p.name for p in assumed.parameters if p.sigma and ".placement." in p.name]
+    pairs = zip(assumed.parameters, tenfold.parameters, strict=True)
+    ratios = [b.sigma / a.sigma for a, b in pairs if a.name in names and b.sigma]
+    assert ratios == pytest.approx([1.0 / tenfold.sigma0] * len(ratios), rel=1e-6)
+
+
+def test_bounded_parameters_are_named() -> None:
+    chain, rows = measured(60)
+    setup = Setup(bounds={"joint_3.placement.*": 1e-5})
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    assert result.at_bounds
+    assert all(name.startswith("joint_3.placement.") for name in result.at_bounds)
+
+
+def test_evaluate_registers_a_chain_but_not_a_model() -> None:
+    chain, rows = measured(60)
+    _, unseen = measured(60)
+    result = calib_pin.calibrate(chain, rows)
+    nominal = calib_pin.evaluate(chain, unseen)
+    assert nominal.registered
+    assert nominal.errors[0][2].rms == pytest.approx(result.errors[0].before.rms)
+    frozen = calib_pin.evaluate(result.model, unseen)
+    assert not frozen.registered
+    assert frozen.errors[0][2].rms == pytest.approx(result.errors[0].after.rms)
+
+
+def test_evaluate_after_the_instrument_has_moved() -> None:
+    chain, rows = measured(60)
+    model = calib_pin.calibrate(chain, rows).model
+    R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    moved = replace(rows, values=rows.values @ R.T + [5.0, -1.0, 0.3])
+    lost = calib_pin.evaluate(model, moved).errors[0][2]
+    found = calib_pin.evaluate(model, moved, registration=True).errors[0][2]
+    assert lost.rms > 1.0
+    assert found.rms == pytest.approx(
+        calib_pin.evaluate(model, rows, registration=True).errors[0][2].rms, rel=1e-6
+    )
+
+
+def test_the_tool_carries_an_error_behind_the_last_joint() -> None:
+    """A tip that is the last joint's own link has no origin for it in the URDF."""
+    chain = calib_pin.load_chain("example:tiago_no_hand", tip="arm_7_link")
+    assert chain.tip_joint is None
+    problem = nominal_problem(chain, "pose", Setup(parameters=("dh",)))
+    theta = problem.parameters.vector({"arm_7_joint.dh.alpha": 0.01})
+    model = CalibratedModel.create(problem, theta)
+    assert not model.urdf_corrections()
+    assert np.linalg.norm(model.tool.rotation - np.eye(3)) > 0.01
+
+
+def test_identify_needs_a_plane() -> None:
+    with pytest.raises(OptionError, match="needs a plane"):
+        calib_pin.identify(calib_pin.load_chain("space6"), "plane-distance")
+
+
+def test_same_seed_same_result() -> None:
+    chain, rows = measured(60)
+    first, second = (calib_pin.calibrate(chain, rows, seed=3) for _ in range(2))
+    assert np.array_equal(first.covariance, second.covariance)
+    assert first.parameters == second.parameters
+    assert first.errors == second.errors

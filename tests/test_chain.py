@@ -1,0 +1,507 @@
+"""Kinematics between any two links, against yourdfpy and central differences."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.chain import Chain, Robot
+from calib_pin.errors import RobotError
+from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+
+UrdfOf = Callable[..., str]
+ChainOf = Callable[..., Chain]
+IndependentPoses = Callable[..., Any]
+
+
+def placement(rng: np.random.Generator) -> pin.SE3:
+    return pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-1.0, 1.0, 3))
+
+
+def some_chains(robot: Robot, rng: np.random.Generator) -> list[Chain]:
+    """Up to three chains from the root, and three between any two links."""
+    leaves = [str(leaf) for leaf in rng.permutation(robot.leaves)]
+    pairs = [(robot.root, leaf) for leaf in leaves[:3]]
+    pairs += [tuple(map(str, rng.choice(robot.links, 2))) for _ in range(3)]
+    chains = []
+    for base, tip in pairs:
+        try:
+            chains.append(Chain(robot, base, tip))
+        except RobotError as error:  # No moving joint, or a refused one.
+            assert "no moving joint" in str(error) or "cannot contain" in str(error)
+    return chains
+
+
+def assert_regressor(chain: Chain, q: np.ndarray, step: float = 1e-5) -> None:
+    """Compare with central differences of the body twist of the tip."""
+    T, R = chain.regressor(q)
+    np.testing.assert_allclose(T, chain.poses(q), rtol=0, atol=1e-14)
+    assert R.shape == (len(q), 6, 6 * len(chain.joints))
+    for k in range(R.shape[2]):
+        poses = []
+        for amount in (step, -step):
+            moved = list(chain.placements)
+            moved[k // 6] = moved[k // 6] * pin.exp6(amount * np.eye(6)[k % 6])
+            poses.append(chain.poses(q, moved))
+        for i in range(len(q)):
+            ahead, behind = (
+                pin.log6(pin.SE3(T[i]).actInv(pin.SE3(pose[i]))).vector
+                for pose in poses
+            )
+            expected = (ahead - behind) / (2 * step)
+            np.testing.assert_allclose(R[i, :, k], expected, rtol=0, atol=1e-8)
+
+
+# Every robot of example-robot-data.
+
+
+def test_poses_agree_with_yourdfpy(
+    example_robot: Path, independent_poses: IndependentPoses
+) -> None:
+    robot = load_robot(example_robot)
+    rng = np.random.default_rng(len(robot.source))
+    # Joints outside a chain, and above both its ends, move too.
+    q = {name: rng.uniform(-1.5, 1.5) for name in list(robot.model.names)[1:]}
+    q = {name: value for name, value in q.items() if name not in robot.refused}
+    chains = some_chains(robot, rng)
+    frames = [(chain.base, chain.tip) for chain in chains]
+    expected = independent_poses(robot.source, q, frames)
+    for chain, pose in zip(chains, expected, strict=True):
+        found = chain.poses(np.array([[q[name] for name in chain.joints]]))
+        np.testing.assert_allclose(found, [pose], rtol=0, atol=1e-9)
+
+
+BRANCHES = [
+    ("example:talos_reduced", "gripper_left_base_link", "gripper_right_base_link"),
+    ("example:talos_full_v2", "left_sole_link", "gripper_left_base_link"),
+    ("example:talos_reduced", "gripper_left_base_link", "base_link"),
+    ("example:talos_reduced", "arm_left_3_link", "torso_1_link"),
+    ("example:tiago_dual", "arm_left_4_link", "arm_right_tool_link"),
+    ("example:baxter", "left_gripper_base_link", "right_wrist"),
+    ("example:panda", "panda_link2", "panda_hand"),
+    ("example:anymal-kinova", "LF_FOOT", "RH_FOOT"),
+    ("example:so100", "base", "jaw"),
+]
+
+
+@pytest.mark.parametrize(("name", "base", "tip"), BRANCHES)
+def test_any_two_links(
+    name: str, base: str, tip: str, independent_poses: IndependentPoses
+) -> None:
+    chain = load_chain(name, base=base, tip=tip)
+    q = chain.random_configurations(2, np.random.default_rng(5))
+    for row, pose in zip(q, chain.poses(q), strict=True):
+        named = dict(zip(chain.joints, row, strict=True))
+        (expected,) = independent_poses(chain.robot.source, named, [(base, tip)])
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-9)
+    assert_regressor(chain, q)
+
+
+def test_joints_from_base_to_tip() -> None:
+    base, tip = "gripper_left_base_link", "gripper_right_base_link"
+    chain = load_chain("example:talos_reduced", base=base, tip=tip)
+    left = tuple(f"arm_left_{k}_joint" for k in range(7, 0, -1))
+    right = tuple(f"arm_right_{k}_joint" for k in range(1, 8))
+    assert chain.joints == left + right
+    assert chain.reversed.tolist() == 7 * [True] + 7 * [False]
+    # Turned round it is the inverse.
+    back = Chain(chain.robot, tip, base)
+    assert back.joints == chain.joints[::-1]
+    q = chain.random_configurations(3, np.random.default_rng(0))
+    product = chain.poses(q) @ back.poses(q[:, ::-1])
+    np.testing.assert_allclose(product, np.tile(np.eye(4), (3, 1, 1)), atol=1e-12)
+
+
+def test_chain_in_parts() -> None:
+    robot = load_robot("example:ur10_robot")
+    whole = Chain(robot, tip="tool0")
+    first = Chain(robot, tip="forearm_link")
+    second = Chain(robot, "forearm_link", "tool0")
+    assert first.joints + second.joints == whole.joints
+    assert (first.joints, second.joints) == (whole.joints[:3], whole.joints[3:])
+    q = whole.random_configurations(5, np.random.default_rng(0))
+    parts = first.poses(q[:, :3]) @ second.poses(q[:, 3:])
+    np.testing.assert_allclose(parts, whole.poses(q), rtol=0, atol=1e-13)
+
+
+# Kinds of joints.
+
+AXES = [(0, 0, 1), (0, 0, -1), (1, 0, 0), (0, -1, 0), (1, 2, 3), (-2, 0.1, 0)]
+
+
+@pytest.mark.parametrize("kind", ["revolute", "continuous", "prismatic"])
+@pytest.mark.parametrize("axis", AXES)
+def test_joint_kinds_and_axes(
+    kind: str,
+    axis: tuple[float, ...],
+    urdf_of: UrdfOf,
+    chain_of: ChainOf,
+    independent_poses: IndependentPoses,
+) -> None:
+    rng = np.random.default_rng(3)
+    # yourdfpy does not normalize the axes of prismatic joints.
+    unit = np.array(axis) / np.linalg.norm(axis)
+    urdf = urdf_of(
+        {
+            "name": "first",
+            "parent": "a",
+            "child": "b",
+            "placement": placement(rng),
+            "type": kind,
+            "axis": unit if kind == "prismatic" else axis,
+        },
+        {
+            "name": "second",
+            "parent": "b",
+            "child": "c",
+            "placement": placement(rng),
+            "axis": (0, 1, 0),
+        },
+    )
+    chain = chain_of(urdf)
+    assert chain.revolute.tolist() == [kind != "prismatic", True]
+    np.testing.assert_allclose(chain.axes, [unit, [0, 1, 0]], rtol=0, atol=1e-15)
+    q = rng.uniform(-1.8, 1.8, (3, 2))
+    if kind == "continuous":
+        q[0, 0] = 40.0
+    for row, pose in zip(q, chain.poses(q), strict=True):
+        named = {"first": row[0], "second": row[1]}
+        (expected,) = independent_poses(urdf.encode(), named, [("a", "c")])
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)
+    assert_regressor(chain, q)
+    assert_regressor(chain_of(urdf, "c", "a"), q[:, ::-1])
+
+
+def test_prismatic_axis_need_not_be_a_unit_vector(
+    urdf_of: UrdfOf, chain_of: ChainOf
+) -> None:
+    joint = {"name": "j", "parent": "a", "child": "b", "type": "prismatic"}
+    chain = chain_of(urdf_of({**joint, "axis": (0, 3, 4)}))
+    T = chain.poses(np.array([[0.5]]))[0]
+    np.testing.assert_allclose(T[:3, 3], [0.0, 0.3, 0.4], atol=1e-15)
+
+
+@pytest.mark.parametrize("base", ["a", "a1", "b1"])
+@pytest.mark.parametrize("tip", ["c", "c1", "c2"])
+def test_fixed_joints_anywhere(
+    base: str,
+    tip: str,
+    urdf_of: UrdfOf,
+    chain_of: ChainOf,
+    independent_poses: IndependentPoses,
+) -> None:
+    rng = np.random.default_rng(8)
+    kinds = {
+        "fixed_1": ("a", "a1", "fixed"),
+        "one": ("a1", "b", "revolute"),
+        "fixed_2": ("b", "b1", "fixed"),
+        "two": ("b1", "b2", "continuous"),
+        "three": ("b2", "c", "prismatic"),
+        "fixed_3": ("c", "c1", "fixed"),
+        "fixed_4": ("c1", "c2", "fixed"),
+        # A branch on the way, and one at the end.
+        "off_1": ("b", "d", "revolute"),
+        "off_2": ("c1", "e", "revolute"),
+    }
+    urdf = urdf_of(
+        *(
+            {
+                "name": name,
+                "parent": parent,
+                "child": child,
+                "type": kind,
+                "placement": placement(rng),
+                "axis": (0, 0, -1) if name != "two" else (1, 2, 3),
+            }
+            for name, (parent, child, kind) in kinds.items()
+        )
+    )
+    chain = chain_of(urdf, base, tip)
+    assert chain.joints == (("two", "three") if base == "b1" else chain.joints)
+    assert chain.joints[-2:] == ("two", "three")
+    assert chain.tip_joint == {"c": None, "c1": "fixed_3", "c2": "fixed_4"}[tip]
+    q = rng.uniform(-2, 2, (2, len(chain.joints)))
+    for row, pose in zip(q, chain.poses(q), strict=True):
+        named = dict(zip(chain.joints, row, strict=True))
+        (expected,) = independent_poses(urdf.encode(), named, [(base, tip)])
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)
+    assert_regressor(chain, q)
+    # The tip hangs on its own moving joint, whatever lies between.
+    data = chain.robot.model.createData()
+    pin.framesForwardKinematics(chain.robot.model, data, pin.neutral(chain.robot.model))
+    carrier = chain.robot.model.getJointId("three")
+    at_tip = data.oMf[chain.robot.model.getFrameId(tip, pin.FrameType.BODY)]
+    assert chain.tip_placement.isApprox(data.oMi[carrier].actInv(at_tip), 1e-12)
+
+
+def test_one_moving_joint(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    urdf = urdf_of(
+        {"name": "j", "parent": "a", "child": "b", "axis": (1, 2, 3)},
+        {"name": "k", "parent": "b", "child": "c", "type": "fixed"},
+    )
+    chain = chain_of(urdf)
+    assert chain.joints == ("j",)
+    assert chain.axes.shape == (1, 3)
+    assert chain.joint_frames().shape == (1, 4, 4)
+    q = np.array([[0.3], [-1.0]])
+    assert_regressor(chain, q)
+    assert chain.poses(q[:0]).shape == (0, 4, 4)
+    assert chain.regressor(q[:0])[1].shape == (0, 6, 6)
+
+
+def test_joint_frames() -> None:
+    chain = load_chain(
+        "example:talos_reduced", base="arm_left_3_link", tip="arm_right_4_link"
+    )
+    # The frame of a joint is that of the link it carries.
+    assert chain.joints[:2] == ("arm_left_3_joint", "arm_left_2_joint")
+    links = [name.replace("_joint", "_link") for name in chain.joints]
+    for frame, link in zip(chain.joint_frames(), links, strict=True):
+        if link == chain.base:
+            expected = np.eye(4)
+        else:
+            part = Chain(chain.robot, chain.base, link)
+            expected = part.poses(np.zeros((1, len(part.joints))))[0]
+        np.testing.assert_allclose(frame, expected, rtol=0, atol=1e-12)
+
+
+# What a chain leaves alone.
+
+
+def test_joints_outside_do_not_matter(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    rng = np.random.default_rng(1)
+    arm = [
+        {
+            "name": f"j{k}",
+            "parent": f"l{k}",
+            "child": f"l{k + 1}",
+            "placement": placement(rng),
+            "axis": rng.normal(size=3),
+        }
+        for k in range(4)
+    ]
+    others = [
+        {"name": "free", "parent": "world", "child": "l0", "type": "floating"},
+        {"name": "flat", "parent": "l1", "child": "m", "type": "planar"},
+        {
+            "name": "copy",
+            "parent": "l2",
+            "child": "n",
+            "more": '<mimic joint="j0" multiplier="2"/>',
+        },
+        {"name": "above", "parent": "ground", "child": "world", "type": "continuous"},
+    ]
+    plain, full = urdf_of(*arm), urdf_of(*arm, *others)
+    q = rng.uniform(-1, 1, (3, 4))
+    for base, tip in (("l0", "l4"), ("l4", "l0"), ("l0", "l2"), ("l3", "l1")):
+        first, second = chain_of(plain, base, tip), chain_of(full, base, tip)
+        assert first.joints == second.joints
+        count = len(first.joints)
+        for one, other in zip(
+            first.regressor(q[:, :count]), second.regressor(q[:, :count]), strict=True
+        ):
+            np.testing.assert_allclose(one, other, rtol=0, atol=1e-13)
+        np.testing.assert_allclose(first.lower, second.lower)
+
+
+def test_robot_is_never_changed() -> None:
+    robot = load_robot("example:talos_reduced")
+    before = robot.model.copy()
+    chain = Chain(robot, "gripper_left_base_link", "gripper_right_base_link")
+    q = chain.random_configurations(2, np.random.default_rng(0))
+    nominal = chain.poses(q)
+    kept = [M.copy() for M in chain.placements]
+    rng = np.random.default_rng(1)
+    moved = [M * pin.exp6(rng.normal(size=6)) for M in chain.placements]
+    assert np.abs(chain.poses(q, moved) - nominal).max() > 0.1
+    chain.regressor(q, moved)
+    # Without placements the nominal ones are back, and none has been touched.
+    np.testing.assert_array_equal(chain.poses(q), nominal)
+    np.testing.assert_array_equal(chain.regressor(q)[0], nominal)
+    assert all(a == b for a, b in zip(kept, chain.placements, strict=True))
+    assert robot.model == before
+    assert [f.name for f in robot.model.frames] == [f.name for f in before.frames]
+    # Another chain of the same robot has its own model.
+    Chain(robot, tip="gripper_left_base_link").poses(
+        np.zeros((1, 9)), [pin.SE3.Identity()] * 9
+    )
+    np.testing.assert_array_equal(chain.poses(q), nominal)
+
+
+def test_number_of_placements_is_checked() -> None:
+    chain = load_chain("space6")
+    with pytest.raises(ValueError, match="zip"):
+        chain.poses(np.zeros((1, 6)), chain.placements[:5])
+
+
+# Names.
+
+
+def test_link_and_joint_of_one_name(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    names = ("hip", "knee", "ankle", "toe", "heel")
+    # Each joint is called as the link it carries, or as another one.
+    urdf = urdf_of(
+        {"name": "hip", "parent": "body", "child": "hip", "axis": (1, 0, 0)},
+        {"name": "knee", "parent": "hip", "child": "ankle", "axis": (0, 1, 0)},
+        {"name": "ankle", "parent": "ankle", "child": "knee", "axis": (1, 2, 3)},
+        {"name": "toe", "parent": "knee", "child": "toe", "type": "fixed"},
+        {"name": "body", "parent": "hip", "child": "heel"},
+    )
+    rng = np.random.default_rng(0)
+    plain = urdf.replace('link="', 'link="link_').replace(
+        '<link name="', '<link name="link_'
+    )
+    for base in ("body", *names):
+        for tip in names:
+            if base == tip or {base, tip} == {"knee", "toe"}:
+                continue
+            chain = chain_of(urdf, base, tip)
+            twin = chain_of(plain, f"link_{base}", f"link_{tip}")
+            assert chain.joints == twin.joints
+            q = rng.normal(size=(2, len(chain.joints)))
+            np.testing.assert_array_equal(chain.poses(q), twin.poses(q))
+
+
+def test_anymal_c_has_links_and_joints_of_one_name() -> None:
+    # Locking these joints failed in Pinocchio: several frames match the name.
+    robot = load_robot("example:anymal_c_simple_description/urdf/anymal")
+    assert {"LF_HAA", "LF_HFE"} <= set(robot.links) & set(robot.model.names)
+    chain = Chain(robot, tip="LF_FOOT")
+    assert chain.joints == ("LF_HAA", "LF_HFE", "LF_KFE")
+
+
+def test_names_that_contain_each_other() -> None:
+    joints = load_chain("example:tiago_dual", tip="arm_left_tool_link").joints
+    assert [name for name in joints if "arm_left_1" in name] == ["arm_left_1_joint"]
+
+
+# Limits.
+
+
+def test_limits(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    kinds = [
+        ("revolute", (-1.0, 2.5)),
+        ("continuous", None),
+        ("revolute", (0.0, 0.0)),
+        ("prismatic", (0.0, 0.35)),
+        ("prismatic", (0.0, 0.0)),
+        ("revolute", (-1e9, 1e9)),
+        ("revolute", (1.0, -1.0)),
+    ]
+    urdf = urdf_of(
+        *(
+            {
+                "name": f"j{k}",
+                "parent": f"l{k}",
+                "child": f"l{k + 1}",
+                "type": kind,
+                "limits": limits,
+            }
+            for k, (kind, limits) in enumerate(kinds)
+        )
+    )
+    chain = chain_of(urdf)
+    free = (-np.pi, np.pi)
+    expected = [(-1.0, 2.5), free, free, (0.0, 0.35), free, free, free]
+    np.testing.assert_array_equal(np.column_stack([chain.lower, chain.upper]), expected)
+    q = chain.random_configurations(1000, np.random.default_rng(0))
+    assert ((chain.lower <= q) & (q <= chain.upper)).all()
+    span = q.max(axis=0) - q.min(axis=0)
+    assert (span > 0.97 * (chain.upper - chain.lower)).all()
+    again = chain.random_configurations(1000, np.random.default_rng(0))
+    np.testing.assert_array_equal(q, again)
+
+
+def test_limits_run_along_the_chain() -> None:
+    chain = load_chain("example:panda", tip="panda_link8")
+    back = load_chain("example:panda", base="panda_link8", tip="panda_link0")
+    np.testing.assert_array_equal(chain.lower[::-1], back.lower)
+    np.testing.assert_array_equal(chain.upper[::-1], back.upper)
+    assert chain.lower[3] == -3.0718
+
+
+# What is refused.
+
+
+def message(call: Callable[[], object]) -> str:
+    with pytest.raises(RobotError) as caught:
+        call()
+    return str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"type": "floating"}, "a floating joint"),
+        ({"type": "planar"}, "a planar joint"),
+        ({"more": '<mimic joint="j1"/>'}, "a mimic joint"),
+    ],
+)
+@pytest.mark.parametrize(("base", "tip"), [("a", "d"), ("d", "a"), ("e", "d")])
+def test_refused_joints(
+    base: str,
+    tip: str,
+    changes: dict[str, str],
+    reason: str,
+    urdf_of: UrdfOf,
+    chain_of: ChainOf,
+) -> None:
+    urdf = urdf_of(
+        {"name": "j1", "parent": "a", "child": "b"},
+        {"name": "j10", "parent": "b", "child": "c", **changes},
+        {"name": "j11", "parent": "c", "child": "d"},
+        {"name": "j12", "parent": "a", "child": "e"},
+    )
+    text = message(lambda: chain_of(urdf, base, tip))
+    assert text.startswith("test.urdf: ")
+    assert f"'{base}'" in text and f"'{tip}'" in text
+    assert f"joint 'j10' between '{base}' and '{tip}' is {reason}" in text
+    assert chain_of(urdf, "e", "b").joints == ("j12", "j1")
+
+
+def test_unknown_frames(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    urdf = urdf_of({"name": "j", "parent": "base_link", "child": "flange"})
+    text = message(lambda: chain_of(urdf, tip="flnge"))
+    assert "no link 'flnge' for the tip (did you mean 'flange'?)" in text
+    assert "allowed: base_link, flange" in text
+    text = message(lambda: chain_of(urdf, base="bas_link"))
+    assert "no link 'bas_link' for the base (did you mean 'base_link'?)" in text
+    # A joint is not a frame.
+    assert "no link 'j'" in message(lambda: chain_of(urdf, tip="j"))
+    text = message(lambda: load_chain("example:talos_reduced", tip="gripper_left"))
+    assert "allowed" not in text and len(text) < 200
+
+
+def test_several_leaves(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    urdf = urdf_of(
+        {"name": "j", "parent": "a", "child": "b"},
+        {"name": "k", "parent": "b", "child": "c", "type": "fixed"},
+        {"name": "l", "parent": "b", "child": "d", "type": "fixed"},
+    )
+    text = message(lambda: chain_of(urdf))
+    assert text == (
+        "test.urdf: the robot has 2 possible tips, name one with --tip; allowed: c, d"
+    )
+    # From one leaf only the other is left.
+    assert message(lambda: chain_of(urdf, "c")).endswith(
+        "no moving joint between 'c' and 'd'"
+    )
+
+
+def test_no_moving_joint(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    joint = {"name": "j", "parent": "a", "child": "b"}
+    reason = "test.urdf: no moving joint between 'a' and "
+    fixed = urdf_of({**joint, "type": "fixed"})
+    assert message(lambda: chain_of(fixed)) == reason + "'b'"
+    assert message(lambda: chain_of(urdf_of(joint), "a", "a")) == reason + "'a'"
+    assert "0 possible tips" in message(lambda: chain_of(urdf_of(joint), "b"))
+
+
+def test_single_link() -> None:
+    robot = parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf")
+    assert "possible tips" in message(lambda: Chain(robot))

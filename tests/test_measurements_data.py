@@ -1,0 +1,158 @@
+"""The `Measurements` dataclass: its checks, and how rows are picked and joined."""
+
+from __future__ import annotations
+
+from dataclasses import FrozenInstanceError, replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import InputError
+from calib_pin.measurements import Measurements
+
+Q = np.arange(10.0).reshape(5, 2)
+VALUES = np.arange(15.0).reshape(5, 3)
+
+
+def measurements(**changes: Any) -> Measurements:
+    fields: dict[str, Any] = {
+        "joints": ("a", "b"),
+        "q": Q,
+        "model": "position",
+        "values": VALUES,
+        "sigma": 0.1 + VALUES,
+        "target": tuple("uvwxy"),
+        "validate": np.array([False, True, False, False, True]),
+        "lines": np.arange(2, 7),
+        "files": ("m.csv",) * 5,
+    }
+    return Measurements(**{**fields, **changes})
+
+
+def message(call: object) -> str:
+    assert callable(call)
+    with pytest.raises(InputError) as caught:
+        call()
+    return str(caught.value)
+
+
+def test_defaults() -> None:
+    plain = Measurements(("a", "b"), Q, "position", VALUES)
+    assert len(plain) == 5
+    assert plain.sigma is None
+    assert plain.target == plain.files == ("",) * 5
+    assert plain.validate.tolist() == [False] * 5
+    assert plain.lines.tolist() == [0] * 5
+    assert plain.place(3) == "row 3"
+    empty = Measurements(("a", "b"), Q[:0], "position", VALUES[:0])
+    assert len(empty) == 0 and empty.target == ()
+    assert empty.groups().shape == (0,)
+
+
+def test_is_frozen() -> None:
+    with pytest.raises(FrozenInstanceError):
+        measurements().model = "pose"  # type: ignore[misc]
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"q": Q[:, :1]}, "q has shape (5, 1), expected (5, 2)"),
+        ({"q": Q[:4]}, "'values' has not the 4 rows of q"),
+        ({"values": VALUES[:4]}, "'values' has not the 5 rows of q"),
+        ({"target": ("u", "v")}, "'target' has not the 5 rows of q"),
+        ({"validate": np.zeros(4, bool)}, "'validate' has not the 5 rows of q"),
+        ({"lines": np.arange(6)}, "'lines' has not the 5 rows of q"),
+        ({"files": ("m.csv",)}, "'files' has not the 5 rows of q"),
+        ({"q": np.where(Q == 3.0, np.nan, Q)}, "finite"),
+        ({"values": np.where(VALUES == 3.0, np.inf, VALUES)}, "finite"),
+        ({"sigma": VALUES}, "positive"),
+        ({"sigma": -1.0 - VALUES}, "positive"),
+        ({"sigma": np.where(VALUES == 3.0, np.inf, 1.0)}, "positive"),
+        ({"sigma": np.where(VALUES == 3.0, np.nan, 1.0)}, "positive"),
+    ],
+)
+def test_bad_fields(changes: dict[str, Any], reason: str) -> None:
+    assert reason in message(lambda: measurements(**changes))
+
+
+@pytest.mark.parametrize(
+    "index",
+    [
+        np.array([False, True, True, False, False]),
+        np.array([2, 1]),
+        np.array([4, 4, 0]),
+        np.array([], int),
+        np.zeros(5, bool),
+        np.array([-1]),
+    ],
+)
+def test_rows_keep_together(index: Any) -> None:
+    data = measurements()
+    order = np.arange(5)[index]
+    part = data.rows(index)
+    assert len(part) == len(order)
+    assert (part.joints, part.model) == (data.joints, data.model)
+    np.testing.assert_array_equal(part.q, Q[order])
+    np.testing.assert_array_equal(part.values, VALUES[order])
+    assert part.sigma is not None and data.sigma is not None
+    np.testing.assert_array_equal(part.sigma, data.sigma[order])
+    assert part.target == tuple("uvwxy"[i] for i in order)
+    np.testing.assert_array_equal(part.validate, data.validate[order])
+    np.testing.assert_array_equal(part.lines, data.lines[order])
+    assert len(part.files) == len(order)
+    assert measurements(sigma=None).rows(index).sigma is None
+
+
+def test_split() -> None:
+    training, validation = measurements().split()
+    assert (training.target, validation.target) == (("u", "w", "x"), ("v", "y"))
+    assert not training.validate.any() and validation.validate.all()
+
+
+def test_places_are_those_of_the_file() -> None:
+    assert measurements().place(1) == "m.csv:3"
+    assert measurements().rows(np.array([4, 0])).place(0) == "m.csv:6"
+
+
+def test_groups_are_equal_configurations() -> None:
+    q = np.array([[1, 2], [3, 4], [1, 2 + 1e-9], [1, 2.1], [0, 1e-9], [-0.0, -1e-9]])
+    label = measurements(
+        q=q,
+        values=np.zeros((6, 3)),
+        sigma=None,
+        target=(),
+        validate=np.zeros(0, bool),
+        lines=np.zeros(0, np.int64),
+        files=(),
+    ).groups()
+    assert label.dtype == np.int64
+    same = label[:, None] == label[None, :]
+    expected = np.eye(6, dtype=bool)
+    expected[0, 2] = expected[2, 0] = expected[4, 5] = expected[5, 4] = True
+    np.testing.assert_array_equal(same, expected)
+
+
+def test_concatenate() -> None:
+    data = measurements()
+    parts = [data.rows(np.array(rows, int)) for rows in ([0], [1, 2, 3], [], [4])]
+    joined = Measurements.concatenate(parts)
+    for name in ("q", "values", "sigma", "validate", "lines"):
+        np.testing.assert_array_equal(getattr(joined, name), getattr(data, name))
+    assert (joined.target, joined.files) == (data.target, data.files)
+    plain = [replace(part, sigma=None) for part in parts]
+    assert Measurements.concatenate(plain).sigma is None
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"model": "pose"}, "cannot join 'pose' measurements with 'position' ones"),
+        ({"joints": ("a", "c")}, "cannot join"),
+        ({"sigma": None}, "with and without standard deviations"),
+    ],
+)
+def test_what_cannot_be_joined(changes: dict[str, Any], reason: str) -> None:
+    pair = [measurements(), measurements(**changes)]
+    assert reason in message(lambda: Measurements.concatenate(pair))

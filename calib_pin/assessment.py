@@ -123,7 +123,7 @@ def structural_ranks(
     parameters: ParameterSet, structure: Structure, chain: Chain
 ) -> Identifiability:
     """Ranks without measurements."""
-    s = structure.singular_values[: structure.rank]
+    s = structure.robot
     return Identifiability(
         parameters=int(parameters.free.sum()),
         rank=structure.rank,

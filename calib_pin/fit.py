@@ -7,14 +7,14 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.identifiability import (
+from calib_pin.directions import (
     Directions,
-    Structure,
     practical_directions,
     pruned,
-    structure,
+    robot_singular_values,
     visible_directions,
 )
+from calib_pin.identifiability import Structure, structure
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem, observable_configurations
 from calib_pin.solvers import LeastSquaresResult, gauss_newton
@@ -83,62 +83,110 @@ def fit(
         callback: Called with the step count and the cost after each step.
     """
     problem, before = register(problem, np.zeros(len(problem.parameters)))
-    parameters, bounds = problem.parameters, _bounds(problem)
-    scale = parameters.scales[:, None]
+    parameters = problem.parameters
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
 
-    directions = practical_directions(before.jac, before.fun, parameters, visible)
-    start, pruning = before.x, False
-    tried = {directions.basis.shape[1]}
-    steps, evaluations = before.nit, before.nfev
-    while True:
-        result = gauss_newton(
-            problem.linearize,
-            problem.residual,
-            start,
-            scale * directions.basis,
-            bounds=bounds,
-            callback=callback,
-        )
-        steps, evaluations = steps + result.nit, evaluations + result.nfev
-        moved = _unbounded(scale * directions.basis, result.active)
-        J = np.linalg.qr(result.jac @ moved, mode="r")
-        _, s, Vt = np.linalg.svd(J, full_matrices=False)
-        rank = int((s > 1e-12 * s[0]).sum()) if len(s) else 0
-        dof = len(result.fun) - rank
-        if dof <= 0:
-            sigma0 = np.nan
-            break
-        sigma0 = float(np.sqrt(2.0 * result.cost / dof))
-        again = directions
-        if not pruning:
-            again = practical_directions(
-                before.jac, before.fun, parameters, visible, sigma0
-            )
-            pruning = again.basis.shape[1] in tried
-            tried.add(again.basis.shape[1])
-        if pruning:
-            again = pruned(directions, result.jac, parameters, sigma0)
-        if again.basis.shape[1] == directions.basis.shape[1]:
-            break
-        # Directions that were taken back return to nominal.
-        kept = again.basis @ (again.basis.T @ (result.x[:, None] / scale))
-        start = np.where(parameters.nuisance, result.x, (scale * kept)[:, 0])
-        directions = again
+    def solve(directions: Directions, start: Floats) -> None:
+        solutions.append(_solve(problem, directions, start, callback))
 
-    half = moved @ (Vt[:rank].T / s[:rank])
-    weight = 1.0 if problem.data.sigma is not None else sigma0**2
+    solutions: list[_Solution] = []
+    at_nominal = before.jac, before.fun, parameters, visible
+    directions = practical_directions(*at_nominal)
+    tried: set[int] = set()
+    while directions.count not in tried:
+        tried.add(directions.count)
+        solve(directions, _start(solutions, directions, before.x, parameters))
+        if np.isfinite(solutions[-1].sigma0):
+            directions = practical_directions(*at_nominal, solutions[-1].sigma0)
+    while np.isfinite(solutions[-1].sigma0):
+        last = solutions[-1]
+        directions = pruned(last.directions, last.result.jac, parameters, last.sigma0)
+        if directions.count == last.directions.count:
+            break
+        solve(directions, _start(solutions, directions, before.x, parameters))
+
+    last = solutions[-1]
+    weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
     return Fit(
         problem=problem,
         before=before.x,
         structure=found,
-        directions=directions,
-        result=replace(result, nit=steps, nfev=evaluations),
-        rank=rank,
-        sigma0=sigma0,
-        covariance=weight * half @ half.T,
-        singular_values=_robot_singular_values(result.jac, moved, parameters),
+        directions=last.directions,
+        result=replace(
+            last.result,
+            nit=before.nit + sum(solution.result.nit for solution in solutions),
+            nfev=before.nfev + sum(solution.result.nfev for solution in solutions),
+        ),
+        rank=last.rank,
+        sigma0=last.sigma0,
+        covariance=weight * last.half @ last.half.T,
+        singular_values=robot_singular_values(last.result.jac, last.moved, parameters),
     )
+
+
+@dataclass(frozen=True)
+class _Solution:
+    """A solve in given directions, and what its Jacobian says of them.
+
+    Attributes:
+        directions: The directions.
+        result: Outcome of the solver.
+        moved: Directions that no bound blocks, in parameters, shape (P, k).
+        half: Factor of the covariance at unit weight, shape (P, rank).
+        rank: Rank of the Jacobian in the directions.
+        sigma0: Standard deviation of unit weight; NaN without redundancy.
+    """
+
+    directions: Directions
+    result: LeastSquaresResult
+    moved: Floats
+    half: Floats
+    rank: int
+    sigma0: float
+
+
+def _solve(
+    problem: Problem,
+    directions: Directions,
+    start: Floats,
+    callback: Callable[[int, float], None] | None,
+) -> _Solution:
+    basis = problem.parameters.scales[:, None] * directions.basis
+    result = gauss_newton(
+        problem.linearize,
+        problem.residual,
+        start,
+        basis,
+        bounds=_bounds(problem),
+        callback=callback,
+    )
+    moved = _unbounded(basis, result.active)
+    triangle = np.linalg.qr(result.jac @ moved, mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
+    dof = len(result.fun) - rank
+    return _Solution(
+        directions=directions,
+        result=result,
+        moved=moved,
+        half=moved @ (Vt[:rank].T / s[:rank]),
+        rank=rank,
+        sigma0=float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan,
+    )
+
+
+def _start(
+    solutions: list[_Solution],
+    directions: Directions,
+    nominal: Floats,
+    parameters: ParameterSet,
+) -> Floats:
+    """The last solution within the directions; the rest returns to nominal."""
+    if not solutions:
+        return nominal
+    x = solutions[-1].result.x
+    kept = directions.basis @ (directions.basis.T @ (x / parameters.scales))
+    return np.where(parameters.nuisance, x, parameters.scales * kept)
 
 
 def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
@@ -200,18 +248,3 @@ def _unbounded(basis: Floats, active: tuple[int, ...]) -> Floats:
         return basis
     _, s, Vt = np.linalg.svd(basis[list(active)])
     return np.asarray(basis @ Vt[int((s > 1e-12 * s[0]).sum()) :].T)
-
-
-def _robot_singular_values(
-    J: Floats, moved: Floats, parameters: ParameterSet
-) -> Floats:
-    """Singular values of the moved robot directions, the nuisances projected out."""
-    nuisance = parameters.free & parameters.nuisance
-    U, s, _ = np.linalg.svd(
-        J[:, nuisance] * parameters.scales[nuisance], full_matrices=False
-    )
-    U = U[:, s > 1e-12 * s.max(initial=0.0)]
-    # Nuisances may be mixed in where a bound ties them to the robot.
-    directions = np.where(parameters.nuisance[:, None], 0.0, moved)
-    robot = J @ directions[:, np.abs(directions).max(axis=0, initial=0.0) > 0.0]
-    return np.asarray(np.linalg.svd(robot - U @ (U.T @ robot), compute_uv=False))

@@ -17,21 +17,18 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.directions import robot_svd, rounding
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameters import ParameterSet
 from calib_pin.spatial import Floats
 
 __all__ = [
     "Combination",
-    "Directions",
     "Structure",
     "combinations",
     "everett_count",
     "observability",
-    "practical_directions",
-    "pruned",
     "structure",
-    "visible_directions",
 ]
 
 CRUMB = 1e-6
@@ -39,9 +36,6 @@ CRUMB = 1e-6
 
 DWARFED = 100.0
 """Ratio of weights from which the first term of a sum does not set its unit."""
-
-WEAK = 10.0
-"""Posterior standard deviation, in scales, from which a direction is left alone."""
 
 
 @dataclass(frozen=True)
@@ -85,12 +79,15 @@ class Structure:
     Attributes:
         singular_values: Of the scaled structural Jacobian, descending.
         rank: Number of singular values above rounding.
+        robot: Singular values of the robot's directions with the nuisances projected
+            out, descending.
         combinations: The identifiable combinations, one per rank, in order.
         unidentifiable: Positions of the free parameters without any effect.
     """
 
     singular_values: Floats
     rank: int
+    robot: Floats
     combinations: tuple[Combination, ...]
     unidentifiable: tuple[int, ...]
 
@@ -99,19 +96,6 @@ class Structure:
         """Ratio of the last singular value kept to the first one dropped."""
         s, r = self.singular_values, self.rank
         return float(s[r - 1] / s[r]) if 0 < r < len(s) and s[r] > 0.0 else np.inf
-
-
-@dataclass(frozen=True)
-class Directions:
-    """What the fit may move, in parameters divided by their scale.
-
-    Attributes:
-        basis: Nuisances and the robot directions that are estimated, shape (P, k).
-        weak: Robot directions that stay at nominal, shape (P, w).
-    """
-
-    basis: Floats
-    weak: Floats
 
 
 def structure(J: Floats, parameters: ParameterSet) -> Structure:
@@ -125,7 +109,7 @@ def structure(J: Floats, parameters: ParameterSet) -> Structure:
     A = J[:, free] * parameters.scales[free]
     # The triangular factor has the same singular values and row space.
     _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
-    tolerance = _rounding(A) * (s[0] if len(s) else 0.0)
+    tolerance = rounding(A) * (s[0] if len(s) else 0.0)
     rank = int((s > tolerance).sum())
     found = np.flatnonzero(free)
     # The rows S V^T carry the same relations between columns as A, without its noise.
@@ -143,6 +127,7 @@ def structure(J: Floats, parameters: ParameterSet) -> Structure:
     return Structure(
         singular_values=s,
         rank=rank,
+        robot=robot_svd(J, parameters)[0],
         combinations=tuple(sums),
         unidentifiable=tuple(int(k) for k in found if k not in used),
     )
@@ -184,104 +169,6 @@ def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:
         C = np.asarray(np.linalg.lstsq(A[:, pivots], A, rcond=None)[0])
     C[:, absent] = 0.0
     return pivots, C
-
-
-def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
-    """Robot directions that change something which the nuisances cannot absorb.
-
-    The solution stays in these directions: what a frame can absorb, the frame
-    absorbs, and what nothing can see keeps its nominal value.
-
-    Args:
-        J: Jacobian at zero errors over many random configurations, with the rows of
-            the priors, shape (M, P).
-        parameters: The parameters.
-
-    Returns:
-        Orthonormal directions of the parameters divided by their scale, shape (P, r).
-    """
-    robot = parameters.free & ~parameters.nuisance
-    if not robot.any():
-        return np.zeros((len(parameters), 0))
-    A = J * parameters.scales
-    U = _range(A[:, parameters.free & parameters.nuisance])
-    projected = A[:, robot] - U @ (U.T @ A[:, robot])
-    _, s, Vt = np.linalg.svd(projected, full_matrices=False)
-    # Relative to what stood there before: the projection leaves rounding behind.
-    tolerance = _rounding(A) * np.linalg.norm(A[:, robot], 2)
-    rank = int((s > tolerance).sum())
-    result = np.zeros((len(parameters), rank))
-    # Rounding must not move, by 1e-20, parameters that nothing moves.
-    result[robot] = np.where(np.abs(Vt[:rank].T) < 1e-13, 0.0, Vt[:rank].T)
-    return result
-
-
-def practical_directions(
-    J: Floats,
-    r: Floats,
-    parameters: ParameterSet,
-    robot: Floats,
-    sigma0: float | None = None,
-) -> Directions:
-    """Choose the robot directions that these measurements can estimate.
-
-    The nuisances are projected out of the whitened, scaled Jacobian; a right singular
-    direction with singular value s then has the posterior standard deviation
-    `sigma0 / s`, in scales.
-
-    Args:
-        J: Whitened Jacobian at zero robot errors, shape (M, P).
-        r: Whitened residual there, shape (M,); predicts sigma0 where it is None.
-        parameters: The parameters.
-        robot: Structurally visible robot directions, shape (P, r).
-        sigma0: Standard deviation of unit weight of a fit, where one is known.
-    """
-    A = J * parameters.scales
-    U = _range(A[:, parameters.free & parameters.nuisance])
-    system = np.column_stack([A @ robot, r])
-    system -= U @ (U.T @ system)
-    # The triangular factor holds the same problem in few rows.
-    triangle = np.asarray(np.linalg.qr(system, mode="r"))
-    projected, rest = triangle[:, :-1], triangle[:, -1]
-    left, s, Vt = np.linalg.svd(projected, full_matrices=True)
-    if sigma0 is None:
-        along = left.T[: len(s)] @ rest
-        dof = len(r) - U.shape[1]
-        count = _predicted_count(s, along, float(rest @ rest), dof)
-    else:
-        count = int((s * WEAK > sigma0).sum())
-    count = min(count, int((s > _rounding(A) * s.max(initial=0.0)).sum()))
-    nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
-    return Directions(
-        basis=np.column_stack([nuisance, robot @ Vt[:count].T]),
-        weak=robot @ Vt[count:].T,
-    )
-
-
-def pruned(
-    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
-) -> Directions:
-    """The directions that a fit has confirmed; the others join the weak ones.
-
-    Args:
-        directions: What the fit moved.
-        J: Whitened Jacobian at its solution, shape (M, P).
-        parameters: The parameters.
-        sigma0: Standard deviation of unit weight of the fit.
-    """
-    A = J * parameters.scales
-    nuisances = int((parameters.free & parameters.nuisance).sum())
-    robot = directions.basis[:, nuisances:]
-    U = _range(A[:, parameters.free & parameters.nuisance])
-    projected = A @ robot
-    projected -= U @ (U.T @ projected)
-    triangle = np.asarray(np.linalg.qr(projected, mode="r"))
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
-    count = int((s * WEAK > sigma0).sum())
-    return Directions(
-        basis=np.column_stack([directions.basis[:, :nuisances], robot @ Vt[:count].T]),
-        weak=np.column_stack([directions.weak, robot @ Vt[count:].T]),
-    )
 
 
 def observability(s: Floats, count: int) -> dict[str, float]:
@@ -331,39 +218,3 @@ def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combi
         tuple((position, value / lead[1]) for position, value in terms),
         parameters[lead[0]].unit,
     )
-
-
-def _rounding(A: Floats) -> float:
-    """Relative size of singular values that rounding alone produces."""
-    return float(10.0 * max(A.shape, default=1) * np.finfo(float).eps)
-
-
-def _range(A: Floats) -> Floats:
-    """Orthonormal basis of the columns of A, rounding left out."""
-    if A.shape[1] == 0:
-        return np.zeros((len(A), 0))
-    U, s, _ = np.linalg.svd(A, full_matrices=False)
-    return np.asarray(U[:, s > _rounding(A) * s[0]])
-
-
-def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
-    """Number of directions whose own linear prediction of sigma0 lets them in.
-
-    Directions enter from the best determined on; each lowers the residual that the
-    next is judged by. Starting with few keeps a poor linearization from moving what
-    the data cannot hold.
-
-    Args:
-        s: Singular values, shape (m,), descending.
-        along: Residual along the left singular vectors, shape (m,).
-        square: Sum of squared residuals without any direction.
-        dof: Residual components minus the rank of the nuisances.
-    """
-    count = 0
-    while count < min(len(s), dof - 1):
-        left = square - float(along[: count + 1] @ along[: count + 1])
-        sigma0 = np.sqrt(max(left, 0.0) / (dof - count - 1))
-        if s[count] * WEAK <= sigma0:
-            break
-        count += 1
-    return count

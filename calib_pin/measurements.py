@@ -14,6 +14,9 @@ __all__ = ["Measurements"]
 
 Floats = NDArray[np.float64]
 
+SAME = 1e-6
+"""Largest difference of joint positions within one configuration [rad, m]."""
+
 
 @dataclass(frozen=True)
 class Measurements:
@@ -70,6 +73,11 @@ class Measurements:
                 raise InputError(f"'{name}' has not the {count} rows of q")
         if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
             raise InputError("measurements must be finite numbers")
+        if self.values.ndim != 2 or (
+            self.sigma is not None
+            and (self.sigma.ndim != 2 or len(self.sigma) != count)
+        ):
+            raise InputError(f"values and sigma must be tables of {count} rows")
         if self.sigma is not None and not (
             np.isfinite(self.sigma).all() and (self.sigma > 0).all()
         ):
@@ -100,11 +108,21 @@ class Measurements:
     def groups(self) -> NDArray[np.int64]:
         """Label rows that must stay together when data are split, shape (N,).
 
-        Rows of one configuration (equal to 1e-6 rad or m) are repetitions: with one
-        of them fitted the others are no longer unseen.
+        Rows of one configuration are repetitions: with one of them fitted the others
+        are no longer unseen.
         """
-        _, label = np.unique(np.round(self.q, 6), axis=0, return_inverse=True)
-        return np.asarray(label.reshape(-1), np.int64)
+        label = np.zeros(len(self), np.int64)
+        found = -1
+        # Split by one joint after the other at gaps in the sorted positions, until
+        # nothing splits: rounding to a grid would part neighbors across its edges.
+        while label.max(initial=-1) != found:
+            found = label.max(initial=-1)
+            for position in self.q.T:
+                order = np.lexsort((position, label))
+                apart = np.diff(label[order]) != 0
+                apart |= np.diff(position[order]) > SAME
+                label[order] = np.concatenate([[0], np.cumsum(apart)])
+        return label
 
     def place(self, row: int) -> str:
         """Where a row stands, as `file:line`, or `row k` where there is no file."""

@@ -95,9 +95,7 @@ def jacobian() -> None:
             problem.residual(theta - shift)
 
     reference = best(differences, 3)
-    show(
-        "Jacobian, 500 rows x 48", seconds, "central differences", reference
-    )
+    show("Jacobian, 500 rows x 48", seconds, "central differences", reference)
     model, data = chain.robot.model, chain.robot.model.createData()
 
     def kinematics() -> None:

@@ -14,7 +14,7 @@ LAYERS = (
     ("errors", "parameters", "setup", "spatial"),
     ("chain", "measurements", "registration"),
     ("parameterizations", "measurement_models", "error_model"),
-    ("problem", "identifiability", "solvers"),
+    ("problem", "directions", "identifiability", "solvers"),
     ("fit", "result", "assessment", "calibration", "simulation"),
     ("io", "report"),
     ("cli",),
@@ -22,8 +22,16 @@ LAYERS = (
 LAYER = {name: k for k, names in enumerate(LAYERS) for name in names}
 # Families and the parts of layer 3 know nothing of each other. The error model is
 # what puts the parameterizations together.
-APART = {"measurement_models", "problem", "identifiability", "solvers", "io", "report"}
-SIDEWAYS = {("error_model", "parameterizations")}
+APART = {
+    "measurement_models",
+    "problem",
+    "directions",
+    "identifiability",
+    "solvers",
+    "io",
+    "report",
+}
+SIDEWAYS = {("error_model", "parameterizations"), ("identifiability", "directions")}
 NUMERICS = 4
 FORBIDDEN_MODULES = {
     *("builtins", "datetime", "ftplib", "getpass", "glob", "http", "io", "logging"),

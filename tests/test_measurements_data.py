@@ -156,3 +156,21 @@ def test_concatenate() -> None:
 def test_what_cannot_be_joined(changes: dict[str, Any], reason: str) -> None:
     pair = [measurements(), measurements(**changes)]
     assert reason in message(lambda: Measurements.concatenate(pair))
+
+
+def test_repetitions_with_jitter_across_a_rounding_edge_stay_together() -> None:
+    base = np.array([[0.1234565, -0.7654325], [0.5, 0.5]])
+    q = np.repeat(base, 3, axis=0)
+    q[:3] += np.array([[-2e-9, 2e-9], [2e-9, -2e-9], [0.0, 3e-9]])
+    rows = Measurements(("a", "b"), q, "position", np.zeros((6, 3)))
+    labels = rows.groups()
+    assert len(set(labels[:3])) == len(set(labels[3:])) == 1
+    assert labels[0] != labels[3]
+
+
+@pytest.mark.parametrize("shape", [(2, 3), (1, 3), (3,)])
+def test_sigma_has_a_row_for_each_measurement(shape: tuple[int, ...]) -> None:
+    with pytest.raises(InputError, match="3 rows"):
+        Measurements(
+            ("a",), np.zeros((3, 1)), "position", np.zeros((3, 3)), np.ones(shape)
+        )

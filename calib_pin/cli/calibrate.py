@@ -7,6 +7,14 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib_pin.cli.files import (
+    check_outputs,
+    exists,
+    open_chain,
+    open_measurements,
+    open_setup,
+    require_distinct,
+)
 from calib_pin.cli.options import (
     FIT,
     OUTPUT,
@@ -19,14 +27,10 @@ from calib_pin.cli.options import (
     Seed,
     SetupFile,
     Tip,
-    check_outputs,
-    exists,
-    notice,
     number,
-    open_chain,
-    open_measurements,
-    open_setup,
-    require_distinct,
+)
+from calib_pin.cli.printing import (
+    notice,
     show,
 )
 

@@ -7,6 +7,13 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli.files import (
+    exists,
+    open_chain,
+    open_measurements,
+    open_setup,
+    require_distinct,
+)
 from calib_pin.cli.options import (
     FIT,
     Base,
@@ -14,12 +21,9 @@ from calib_pin.cli.options import (
     Model,
     SetupFile,
     Tip,
-    exists,
+)
+from calib_pin.cli.printing import (
     notice,
-    open_chain,
-    open_measurements,
-    open_setup,
-    require_distinct,
     show,
 )
 

@@ -7,6 +7,12 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli.files import (
+    open_chain,
+    open_measurements,
+    open_setup,
+    require_distinct,
+)
 from calib_pin.cli.options import (
     Base,
     Json,
@@ -16,10 +22,8 @@ from calib_pin.cli.options import (
     Seed,
     SetupFile,
     Tip,
-    open_chain,
-    open_measurements,
-    open_setup,
-    require_distinct,
+)
+from calib_pin.cli.printing import (
     show,
 )
 

@@ -12,7 +12,7 @@ def robots() -> int:
     from rich.table import Table
 
     from calib_pin.chain import Chain
-    from calib_pin.cli.options import show
+    from calib_pin.cli.printing import show
     from calib_pin.io.urdf import bundled_robots, load_robot
 
     table = Table(box=None, pad_edge=False)

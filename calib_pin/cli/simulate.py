@@ -7,6 +7,11 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli.files import (
+    check_outputs,
+    open_chain,
+    open_setup,
+)
 from calib_pin.cli.options import (
     OUTPUT,
     Base,
@@ -15,10 +20,7 @@ from calib_pin.cli.options import (
     RobotName,
     SetupFile,
     Tip,
-    check_outputs,
     number,
-    open_chain,
-    open_setup,
 )
 
 __all__ = ["simulate"]

@@ -248,7 +248,8 @@ def _quaternions(table: Table, orientation: Mapping[str, Kind]) -> Floats:
         given = np.hstack([0.5 * np.sinc(half / np.pi) * given, np.cos(half)])
     elif orientation is FIXED_AXES:
         given = _from_fixed_axes(given)
-    norm = np.linalg.norm(given, axis=1)
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(given, axis=1)
     row = int(np.argmax(np.abs(norm - 1.0)))
     if abs(norm[row] - 1.0) > 1e-2:
         raise InputError(

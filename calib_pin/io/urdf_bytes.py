@@ -40,6 +40,10 @@ _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
+FARTHEST = 1e6
+"""Largest coordinate of an origin [m]; a world may be larger than its robot."""
+
+
 @dataclass(frozen=True)
 class Element:
     """An XML element near the root.
@@ -275,7 +279,12 @@ def read_origin(document: Document, joint: Element) -> pin.SE3:
     if origin is None:
         return placement
     if "xyz" in origin.attributes:
-        placement.translation = document.numbers(owner, origin, "xyz", 3)
+        xyz = document.numbers(owner, origin, "xyz", 3)
+        if np.abs(xyz).max() > FARTHEST:
+            written = origin.attributes["xyz"]
+            reason = f"the origin of {owner} is too far away"
+            raise document.error(origin, reason, value=written, allowed="xyz in m")
+        placement.translation = xyz
     if _uses_quaternion(document, origin):
         quaternion = document.numbers(owner, origin, "quat_xyzw", 4)
         if not quaternion.any():

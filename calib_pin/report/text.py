@@ -6,6 +6,8 @@ import io
 import math
 from collections.abc import Iterable, Iterator, Sequence
 
+import numpy as np
+import pinocchio as pin
 from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
@@ -82,6 +84,7 @@ def report(result: CalibrationResult) -> RenderableType:
         _subject(result),
         "",
         *_accuracy(result),
+        *_moves(result),
         "",
         identification_report(result, fitted=True),
         *_listed("at a bound", result.at_bounds),
@@ -104,7 +107,7 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
     if found.groups:
         parts += ["", _groups(found, fitted)]
     remarks = {
-        "weak": "weak (these measurements cannot tell; left near nominal)",
+        "weak": "weak (these rows tell too little; partly or wholly left at nominal)",
         "unidentifiable": "unidentifiable (no effect on what is measured)",
         "fixed": "fixed",
     }
@@ -143,7 +146,7 @@ def _verdict(result: CalibrationResult) -> Text:
 
 def _better(error: QuantityErrors) -> bool:
     before, after = error.validation_before, error.validation_after
-    return before is None or after is None or after.rms < before.rms
+    return before is None or after is None or after.rms < 0.99 * before.rms
 
 
 def _subject(result: CalibrationResult) -> Text:
@@ -172,6 +175,23 @@ def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
                 name = rows = ""
     yield table
     yield Text(_registered(result), style="dim")
+
+
+def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
+    """How far the corrected robot is from the nominal one: it must look like it."""
+    corrections = result.model.urdf_corrections()
+    if not corrections:
+        return
+    shifts = {j: float(np.linalg.norm(M.translation)) for j, M in corrections.items()}
+    turns = {
+        j: float(np.linalg.norm(pin.log3(M.rotation))) for j, M in corrections.items()
+    }
+    parts = []
+    for sizes, unit in ((shifts, "m"), (turns, "rad")):
+        joint = max(sizes, key=sizes.__getitem__)
+        shown, factor = DISPLAY[unit]
+        parts.append(f"{_number(factor * sizes[joint])} {shown} ({joint})")
+    yield Text(f"Joint origins move by up to {' and '.join(parts)}.", style="dim")
 
 
 def _registered(result: CalibrationResult) -> str:

@@ -148,21 +148,41 @@ def test_the_subject(result):
 
 def test_accuracy_in_millimeters_and_degrees(result):
     lines = section(format_report(result), "Accuracy")
-    assert len(lines) == 1 + 1 + 2 * 2 * 2 + 1
+    assert len(lines) == 1 + 1 + 2 * 2 * 2 + 2
     position = next(e for e in result.errors if e.name == "position")
     words = lines[2].split()
     assert words[:3] == ["position", "fitted", "nominal"]
     assert words[-1] == "mm"
     assert float(words[3]) == pytest.approx(1e3 * position.before.mean, rel=1e-3)
     orientation = next(e for e in result.errors if e.name == "orientation")
-    words = lines[-2].split()
+    words = lines[-3].split()
     assert words[0] == "calibrated"
     assert words[-1] == "deg"
     after = orientation.validation_after
     assert after is not None
     assert float(words[3]) == pytest.approx(np.degrees(after.max), abs=1e-4)
     assert "unseen (5-fold)" in lines[4]
-    assert lines[-1] == "Fitted in either case: base frame, tool frame."
+    assert lines[-2] == "Fitted in either case: base frame, tool frame."
+
+
+def test_how_far_the_robot_moves(result):
+    line = section(format_report(result), "Accuracy")[-1]
+    found = re.fullmatch(
+        r"Joint origins move by up to ([\d.]+) mm \((\w+)\) and ([\d.]+) deg "
+        r"\((\w+)\)\.",
+        line,
+    )
+    assert found is not None
+    corrections = result.model.urdf_corrections()
+    shifts = {j: 1e3 * np.linalg.norm(M.translation) for j, M in corrections.items()}
+    turns = {
+        j: np.degrees(np.arccos((np.trace(M.rotation) - 1.0) / 2.0))
+        for j, M in corrections.items()
+    }
+    assert float(found[1]) == pytest.approx(max(shifts.values()), rel=1e-3)
+    assert float(found[3]) == pytest.approx(max(turns.values()), abs=1e-4)
+    assert shifts[found[2]] == max(shifts.values())
+    assert turns[found[4]] == max(turns.values())
 
 
 def test_without_frames_nothing_is_registered():
@@ -180,7 +200,7 @@ def test_planes_are_fitted_in_either_case():
     lines = section(
         format_report(solve(model="plane-distance", setup=setup)), "Accuracy"
     )
-    assert lines[-1] == "Fitted in either case: wall plane."
+    assert lines[-2] == "Fitted in either case: wall plane."
     assert lines[2].split()[0] == "distance"
 
 
@@ -262,7 +282,7 @@ def test_weak_and_unidentifiable_parameters():
     # A tracker that is far worse than the robot tells nothing of its joints.
     result = solve(model="position", setup=Setup(noise={"position": 0.05}))
     text = format_report(result)
-    weak = section(text, "weak (these measurements cannot tell")
+    weak = section(text, "weak (these rows tell too little")
     assert any("placement" in line for line in weak)
     assert "directions left at nominal" in text
     dead = section(text, "unidentifiable (no effect on what is measured)")

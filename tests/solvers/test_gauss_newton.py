@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -10,6 +11,8 @@ from scipy.optimize import lsq_linear
 
 from calib_pin.solvers import LeastSquaresResult, Status, gauss_newton
 from calib_pin.spatial import Floats
+
+DATA = Path(__file__).parents[1] / "data"
 
 
 class Linear:
@@ -48,14 +51,7 @@ class Rosenbrock:
 class Misra1a:
     """NIST StRD nonlinear regression, `y = b1 (1 - exp(-b2 x))`."""
 
-    x = np.array(
-        (77.6, 114.9, 141.1, 190.8, 239.9, 289.0, 332.8)
-        + (378.4, 434.8, 477.3, 536.8, 593.1, 689.1, 760.0)
-    )
-    y = np.array(
-        (10.07, 14.73, 17.94, 23.93, 29.61, 35.18, 40.02)
-        + (44.82, 50.76, 55.05, 61.01, 66.40, 75.47, 81.78)
-    )
+    y, x = np.loadtxt(DATA / "misra1a.csv", delimiter=",", unpack=True)
     certified = np.array([2.3894212918e02, 5.5015643181e-04])
     deviations = np.array([2.7070075241e00, 7.2668688436e-06])
 

@@ -1,0 +1,169 @@
+"""The files that commands read, and those they must not write."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING
+
+from calib_pin.cli.printing import notice
+
+if TYPE_CHECKING:
+    from calib_pin.chain import Chain
+    from calib_pin.measurements import Measurements
+    from calib_pin.setup import Setup
+
+__all__ = [
+    "check_outputs",
+    "exists",
+    "open_chain",
+    "open_measurements",
+    "open_setup",
+    "require_distinct",
+]
+
+
+def open_setup(
+    file: Path | None,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    model: str | None = None,
+    parameters: str | None = None,
+) -> Setup:
+    """The setup file with the flags on top.
+
+    Raises:
+        InputError: If the file cannot be used.
+        OptionError: If a flag names what does not exist.
+    """
+    from dataclasses import replace
+
+    from calib_pin.errors import OptionError
+    from calib_pin.io.measured_columns import check_model
+    from calib_pin.io.setup import read_setup
+    from calib_pin.parameterizations import parameterization
+    from calib_pin.setup import Setup
+
+    for option, value in (("--base", base), ("--tip", tip)):
+        if value is not None and not value.strip():
+            raise OptionError(f"{option} is empty", allowed="the name of a link")
+    setup = Setup() if file is None else read_setup(file)
+    if parameters is not None:
+        names = tuple(name.strip() for name in parameters.split(","))
+        for name in names:
+            parameterization(name)
+        if len(set(names)) != len(names):
+            raise OptionError("a parameterization is named twice", value=parameters)
+        setup = replace(setup, parameters=names)
+    if model is not None:
+        check_model(model)
+    return replace(
+        setup,
+        base=base or setup.base,
+        tip=tip or setup.tip,
+        model=model or setup.model,
+    )
+
+
+def open_chain(robot: str, setup: Setup) -> Chain:
+    """The chain of a robot that the setup names.
+
+    Raises:
+        RobotError: If the robot or a frame cannot be used.
+    """
+    from calib_pin.chain import Chain
+    from calib_pin.errors import RobotError
+    from calib_pin.io.urdf import load_robot
+
+    if robot.endswith(".json"):
+        raise RobotError(
+            "this command needs a robot; a calibration can only be evaluated",
+            file=robot,
+            allowed="a URDF file, such as the corrected one",
+        )
+    return Chain(load_robot(robot), setup.base, setup.tip)
+
+
+def open_measurements(
+    files: Sequence[Path], chain: Chain, setup: Setup, *, quiet: bool = False
+) -> Measurements:
+    """Measurement files, with a remark on columns that mean nothing.
+
+    Raises:
+        InputError: If a file cannot be used.
+    """
+    from calib_pin.io.measurements import read_measurements
+
+    return read_measurements(
+        files,
+        chain,
+        model=setup.model,
+        joints=setup.joints,
+        notice=None if quiet else notice,
+    )
+
+
+def require_distinct(files: Sequence[Path]) -> None:
+    """Refuse rows that would count twice.
+
+    Raises:
+        OptionError: If a file is given twice.
+    """
+    from calib_pin.errors import OptionError
+
+    for position, file in enumerate(files):
+        if any(_same(file, other) for other in files[:position]):
+            raise OptionError("this file is given twice", file=file)
+
+
+def check_outputs(
+    outputs: Iterable[Path | None],
+    inputs: Iterable[str | Path | None],
+    force: bool,
+) -> None:
+    """Complain about files that must not be written, before the work is done.
+
+    Args:
+        outputs: The files to write.
+        inputs: The files that are read; a robot may be one by name.
+        force: Whether existing outputs may be replaced.
+
+    Raises:
+        OptionError: If an output exists without `force`, is an input, or is given
+            twice.
+    """
+    from calib_pin.errors import OptionError
+    from calib_pin.io.urdf import locate_robot
+
+    read = [locate_robot(str(file)) for file in inputs if file is not None]
+    written: list[Path] = []
+    for path in outputs:
+        if path is None:
+            continue
+        if any(_same(path, file) for file in read):
+            raise OptionError(
+                "is an input of this run, and inputs are never changed",
+                file=path,
+                allowed="another file",
+            )
+        if any(path.absolute() == other.absolute() for other in written):
+            raise OptionError("two outputs would go to this file", file=path)
+        if exists(path) and not force:
+            raise OptionError("exists already; --force replaces it", file=path)
+        written.append(path)
+
+
+def _same(first: Path, second: Path) -> bool:
+    try:
+        return first.samefile(second)
+    except (OSError, ValueError):
+        return False  # One of them does not exist.
+
+
+def exists(path: Path) -> bool:
+    """Whether something is there, as far as that can be said."""
+    try:
+        return path.exists()
+    except (OSError, ValueError):
+        return False  # Whatever is wrong with it, writing will tell.

@@ -1,0 +1,209 @@
+"""Directions of the robot that a fit may move.
+
+A redundant model has directions that nothing can see, and real measurements leave some
+more that they can hardly tell. Moving them would shift links by centimeters for nothing
+in return, so they stay at nominal.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.parameters import ParameterSet
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "WEAK",
+    "Directions",
+    "practical_directions",
+    "pruned",
+    "robot_singular_values",
+    "robot_svd",
+    "rounding",
+    "visible_directions",
+]
+
+WEAK = 10.0
+"""Posterior standard deviation, in scales, from which a direction is left alone."""
+
+
+@dataclass(frozen=True)
+class Directions:
+    """What the fit may move, in parameters divided by their scale.
+
+    Attributes:
+        basis: Nuisances and the robot directions that are estimated, shape (P, k).
+        weak: Robot directions that stay at nominal, shape (P, w).
+    """
+
+    basis: Floats
+    weak: Floats
+
+    @property
+    def count(self) -> int:
+        """Number of directions that are moved."""
+        return int(self.basis.shape[1])
+
+
+def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
+    """Robot directions that change something which the nuisances cannot absorb.
+
+    The solution stays in these directions: what a frame can absorb, the frame
+    absorbs, and what nothing can see keeps its nominal value.
+
+    Args:
+        J: Jacobian at zero errors over many random configurations, with the rows of
+            the priors, shape (M, P).
+        parameters: The parameters.
+
+    Returns:
+        Orthonormal directions of the parameters divided by their scale, shape (P, r).
+    """
+    robot = parameters.free & ~parameters.nuisance
+    s, Vt = robot_svd(J, parameters)
+    result = np.zeros((len(parameters), len(s)))
+    # Rounding must not move, by 1e-20, parameters that nothing moves.
+    result[robot] = np.where(np.abs(Vt.T) < 1e-13, 0.0, Vt.T)
+    return result
+
+
+def practical_directions(
+    J: Floats,
+    r: Floats,
+    parameters: ParameterSet,
+    robot: Floats,
+    sigma0: float | None = None,
+) -> Directions:
+    """Choose the robot directions that these measurements can estimate.
+
+    The nuisances are projected out of the whitened, scaled Jacobian; a right singular
+    direction with singular value s then has the posterior standard deviation
+    `sigma0 / s`, in scales.
+
+    Args:
+        J: Whitened Jacobian at zero robot errors, shape (M, P).
+        r: Whitened residual there, shape (M,); predicts sigma0 where it is None.
+        parameters: The parameters.
+        robot: Structurally visible robot directions, shape (P, r).
+        sigma0: Standard deviation of unit weight of a fit, where one is known.
+    """
+    A = J * parameters.scales
+    system, nuisances = _project(np.column_stack([A @ robot, r]), A, parameters)
+    # The triangular factor holds the same problem in few rows.
+    triangle = np.asarray(np.linalg.qr(system, mode="r"))
+    projected, rest = triangle[:, :-1], triangle[:, -1]
+    left, s, Vt = np.linalg.svd(projected, full_matrices=True)
+    if sigma0 is None:
+        along = left.T[: len(s)] @ rest
+        dof = len(r) - nuisances
+        count = _predicted_count(s, along, float(rest @ rest), dof)
+    else:
+        count = int((s * WEAK > sigma0).sum())
+    count = min(count, int((s > rounding(A) * s.max(initial=0.0)).sum()))
+    nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
+    return Directions(
+        basis=np.column_stack([nuisance, robot @ Vt[:count].T]),
+        weak=robot @ Vt[count:].T,
+    )
+
+
+def pruned(
+    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
+) -> Directions:
+    """The directions that a fit has confirmed; the others join the weak ones.
+
+    Args:
+        directions: What the fit moved.
+        J: Whitened Jacobian at its solution, shape (M, P).
+        parameters: The parameters.
+        sigma0: Standard deviation of unit weight of the fit.
+    """
+    A = J * parameters.scales
+    nuisances = int((parameters.free & parameters.nuisance).sum())
+    robot = directions.basis[:, nuisances:]
+    projected, _ = _project(A @ robot, A, parameters)
+    triangle = np.asarray(np.linalg.qr(projected, mode="r"))
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
+    count = int((s * WEAK > sigma0).sum())
+    return Directions(
+        basis=np.column_stack([directions.basis[:, :nuisances], robot @ Vt[:count].T]),
+        weak=np.column_stack([directions.weak, robot @ Vt[count:].T]),
+    )
+
+
+def robot_singular_values(J: Floats, moved: Floats, parameters: ParameterSet) -> Floats:
+    """Singular values of moved robot directions, the nuisances projected out.
+
+    Args:
+        J: Jacobian, shape (M, P).
+        moved: Directions, in parameters and not in scales, shape (P, k).
+        parameters: The parameters.
+    """
+    # Nuisances may be mixed in where a bound ties them to the robot.
+    robot = np.where(parameters.nuisance[:, None], 0.0, moved)
+    robot = robot[:, np.abs(robot).max(axis=0, initial=0.0) > 0.0]
+    projected, _ = _project(J @ robot, J * parameters.scales, parameters)
+    return np.asarray(np.linalg.svd(projected, compute_uv=False))
+
+
+def robot_svd(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
+    """Nonzero singular values (r,) and right vectors (r, free robot parameters).
+
+    Of the scaled columns of the robot with the nuisances projected out.
+    """
+    robot = parameters.free & ~parameters.nuisance
+    if not robot.any():
+        return np.zeros(0), np.zeros((0, 0))
+    A = J * parameters.scales
+    projected, _ = _project(A[:, robot], A, parameters)
+    _, s, Vt = np.linalg.svd(projected, full_matrices=False)
+    # Relative to what stood there before: the projection leaves rounding behind.
+    tolerance = rounding(A) * np.linalg.norm(A[:, robot], 2)
+    rank = int((s > tolerance).sum())
+    return s[:rank], Vt[:rank]
+
+
+def rounding(A: Floats) -> float:
+    """Relative size of singular values that rounding alone produces."""
+    return float(10.0 * max(A.shape, default=1) * np.finfo(float).eps)
+
+
+def _project(
+    columns: Floats, A: Floats, parameters: ParameterSet
+) -> tuple[Floats, int]:
+    """Columns with those of the nuisances in A projected out, and the rank of these."""
+    U = _range(A[:, parameters.free & parameters.nuisance])
+    return columns - U @ (U.T @ columns), U.shape[1]
+
+
+def _range(A: Floats) -> Floats:
+    """Orthonormal basis of the columns of A, rounding left out."""
+    if A.shape[1] == 0:
+        return np.zeros((len(A), 0))
+    U, s, _ = np.linalg.svd(A, full_matrices=False)
+    return np.asarray(U[:, s > rounding(A) * s[0]])
+
+
+def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
+    """Number of directions whose own linear prediction of sigma0 lets them in.
+
+    Directions enter from the best determined on; each lowers the residual that the
+    next is judged by. Starting with few keeps a poor linearization from moving what
+    the data cannot hold.
+
+    Args:
+        s: Singular values, shape (m,), descending.
+        along: Residual along the left singular vectors, shape (m,).
+        square: Sum of squared residuals without any direction.
+        dof: Residual components minus the rank of the nuisances.
+    """
+    count = 0
+    while count < min(len(s), dof - 1):
+        left = square - float(along[: count + 1] @ along[: count + 1])
+        sigma0 = np.sqrt(max(left, 0.0) / (dof - count - 1))
+        if s[count] * WEAK <= sigma0:
+            break
+        count += 1
+    return count

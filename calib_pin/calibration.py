@@ -154,7 +154,13 @@ def calibrate(
         evaluations=fitted.result.nfev,
         seed=seed,
         covariance=fitted.covariance,
-        files=tuple(dict.fromkeys(name for name in measurements.files if name)),
+        files=tuple(
+            name
+            for name in dict.fromkeys(
+                measurements.files + (() if validation is None else validation.files)
+            )
+            if name
+        ),
     )
 
 

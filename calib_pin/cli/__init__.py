@@ -23,10 +23,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
     # would change the last bits of a result.
     for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
         os.environ.setdefault(name, "1")
-    # A file name may hold what the terminal's encoding does not.
-    for stream in (sys.stdout, sys.stderr):
-        if hasattr(stream, "reconfigure"):
-            stream.reconfigure(errors="backslashreplace")
+    _prepare_streams()
 
     from typer.exceptions import TyperException
 
@@ -51,11 +48,27 @@ def main(arguments: Sequence[str] | None = None) -> int:
             _complain(str(error))
         elif isinstance(error, TyperException):
             _complain(_usage(error))
+        elif isinstance(error, OSError):
+            _complain(f"{error.filename or 'output'}: {error.strerror or error}")
         else:
             reason = f"{type(error).__name__}: {error}"
             _complain(f"internal error, please report it with --debug: {reason}")
         return 1
     return status if isinstance(status, int) else 0
+
+
+def _prepare_streams() -> None:
+    """Make standard output and error take whatever is written to them."""
+    for number, name in ((1, "stdout"), (2, "stderr")):
+        if getattr(sys, name) is None:  # Closed by the caller.
+            null = os.open(os.devnull, os.O_WRONLY)
+            if null != number:
+                os.dup2(null, number)
+            setattr(sys, name, os.fdopen(number, "w", closefd=False))
+        # A file name may hold what the encoding does not.
+        reconfigure = getattr(getattr(sys, name), "reconfigure", None)
+        if reconfigure is not None:
+            reconfigure(errors="backslashreplace")
 
 
 def _usage(error: Exception) -> str:

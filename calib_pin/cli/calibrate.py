@@ -29,10 +29,7 @@ from calib_pin.cli.options import (
     Tip,
     number,
 )
-from calib_pin.cli.printing import (
-    notice,
-    show,
-)
+from calib_pin.cli.printing import notice, show
 
 if TYPE_CHECKING:
     from calib_pin.result import CalibrationResult

@@ -22,10 +22,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
 )
-from calib_pin.cli.printing import (
-    notice,
-    show,
-)
+from calib_pin.cli.printing import notice, show
 
 __all__ = ["evaluate"]
 

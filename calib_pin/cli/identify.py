@@ -23,9 +23,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
 )
-from calib_pin.cli.printing import (
-    show,
-)
+from calib_pin.cli.printing import show
 
 __all__ = ["identify"]
 

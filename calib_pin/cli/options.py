@@ -11,8 +11,8 @@ import typer
 
 __all__ = [
     "FIT",
-    "FRAMES",
     "OUTPUT",
+    "ROBOT",
     "Base",
     "Force",
     "Json",
@@ -26,7 +26,7 @@ __all__ = [
     "number",
 ]
 
-FRAMES = "Robot"
+ROBOT = "Robot"
 FIT = "Fit"
 OUTPUT = "Output"
 """Headings of `--help`."""
@@ -73,7 +73,7 @@ SetupFile = Annotated[
         "--setup",
         metavar="FILE",
         help="Setup file (YAML); options win over it.",
-        rich_help_panel=FRAMES,
+        rich_help_panel=ROBOT,
     ),
 ]
 Model = Annotated[
@@ -82,7 +82,7 @@ Model = Annotated[
         "--model",
         metavar="NAME",
         help="position, pose or plane-distance; default what the columns show.",
-        rich_help_panel=FRAMES,
+        rich_help_panel=ROBOT,
     ),
 ]
 Base = Annotated[
@@ -91,7 +91,7 @@ Base = Annotated[
         "--base",
         metavar="LINK",
         help="Start of the chain; default the root.",
-        rich_help_panel=FRAMES,
+        rich_help_panel=ROBOT,
     ),
 ]
 Tip = Annotated[
@@ -100,7 +100,7 @@ Tip = Annotated[
         "--tip",
         metavar="LINK",
         help="End of the chain; default the only leaf.",
-        rich_help_panel=FRAMES,
+        rich_help_panel=ROBOT,
     ),
 ]
 Parameters = Annotated[
@@ -110,7 +110,7 @@ Parameters = Annotated[
         metavar="P,...",
         help="placement (default), link-transform, dh, dh-full, joint-offset; "
         "several may be combined.",
-        rich_help_panel=FRAMES,
+        rich_help_panel=ROBOT,
     ),
 ]
 Seed = Annotated[

@@ -17,11 +17,14 @@ def show(content: RenderableType) -> None:
     """Print to standard output: colored on a terminal, plain 80 columns elsewhere."""
     from rich.console import Console
 
-    from calib_pin.report.text import plain_text
+    from calib_pin.report.text import WIDTH, plain_text
 
     if sys.stdout.isatty():
         # Names are what they are: no markup and no emoji codes in them.
-        Console(highlight=False, markup=False, emoji=False).print(content)
+        console = Console(highlight=False, markup=False, emoji=False)
+        # A narrower terminal wraps lines; rich would cut numbers off.
+        console.width = max(console.width, WIDTH)
+        console.print(content)
     else:
         typer.echo(plain_text(content), nl=False)
 

@@ -7,6 +7,7 @@ import json
 import math
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -140,8 +141,7 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
         },
         "measurements": {
             "files": [
-                {"file": file, "sha256": sha256(read_bytes(file))}
-                for file in result.files
+                {"file": file, "sha256": _sha256_of(file)} for file in result.files
             ],
             "model": model.measurement.name,
             "training": result.training,
@@ -179,6 +179,11 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
             "created": provenance.created,
         },
     }
+
+
+def _sha256_of(file: str) -> str:
+    # A pipe cannot be read twice.
+    return sha256(read_bytes(file)) if Path(file).is_file() else ""
 
 
 def _frame(pose: pin.SE3, estimated: bool) -> Json:

@@ -437,7 +437,11 @@ def _captured_stderr() -> Iterator[list[str]]:
     printed: list[str] = []
     if sys.stderr is not None:
         sys.stderr.flush()
-    saved = os.dup(2)
+    try:
+        saved = os.dup(2)
+    except OSError:  # It is closed, so nothing is printed.
+        yield [""]
+        return
     with tempfile.TemporaryFile() as file:
         os.dup2(file.fileno(), 2)
         try:

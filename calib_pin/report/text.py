@@ -25,6 +25,7 @@ from calib_pin.result import (
 )
 
 __all__ = [
+    "WIDTH",
     "evaluation_report",
     "format_report",
     "identification_report",

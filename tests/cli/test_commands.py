@@ -86,6 +86,21 @@ def test_a_reader_that_goes_away_is_no_error(here):
     assert result.stderr == ""
 
 
+@pytest.mark.parametrize(
+    ("redirection", "status"),
+    [(">&-", 0), ("2>&-", 0), (">&- 2>&- <&-", 0), ("> /dev/full", 1)],
+)
+def test_closed_and_full_streams(redirection, status, here):
+    program = f"{sys.executable} -m calib_pin.cli identify arm.urdf --model pose"
+    result = subprocess.run(
+        f"{program} {redirection}", shell=True, capture_output=True, text=True
+    )
+    assert result.returncode == status
+    assert "internal" not in result.stderr
+    if status:
+        assert result.stderr == "calib-pin: output: No space left on device\n"
+
+
 # --- help and the command line itself ----------------------------------------------
 
 
@@ -422,6 +437,29 @@ def test_validation_file(here, run):
     assert found["errors"]["position"]["validation"]["method"] == "file"
     assert found["measurements"]["training"] == 40
     assert found["measurements"]["validation"] == 25
+    files = [entry["file"] for entry in found["measurements"]["files"]]
+    assert files == ["rows.csv", "new.csv"]
+
+
+def test_measurements_from_a_pipe(here):
+    program = (
+        f"cat rows.csv | {sys.executable} -m calib_pin.cli calibrate arm.urdf "
+        "/dev/stdin --setup setup.yaml -o out --quiet"
+    )
+    subprocess.run(program, shell=True, check=True, timeout=60)
+    files = document("out")["measurements"]["files"]
+    assert files == [{"file": "/dev/stdin", "sha256": ""}]
+
+
+def test_a_narrow_terminal_cuts_no_number_off(here, run, monkeypatch):
+    monkeypatch.setattr(sys.stdout, "isatty", lambda: True)
+    monkeypatch.setenv("COLUMNS", "40")
+    monkeypatch.setenv("TERM", "xterm")
+    result = run(POSITION)
+    assert result.status == 0
+    assert "\x1b[" in result.out
+    assert "…" not in result.out
+    assert "GOOD" in result.out
 
 
 def test_holdout(here, run):

@@ -10,6 +10,7 @@ import numpy as np
 from calib_pin.chain import Chain
 from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
+from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameters import ParameterSet
 from calib_pin.result import (
     CoupledGroup,
@@ -30,9 +31,17 @@ WEAK_PART = 0.1
 """Part of a parameter in directions left at nominal from which it counts as weak."""
 
 
+UNEXPLAINED = 20.0
+"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
+
+
 def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
     """`good` or `untrusted`, and the reason where it is not good."""
-    rows, rank = len(fitted.result.fun), fitted.structure.rank
+    data = fitted.problem.data
+    # A configuration measured again is checked better, but shows nothing new.
+    repeated = len(data) - len(set(data.groups().tolist()))
+    rows = len(fitted.result.fun) - repeated * fitted.problem.sigma.shape[1]
+    rank = fitted.structure.rank
     if rows < rank:
         return "untrusted", (
             f"{rows} measured values cannot determine {rank} identifiable parameters; "
@@ -45,14 +54,28 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
         )
     if fitted.result.status is not Status.CONVERGED:
         return "untrusted", fitted.result.status.advice
+    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
+    if free.any() and fitted.directions.count == fitted.nuisances:
+        return "untrusted", (
+            "the rows fit so badly that they tell nothing of the robot; check the base "
+            "and tip links, the joint columns with their signs and offsets, and units"
+        )
     for quantity in errors:
+        limit = UNEXPLAINED * (LENGTH_SCALE if quantity.unit == "m" else ANGLE_SCALE)
+        if quantity.after.rms > limit:
+            return "untrusted", (
+                f"{quantity.name} errors of {quantity.after.rms:.3g} {quantity.unit} "
+                "rms remain, far more than a robot's geometry explains; check the base "
+                "and tip links, the joint columns with their signs and offsets, and "
+                "units"
+            )
         before, after = quantity.validation_before, quantity.validation_after
         # Compared by rms: it is what least squares minimizes. Rounding aside.
         if before and after and after.rms > before.rms * (1.0 + 1e-6) + 1e-12:
             return "untrusted", (
                 f"on rows it has not seen the calibrated robot is worse than the "
                 f"nominal one: {quantity.name} rms {after.rms:.3g} {quantity.unit} "
-                f"after {before.rms:.3g} {quantity.unit}"
+                f"instead of {before.rms:.3g} {quantity.unit}"
             )
     return "good", ""
 

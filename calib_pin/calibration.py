@@ -108,8 +108,6 @@ def calibrate(
     """
     setup = setup or Setup()
     training, unseen, method = _split(measurements, validation, holdout, seed)
-    if len(training) == 0:
-        raise InputError("no row is left to fit: all are marked for validation")
     fitted = fit(make_problem(chain, training, setup), np.random.default_rng(seed))
 
     pairs: list[tuple[Fit, Measurements]] = []
@@ -274,7 +272,14 @@ def _split(
     if validation is not None and holdout is not None:
         raise OptionError("give validation rows or a holdout, not both")
     training, unseen = measurements.split()
+    if len(training) == 0:
+        raise InputError("no row is left to fit: all are marked for validation")
     if validation is not None:
+        if validation.model != measurements.model:
+            raise InputError(
+                f"cannot check '{measurements.model}' measurements with "
+                f"'{validation.model}' ones"
+            )
         return training, validation, "file"
     if holdout is not None:
         if not 0.0 < holdout < 1.0:
@@ -287,6 +292,8 @@ def _split(
         chosen = order[: int(np.searchsorted(size, count)) + 1]
         mask = np.zeros(len(training), bool)
         mask[np.concatenate(chosen)] = True
+        if mask.all():
+            raise OptionError("holdout leaves no row to fit", value=holdout)
         return training.rows(~mask), training.rows(mask), "holdout"
     return training, unseen if len(unseen) else None, "set"
 
@@ -294,8 +301,10 @@ def _split(
 def _shuffled_groups(rows: Measurements, seed: int) -> list[NDArray[np.int64]]:
     """Row numbers of repeated configurations, groups in random order."""
     labels = rows.groups()
-    order = np.random.default_rng(seed).permutation(labels.max() + 1)
-    return [np.flatnonzero(labels == label) for label in order]
+    sizes = np.bincount(labels)
+    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
+    order = np.random.default_rng(seed).permutation(len(sizes))
+    return [members[label] for label in order]
 
 
 def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:

@@ -57,6 +57,12 @@ class Fit:
         return self.result.x
 
     @property
+    def nuisances(self) -> int:
+        """Number of free nuisances."""
+        parameters = self.problem.parameters
+        return int((parameters.free & parameters.nuisance).sum())
+
+    @property
     def dof(self) -> int:
         """Residual components minus the rank."""
         return len(self.result.fun) - self.rank

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import ParameterSet
@@ -19,6 +19,9 @@ from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 
 __all__ = ["Problem", "assumed_sigma", "observable_configurations"]
+
+DRAWS = 200
+"""Random configurations tried for each one that is wanted."""
 
 
 @dataclass(frozen=True)
@@ -48,12 +51,18 @@ class Problem:
     def parameters(self) -> ParameterSet:
         """Robot, frames and instrument: base, joints, tool, then the model's own."""
         own = tuple(self.measurement.parameters)
-        return (
-            ParameterSet(self.error.parameters.parameters + own)
-            .with_fixed(self.setup.fixed)
-            .with_bounds(self.setup.bounds)
-            .with_priors(self.setup.prior)
-        )
+        everything = ParameterSet(self.error.parameters.parameters + own)
+        try:
+            return (
+                everything.with_fixed(self.setup.fixed)
+                .with_bounds(self.setup.bounds)
+                .with_priors(self.setup.prior)
+            )
+        except OptionError as error:
+            # The names are first known here; the mistake stands in the setup file.
+            raise OptionError(
+                error.reason, file=self.setup.file or None, value=error.value
+            ) from None
 
     @cached_property
     def sigma(self) -> Floats:
@@ -186,13 +195,13 @@ def observable_configurations(
         Joint positions, shape (K, n), and the target of each, in turn.
 
     Raises:
-        InputError: If fewer than one configuration in a thousand can be measured.
+        InputError: If fewer than one configuration in two hundred can be measured.
     """
     names = tuple(dict.fromkeys(problem.data.target)) or ("",)
     target = tuple(names[i % len(names)] for i in range(count))
     of_robot, own = problem.split(theta)
     q_found, target_found = np.empty((0, len(problem.error.chain.joints))), []
-    for _ in range(1000):
+    for _ in range(DRAWS):
         q = problem.error.chain.random_configurations(count, rng)
         T = problem.error.poses(q, of_robot)
         seen = problem.measurement.observable(T, own, target)
@@ -201,6 +210,6 @@ def observable_configurations(
         if len(q_found) >= count:
             return q_found[:count], tuple(target_found[:count])
     raise InputError(
-        f"only {len(q_found)} of {1000 * count} random configurations within the "
+        f"only {len(q_found)} of {DRAWS * count} random configurations within the "
         f"joint limits can be measured ({problem.measurement.name})"
     )

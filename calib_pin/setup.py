@@ -80,6 +80,7 @@ class Setup:
         prior: Glob to the prior standard deviation about zero [SI].
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`)
             used where the file has no sigma columns [SI].
+        file: Where all this was read from, for messages.
     """
 
     base: str | None = None
@@ -94,3 +95,4 @@ class Setup:
     bounds: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)
     prior: Mapping[str, float] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
+    file: str = field(default="", compare=False)

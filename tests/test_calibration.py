@@ -204,3 +204,39 @@ def test_same_seed_same_result() -> None:
     assert np.array_equal(first.covariance, second.covariance)
     assert first.parameters == second.parameters
     assert first.errors == second.errors
+
+
+def test_repetitions_are_no_further_configurations() -> None:
+    chain, rows = measured(8)
+    result = calib_pin.calibrate(chain, rows.rows(np.repeat(np.arange(8), 5)))
+    assert result.verdict == "untrusted"
+    assert "24 measured values cannot determine 27" in result.reason
+
+
+def test_rows_of_something_else_are_not_trusted() -> None:
+    chain, rows = measured(60)
+    shuffled = rows.values[np.random.default_rng(0).permutation(60)]
+    result = calib_pin.calibrate(chain, replace(rows, values=shuffled))
+    assert result.verdict == "untrusted"
+    assert "check the base and tip links" in result.reason
+
+
+def test_a_reversed_joint_is_not_trusted() -> None:
+    chain, rows = measured(60)
+    q = rows.q * [1, 1, -1, 1, 1, 1]
+    result = calib_pin.calibrate(chain, replace(rows, q=q))
+    assert result.verdict == "untrusted"
+    assert "signs" in result.reason
+
+
+def test_validation_rows_of_another_model() -> None:
+    chain, rows = measured(20)
+    poses = calib_pin.Measurements(chain.joints, rows.q, "pose", np.ones((20, 7)))
+    with pytest.raises(InputError, match="cannot check 'position'"):
+        calib_pin.calibrate(chain, rows, validation=poses)
+
+
+def test_holdout_of_everything() -> None:
+    chain, rows = measured(20)
+    with pytest.raises(OptionError, match="leaves no row"):
+        calib_pin.calibrate(chain, rows, holdout=0.9999)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
@@ -66,7 +66,7 @@ def read_setup(path: str | Path) -> Setup:
         first = min(problems, key=lambda problem: tree.line(problem["loc"]))
         raise _error(tree, first) from None
     _check_joints(tree, setup)
-    return setup
+    return replace(setup, file=str(path))
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:

@@ -174,7 +174,7 @@ class PlaneDistance:
         base, tool = base or pin.SE3.Identity(), tool or pin.SE3.Identity()
         T = base.homogeneous @ F @ tool.homogeneous
         hits = T[:, :3, 3] + data.values * T[:, :3, 2]
-        index = self._index(data.target)
+        index = self._index(data.target, data)
         planes = tuple(
             replace(plane, normal=normal, offset=offset)
             for plane, (normal, offset) in (
@@ -198,14 +198,19 @@ class PlaneDistance:
             )
         return registered, base, tool
 
-    def _index(self, target: Sequence[str]) -> NDArray[np.int64]:
+    def _index(
+        self, target: Sequence[str], data: Measurements | None = None
+    ) -> NDArray[np.int64]:
+        """Position of each row's plane; data tell where a wrong name stands."""
         names = {plane.name: k for k, plane in enumerate(self.planes)}
         if len(names) == 1:
             names[""] = 0
-        unknown = next((name for name in target if name not in names), None)
-        if unknown is not None:
+        wrong = next((k for k, name in enumerate(target) if name not in names), None)
+        if wrong is not None:
+            place = "" if data is None else f"{data.place(wrong)}: "
             raise InputError(
-                f"there is no plane '{unknown}'{nearest(unknown, names)}",
+                f"{place}there is no plane '{target[wrong]}'"
+                f"{nearest(target[wrong], names)}",
                 column="target",
                 allowed=", ".join(plane.name for plane in self.planes),
             )

@@ -204,6 +204,12 @@ class CalibratedModel:
         }
 
     @property
+    def tool_carries_tip(self) -> bool:
+        """Whether the tool frame holds an error that the URDF has no place for."""
+        tip = self.error.corrections(self.theta)[-2]
+        return self.chain.tip_joint is None and tip != pin.SE3.Identity()
+
+    @property
     def tool(self) -> pin.SE3:
         """The tool in the tip frame of the corrected URDF.
 

@@ -190,6 +190,7 @@ def test_the_tool_carries_an_error_behind_the_last_joint() -> None:
     theta = problem.parameters.vector({"arm_7_joint.dh.alpha": 0.01})
     model = CalibratedModel.create(problem, theta)
     assert not model.urdf_corrections()
+    assert model.tool_carries_tip
     assert np.linalg.norm(model.tool.rotation - np.eye(3)) > 0.01
 
 

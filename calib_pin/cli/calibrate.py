@@ -180,6 +180,11 @@ def _write(
     if result.verdict == "good":
         write_urdf(result.model, urdf, force=force)
         write_atomically(json, document, force=force)
+        if result.model.tool_carries_tip:
+            notice(
+                f"'{result.model.chain.tip}' is the link of the last joint itself: the "
+                "error behind that joint stands in frames.tool of calibration.json"
+            )
         return [urdf, json]
     write_atomically(json, document, force=force)
     if exists(urdf):

@@ -22,6 +22,7 @@ from calib_pin.cli.options import (
     Tip,
     number,
 )
+from calib_pin.cli.printing import notice
 
 __all__ = ["simulate"]
 
@@ -187,6 +188,9 @@ def simulate(
     write_measurements(output, rows, comments=[comment], force=force)
     typer.echo(f"wrote {len(rows)} rows to {output}")
     if truth is not None:
-        write_urdf(CalibratedModel.create(problem, theta), truth, force=force)
+        true = CalibratedModel.create(problem, theta)
+        write_urdf(true, truth, force=force)
+        if true.tool_carries_tip:
+            notice(f"{truth} lacks the error behind the last joint, which has no place")
         typer.echo(f"wrote the true robot to {truth}")
     return 0

@@ -11,7 +11,6 @@ from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.assessment import (
@@ -27,7 +26,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.fit import Fit, analyze_structure, fit, register
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, frame_pose
 from calib_pin.result import (
     Accuracy,
     CalibratedModel,
@@ -58,7 +57,7 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
     error = ErrorModel.create(
         chain,
         setup.parameters,
-        estimate_base=data.model != "plane-distance" if base is None else base,
+        estimate_base=model.measuring_frame if base is None else base,
         estimate_tool=True if tool is None else tool,
     )
     return Problem(error, model, data, setup)
@@ -127,7 +126,6 @@ def calibrate(
     errors = tuple(_quantity_errors(fitted, pairs))
     status, reason = verdict(fitted, errors)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
-    size = fitted.problem.measurement.quantities[-1].columns.stop * len(training)
     return CalibrationResult(
         model=CalibratedModel.create(fitted.problem, fitted.theta),
         verdict=status,
@@ -139,14 +137,14 @@ def calibrate(
         validation=method,
         training=len(training),
         validated=sum(len(rows) for _, rows in pairs),
-        chi2=float(np.sum(fitted.result.fun[:size] ** 2)),
+        chi2=2.0 * fitted.result.cost,
         dof=fitted.dof,
         sigma0=fitted.sigma0,
         stated_sigma=training.sigma is not None,
         outliers=outliers(fitted),
         status=fitted.result.status,
         at_bounds=tuple(
-            fitted.problem.parameters[k].name for k in fitted.result.active
+            fitted.problem.parameters[k].name for k in sorted(fitted.problem.held_at)
         ),
         iterations=fitted.result.nit,
         evaluations=fitted.result.nfev,
@@ -242,11 +240,6 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
     Raises:
         OptionError: If the instrument needs a reference that the setup lacks.
     """
-    if model == "plane-distance" and not setup.planes:
-        raise OptionError(
-            "a plane-distance study without measurements needs a plane: "
-            "give 'planes' in a setup file (--setup)"
-        )
     data = Measurements(
         joints=chain.joints,
         q=np.zeros((len(setup.planes) or 1, len(chain.joints))),
@@ -255,10 +248,10 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
         target=tuple(setup.planes) or ("",),
     )
     problem = make_problem(chain, data, setup)
-    frames = []
-    for frame in (setup.base_frame, setup.tool_frame):
-        rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
-        frames.append(pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0))))
+    missing = problem.measurement.missing
+    if missing:
+        raise OptionError(f"a {model} study without measurements: {missing}")
+    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
     return replace(problem, error=problem.error.with_frames(*frames))
 
 

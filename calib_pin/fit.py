@@ -89,30 +89,44 @@ def fit(
         callback: Called with the step count and the cost after each step.
     """
     problem, before = register(problem, np.zeros(len(problem.parameters)))
+    return _bounded(problem, lambda held: _fit(held, before, rng, callback))
+
+
+def _fit(
+    problem: Problem,
+    before: LeastSquaresResult,
+    rng: np.random.Generator,
+    callback: Callable[[int, float], None] | None,
+) -> Fit:
+    """Fit a registered problem from its registration, without regard to bounds."""
     parameters = problem.parameters
+    nominal = np.where(parameters.free, before.x, problem.held)
+    r, J = problem.linearize(nominal)
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
 
     def solve(directions: Directions, start: Floats) -> None:
         solutions.append(_solve(problem, directions, start, callback))
 
     solutions: list[_Solution] = []
-    at_nominal = before.jac, before.fun, parameters, visible
-    directions = practical_directions(*at_nominal)
+    directions = practical_directions(J, r, parameters, visible)
     tried: set[int] = set()
     while directions.count not in tried:
         tried.add(directions.count)
-        solve(directions, _start(solutions, directions, before.x, parameters))
+        solve(directions, _start(solutions, directions, nominal, parameters))
         if np.isfinite(solutions[-1].sigma0):
-            directions = practical_directions(*at_nominal, solutions[-1].sigma0)
+            directions = practical_directions(
+                J, r, parameters, visible, solutions[-1].sigma0
+            )
     while np.isfinite(solutions[-1].sigma0):
         last = solutions[-1]
         directions = pruned(last.directions, last.result.jac, parameters, last.sigma0)
         if directions.count == last.directions.count:
             break
-        solve(directions, _start(solutions, directions, before.x, parameters))
+        solve(directions, _start(solutions, directions, nominal, parameters))
 
     last = solutions[-1]
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
+    moved = parameters.scales[:, None] * last.directions.basis
     return Fit(
         problem=problem,
         before=before.x,
@@ -126,8 +140,42 @@ def fit(
         rank=last.rank,
         sigma0=last.sigma0,
         covariance=weight * last.half @ last.half.T,
-        singular_values=robot_singular_values(last.result.jac, last.moved, parameters),
+        singular_values=robot_singular_values(last.result.jac, moved, parameters),
     )
+
+
+def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
+    """Fit under the bounds of the parameters.
+
+    A parameter that runs out of its bounds is held there and leaves the set, so that
+    the directions are chosen anew without it: another member of its group may take
+    over what it must not. It is let go once if the cost pulls it back inside.
+    """
+    lower, upper = problem.parameters.bounds
+    released: set[int] = set()
+    fitted = run(problem)
+    while True:
+        held, x = fitted.problem, fitted.theta
+        excess = np.maximum(lower - x, x - upper) / held.parameters.scales
+        excess[~held.parameters.free] = 0.0
+        if excess.max(initial=0.0) > 0.0:
+            # The worst ones together: the others may come back inside without them.
+            worst = np.flatnonzero(excess > 0.5 * excess.max())
+            bounds = np.clip(x, lower, upper)
+            fitted = run(held.holding({int(k): float(bounds[k]) for k in worst}))
+            continue
+        gradient = fitted.result.jac.T @ fitted.result.fun * held.parameters.scales
+        size = np.linalg.norm(fitted.result.fun)
+        inward = {
+            k
+            for k, value in held.held_at.items()
+            if k not in released
+            and (gradient[k] if value == upper[k] else -gradient[k]) > 1e-6 * size
+        }
+        if not inward:
+            return fitted
+        released |= inward
+        fitted = run(held.releasing(inward))
 
 
 @dataclass(frozen=True)
@@ -137,7 +185,6 @@ class _Solution:
     Attributes:
         directions: The directions.
         result: Outcome of the solver.
-        moved: Directions that no bound blocks, in parameters, shape (P, k).
         half: Factor of the covariance at unit weight, shape (P, rank).
         rank: Rank of the Jacobian in the directions.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
@@ -145,7 +192,6 @@ class _Solution:
 
     directions: Directions
     result: LeastSquaresResult
-    moved: Floats
     half: Floats
     rank: int
     sigma0: float
@@ -163,19 +209,16 @@ def _solve(
         problem.residual,
         start,
         basis,
-        bounds=_bounds(problem),
         callback=callback,
     )
-    moved = _unbounded(basis, result.active)
-    triangle = np.linalg.qr(result.jac @ moved, mode="r")
+    triangle = np.linalg.qr(result.jac @ basis, mode="r")
     _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
     dof = len(result.fun) - rank
     return _Solution(
         directions=directions,
         result=result,
-        moved=moved,
-        half=moved @ (Vt[:rank].T / s[:rank]),
+        half=basis @ (Vt[:rank].T / s[:rank]),
         rank=rank,
         sigma0=float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan,
     )
@@ -192,7 +235,8 @@ def _start(
         return nominal
     x = solutions[-1].result.x
     kept = directions.basis @ (directions.basis.T @ (x / parameters.scales))
-    return np.where(parameters.nuisance, x, parameters.scales * kept)
+    stay = parameters.nuisance | ~parameters.free
+    return np.where(stay, x, parameters.scales * kept)
 
 
 def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
@@ -214,7 +258,6 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
         problem.residual,
         start,
         np.diag(parameters.scales)[:, free],
-        bounds=_bounds(problem),
     )
 
 
@@ -241,16 +284,3 @@ def analyze_structure(
         structure(J[:rows], problem.parameters),
         visible_directions(J, problem.parameters),
     )
-
-
-def _bounds(problem: Problem) -> tuple[Floats, Floats] | None:
-    bounds = problem.parameters.bounds
-    return bounds if np.isfinite(bounds).any() else None
-
-
-def _unbounded(basis: Floats, active: tuple[int, ...]) -> Floats:
-    """Directions of a basis that leave the parameters at their bounds in place."""
-    if not active:
-        return basis
-    _, s, Vt = np.linalg.svd(basis[list(active)])
-    return np.asarray(basis @ Vt[int((s > 1e-12 * s[0]).sum()) :].T)

@@ -143,7 +143,11 @@ class ParameterSet:
         chosen: set[int] = set()
         for pattern in patterns:
             chosen |= self._match(pattern)
-        return self._replace({k: {"free": False} for k in chosen})
+        return self.without(chosen)
+
+    def without(self, positions: Iterable[int]) -> ParameterSet:
+        """The set with the parameters at some positions not estimated."""
+        return self._replace({k: {"free": False} for k in positions})
 
     def with_bounds(
         self, bounds: Mapping[str, float | tuple[float, float]]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -15,10 +15,10 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import Setup
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 
-__all__ = ["Problem", "assumed_sigma", "observable_configurations"]
+__all__ = ["Problem", "assumed_sigma", "frame_pose", "observable_configurations"]
 
 DRAWS = 200
 """Random configurations tried for each one that is wanted."""
@@ -37,6 +37,7 @@ class Problem:
         data: The rows.
         setup: Which parameters are fixed, bounded or have a prior, and the noise
             where the data do not state it.
+        held_at: Values of parameters that are held at a bound, by position.
 
     Raises:
         OptionError: If the setup names a parameter that does not exist.
@@ -46,6 +47,7 @@ class Problem:
     measurement: MeasurementModel
     data: Measurements
     setup: Setup = field(default_factory=Setup)
+    held_at: Mapping[int, float] = field(default_factory=dict)
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -57,6 +59,7 @@ class Problem:
                 everything.with_fixed(self.setup.fixed)
                 .with_bounds(self.setup.bounds)
                 .with_priors(self.setup.prior)
+                .without(self.held_at)
             )
         except OptionError as error:
             # The names are first known here; the mistake stands in the setup file.
@@ -76,6 +79,23 @@ class Problem:
     @cached_property
     def _prior(self) -> NDArray[np.bool_]:
         return np.isfinite(self.parameters.priors) & self.parameters.free
+
+    @property
+    def held(self) -> Floats:
+        """Values of the parameters that are not free, shape (P,)."""
+        result = np.zeros(len(self.parameters))
+        for position, value in self.held_at.items():
+            result[position] = value
+        return result
+
+    def holding(self, values: Mapping[int, float]) -> Problem:
+        """The problem with further parameters held at values."""
+        return replace(self, held_at={**self.held_at, **values})
+
+    def releasing(self, positions: Collection[int]) -> Problem:
+        """The problem with parameters that were held let go."""
+        kept = {k: v for k, v in self.held_at.items() if k not in positions}
+        return replace(self, held_at=kept)
 
     def poses(self, theta: Floats) -> Floats:
         """Tool poses in the measuring frame, shape (N, 4, 4)."""
@@ -115,27 +135,50 @@ class Problem:
     def register(self, theta: Floats) -> Problem:
         """The same problem about closed-form frames and instrument references.
 
-        What the setup gives for a frame stands, as known or as a first guess.
+        What the setup gives for a frame stands, as known or as a first guess; so does
+        the identity for a frame that is partly fixed, bounded or has a prior.
 
         Args:
             theta: Parameter values, shape (P,); those of the robot count.
         """
-        given = (self.setup.base_frame, self.setup.tool_frame)
+        count = len(self.error.screws)
         # A frame of the chain has six parameters at either end.
-        free = self.parameters.free[: len(self.error.screws)]
-        unknown = (free[:6].any(), free[-6:].any())
-        start: list[pin.SE3 | None] = []
-        for frame, estimated in zip(given, unknown, strict=True):
-            if frame.xyz is None and frame.rpy is None and estimated:
-                start.append(None)
-            else:
-                rpy, xyz = frame.rpy or (0.0, 0.0, 0.0), frame.xyz or (0.0, 0.0, 0.0)
-                start.append(pin.SE3(pin.rpy.rpyToMatrix(*rpy), np.array(xyz)))
+        start = (
+            self._given(self.setup.base_frame, slice(0, 6)),
+            self._given(self.setup.tool_frame, slice(count - 6, count)),
+        )
+        own = slice(count, None)
+        if self.measurement.missing and self._constrained(own):
+            raise OptionError(
+                f"fixed, bounds or prior on a part of an unknown instrument: "
+                f"{self.measurement.missing}",
+                file=self.setup.file or None,
+            )
         F = self.error.tip_poses(self.data.q, self.split(theta)[0])
         measurement, base, tool = self.measurement.register(F, self.data, *start)
         return replace(
             self, error=self.error.with_frames(base, tool), measurement=measurement
         )
+
+    def _given(self, frame: FrameSetup, part: slice) -> pin.SE3 | None:
+        """The pose that a frame starts from, None for a closed-form estimate.
+
+        What is fixed, bounded or has a prior is so about the pose of the setup file,
+        not about an estimate.
+        """
+        stated = frame.xyz is not None or frame.rpy is not None
+        free = self.parameters.free[part].any()
+        if stated or not free or self._constrained(part):
+            return frame_pose(frame)
+        return None
+
+    def _constrained(self, part: slice) -> bool:
+        """Whether some parameters of an estimated frame or plane are tied down."""
+        parameters = self.parameters
+        lower, upper = parameters.bounds
+        tied = np.isfinite([lower[part], upper[part], parameters.priors[part]]).any()
+        free = parameters.free[part]
+        return bool(free.any() and (tied or not free.all()))
 
     def about(self, theta: Floats, q: Floats, target: Sequence[str]) -> Problem:
         """The problem with noise-free data of the model at other rows.
@@ -165,6 +208,12 @@ class Problem:
 def _joined(blocks: list[Floats], axis: int) -> Floats:
     """Blocks side by side; a single one without a copy."""
     return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=axis)
+
+
+def frame_pose(frame: FrameSetup) -> pin.SE3:
+    """The pose that a setup states, the identity for what it leaves out."""
+    rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
+    return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
 
 
 def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:

@@ -195,7 +195,7 @@ def test_the_tool_carries_an_error_behind_the_last_joint() -> None:
 
 
 def test_identify_needs_a_plane() -> None:
-    with pytest.raises(OptionError, match="needs a plane"):
+    with pytest.raises(OptionError, match="give its 'planes'"):
         calib_pin.identify(calib_pin.load_chain("space6"), "plane-distance")
 
 

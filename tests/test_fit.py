@@ -57,7 +57,7 @@ def test_bounds_hold_and_the_others_make_up_for_it() -> None:
     k = problem.parameters.index("joint_4.joint-offset.q")
     assert found.result.status is Status.CONVERGED
     assert found.theta[k] == 0.002
-    assert found.result.active == (k,)
+    assert found.problem.held_at == {k: 0.002}
     # Optimal under the bound: the gradient vanishes for all others.
     gradient = found.result.jac.T @ found.result.fun
     others = problem.parameters.free & (np.arange(len(truth)) != k)
@@ -122,3 +122,37 @@ def test_large_errors_converge(size: float) -> None:
     found = run(replace(problem, data=rows))
     assert found.result.status is Status.CONVERGED
     assert found.result.cost < 1e-12
+
+
+@pytest.mark.parametrize("limit", [1e-4, 2e-4, 5e-4])
+def test_every_value_stays_within_its_bounds(limit: float) -> None:
+    problem, truth = placement_problem(Setup(bounds={"*.placement.*": limit}))
+    found = run(problem)
+    robot = ~problem.parameters.nuisance
+    assert np.abs(truth[robot]).max() > limit
+    assert np.abs(found.theta[robot]).max() <= limit
+    assert found.problem.held_at
+    # No parameter is called known because a bound stopped it.
+    held = list(found.problem.held_at)
+    assert not found.problem.parameters.free[held].any()
+
+
+@pytest.mark.parametrize("name", ["joint_4.placement.rz", "joint_5.placement.z"])
+def test_a_tight_bound_costs_what_fixing_costs(name: str) -> None:
+    """Others of its group take over what a bounded parameter must not."""
+    costs = []
+    for setup in (Setup(fixed=(name,)), Setup(bounds={name: 1e-7})):
+        problem, _ = placement_problem(setup)
+        costs.append(run(problem).result.cost)
+    assert costs[1] == pytest.approx(costs[0], rel=1e-3)
+
+
+def placement_problem(setup: Setup) -> tuple[Problem, np.ndarray]:
+    """`space6` with placement errors, measured by position with 0.1 mm noise."""
+    rng = np.random.default_rng(1)
+    chain = calib_pin.load_chain("space6")
+    tool = FrameSetup((0.1, 0.05, 0.05))
+    free = nominal_problem(chain, "position", Setup(tool_frame=tool))
+    truth = calib_pin.draw_errors(free.parameters, rng)
+    rows = calib_pin.simulate(free, truth, rng, count=40, noise=1e-4)
+    return replace(nominal_problem(chain, "position", setup), data=rows), truth

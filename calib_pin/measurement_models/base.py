@@ -71,6 +71,19 @@ class MeasurementModel(Protocol):
         ...
 
     @property
+    def measuring_frame(self) -> bool:
+        """Whether values belong to a frame of the instrument's own.
+
+        Then the base frame is unknown unless the setup says otherwise.
+        """
+        ...
+
+    @property
+    def missing(self) -> str:
+        """What a study without measurements lacks; empty where nothing."""
+        ...
+
+    @property
     def parameters(self) -> Sequence[Parameter]:
         """The model's own parameters."""
         ...

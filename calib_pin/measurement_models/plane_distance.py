@@ -26,7 +26,7 @@ INCIDENCE = np.cos(np.radians(70.0))
 """Cosine to the normal below which a beam comes back too weak to be measured."""
 
 RANGE = 5.0
-"""Longest distance that is measured [m]."""
+"""Longest distance that is measured where nothing else is known [m]."""
 
 
 @dataclass(frozen=True)
@@ -78,15 +78,29 @@ class PlaneDistance:
 
     Attributes:
         planes: The planes, by the order of their parameters.
+        reach: Longest distance that the instrument measures [m].
     """
 
     planes: tuple[Plane, ...] = (Plane("plane"),)
+    reach: float = RANGE
     name: str = field(default="plane-distance", init=False)
 
     @property
     def quantities(self) -> Sequence[Quantity]:
         """One: the distance."""
         return (Quantity("distance", "m", slice(0, 1), 1e-4),)
+
+    @property
+    def measuring_frame(self) -> bool:
+        """Planes stand in the base frame; the ranger has no other."""
+        return False
+
+    @property
+    def missing(self) -> str:
+        """Planes that nobody has given."""
+        if any(plane.normal is None for plane in self.planes):
+            return "give its 'planes' in a setup file (--setup)"
+        return ""
 
     @property
     def parameters(self) -> Sequence[Parameter]:
@@ -123,7 +137,7 @@ class PlaneDistance:
         normal, offset, _ = self._rows(own, target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         h = self._distance(T, normal, offset)
-        return np.asarray((h > 0.0) & (h < RANGE) & (cosine > INCIDENCE))
+        return np.asarray((h > 0.0) & (h < self.reach) & (cosine > INCIDENCE))
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """Add noise to the distances."""
@@ -187,7 +201,9 @@ class PlaneDistance:
                 for k, plane in enumerate(self.planes)
             )
         )
-        registered = replace(self, planes=planes)
+        # Rows may reach farther than a simulation would.
+        reach = max(self.reach, 1.5 * float(np.abs(data.values).max()))
+        registered = replace(self, planes=planes, reach=reach)
         normal, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         if (cosine < GRAZING).any():

@@ -43,6 +43,16 @@ class Pose:
         )
 
     @property
+    def measuring_frame(self) -> bool:
+        """The instrument stands anywhere."""
+        return True
+
+    @property
+    def missing(self) -> str:
+        """Nothing."""
+        return ""
+
+    @property
     def parameters(self) -> Sequence[Parameter]:
         """None of its own."""
         return ()

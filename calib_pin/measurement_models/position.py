@@ -33,6 +33,16 @@ class Position:
         return (Quantity("position", "m", slice(0, 3), 1e-4),)
 
     @property
+    def measuring_frame(self) -> bool:
+        """The instrument stands anywhere."""
+        return True
+
+    @property
+    def missing(self) -> str:
+        """Nothing."""
+        return ""
+
+    @property
     def parameters(self) -> Sequence[Parameter]:
         """None of its own."""
         return ()

@@ -26,8 +26,11 @@ __all__ = ["LeastSquaresResult", "Status", "gauss_newton"]
 SHORTEST = 1e-12
 """Length of a step, in units of the basis, that ends the iteration."""
 
-ROUNDING = 1e-7
+SHORT = 1e-7
 """Length of a step, in units of the basis, that may fail to improve by rounding."""
+
+NEGLIGIBLE = 1e-10
+"""Part of the squares that a step may fail to gain by rounding."""
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Residual = Callable[[Floats], Floats]
@@ -72,7 +75,6 @@ class LeastSquaresResult:
         cost: Half the sum of squared residuals.
         nit: Number of steps taken.
         nfev: Number of residual evaluations.
-        active: Positions of the components of x that stand at a bound.
         status: How the solver ended.
     """
 
@@ -82,7 +84,6 @@ class LeastSquaresResult:
     cost: float
     nit: int
     nfev: int
-    active: tuple[int, ...]
     status: Status
 
 
@@ -92,7 +93,6 @@ def gauss_newton(
     x0: Floats,
     basis: Floats,
     *,
-    bounds: tuple[Floats, Floats] | None = None,
     tolerance: float = 1e-14,
     rank_tolerance: float = 1e-12,
     max_iterations: int = 100,
@@ -104,9 +104,8 @@ def gauss_newton(
     Args:
         linearize: Residual (M,) and Jacobian (M, P) at x.
         residual: Residual (M,) at x.
-        x0: Start, shape (P,), inside the bounds.
+        x0: Start, shape (P,).
         basis: Directions that x may take, shape (P, k).
-        bounds: Lower and upper bounds of x, each of shape (P,).
         tolerance: Converged when a step promises to lower the cost by less than this
             part of it, or is shorter than this part of its way (1e-12 of the unit).
         rank_tolerance: Singular values below this part of the largest are dropped.
@@ -121,14 +120,13 @@ def gauss_newton(
     x = np.array(x0, float)
     r, J = linearize(x)
     cost, evaluations = 0.5 * float(r @ r), 1
-    active: tuple[int, ...] = ()
     way, iteration, damping = 0.0, 0, 0.0
     status = Status.ITERATIONS if np.isfinite(cost) else Status.NOT_FINITE
     while status is Status.ITERATIONS and iteration < max_iterations:
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, SHORTEST), tolerance * cost
-        trial = _search(step, residual, x, basis, bounds, damping, limit, damped)
-        evaluations, active = evaluations + trial.evaluations, trial.active
+        trial = _search(step, residual, x, basis, damping, limit, damped)
+        evaluations += trial.evaluations
         if trial.improved or not damped:
             x, way = trial.x, way + trial.length
             r, J = linearize(x)
@@ -142,7 +140,7 @@ def gauss_newton(
             status = Status.STALLED
         if trial.done:
             status = Status.CONVERGED
-    return LeastSquaresResult(x, r, J, cost, iteration, evaluations, active, status)
+    return LeastSquaresResult(x, r, J, cost, iteration, evaluations, status)
 
 
 @dataclass(frozen=True)
@@ -154,7 +152,6 @@ class _Trial:
     damping: float
     improved: bool
     done: bool
-    active: tuple[int, ...]
     evaluations: int
 
 
@@ -163,7 +160,6 @@ def _search(
     residual: Residual,
     x: Floats,
     basis: Floats,
-    bounds: tuple[Floats, Floats] | None,
     damping: float,
     limit: tuple[float, float],
     damped: bool,
@@ -175,36 +171,33 @@ def _search(
         residual: Residual at x.
         x: Where the step starts, shape (P,).
         basis: Directions, shape (P, k).
-        bounds: Bounds of x.
         damping: Damping to begin with.
-        limit: Length and promised decrease below which a step ends the iteration.
+        limit: Length and promised decrease of the full step that end the iteration.
         damped: Whether to damp at all.
     """
-    room = None if bounds is None else (bounds[0] - x, bounds[1] - x)
-    first, evaluations = None, 0
+    full = step.solve(0.0)
+    reach = float(np.linalg.norm(full))
+    # The full step decides: damping makes any step short.
+    promised = step.promised(full)
+    done = reach <= limit[0] or promised <= limit[1]
+    # Where so little is left, a step that fails to improve has met rounding, no wall.
+    negligible = reach <= SHORT or promised <= NEGLIGIBLE * step.square
+    evaluations = 0
     while True:
-        dy, active = step.solve(damping, basis, room)
-        length = float(np.linalg.norm(dy))
-        first = length if first is None else first
-        done = length <= limit[0] or step.promised(dy) <= limit[1]
+        dy = step.solve(damping)
         candidate = x + basis @ dy
-        if bounds is not None:
-            # Rounding must not carry a component across its bound.
-            candidate = np.clip(candidate, *bounds)
         fresh = residual(candidate)
         evaluations += 1
         improved = float(fresh @ fresh) < step.square
-        # A step this short that fails to improve has met rounding, not a wall.
-        rounding = not improved and first <= ROUNDING
+        rounding = not improved and negligible
         exhausted = damping > 1e8 * step.curvature
         if improved or done or rounding or exhausted or not damped:
             return _Trial(
                 x=candidate,
-                length=length,
+                length=float(np.linalg.norm(dy)),
                 damping=damping,
                 improved=improved,
                 done=done or rounding,
-                active=active,
                 evaluations=evaluations,
             )
         damping = max(10.0 * damping, 1e-6 * step.curvature)
@@ -216,91 +209,20 @@ class _Step:
     def __init__(self, A: Floats, r: Floats, rank_tolerance: float) -> None:
         # A triangular factor with the rotated residual is a small problem with the
         # same solution; its SVD costs next to nothing.
-        R: Floats = np.asarray(np.linalg.qr(np.column_stack([A, r]), mode="r"))
-        width = A.shape[1]
-        self.A = R[:, :width]
-        self.r = R[:, width]
+        R = np.asarray(np.linalg.qr(np.column_stack([A, r]), mode="r"))
+        self.A, self.r = R[:, :-1], R[:, -1]
         self.square = float(r @ r)
-        self.rank_tolerance = rank_tolerance
-        self.svd = np.linalg.svd(self.A, full_matrices=False)
-        self.curvature = float(self.svd[1][0] ** 2) if width else 0.0
+        U, s, Vt = np.linalg.svd(self.A, full_matrices=False)
+        keep = s > rank_tolerance * s.max(initial=0.0)
+        self.s, self.V = s[keep], Vt[keep].T
+        self.along = U[:, keep].T @ self.r
+        self.curvature = float(s.max(initial=0.0) ** 2)
 
     def promised(self, dy: Floats) -> float:
         """Decrease of the cost that the linear model promises."""
         change = self.A @ dy
         return float(-(self.r @ change) - 0.5 * change @ change)
 
-    def solve(
-        self, damping: float, basis: Floats, limits: tuple[Floats, Floats] | None
-    ) -> tuple[Floats, tuple[int, ...]]:
-        """The step, with components of x held at the bounds they run into.
-
-        Bounds are added one at a time, the most violated first, and dropped again
-        where the cost wants to leave them.
-        """
-        dy = self._damped(self.svd, self.r, damping)
-        if limits is None:
-            return dy, ()
-        held: dict[int, float] = {}
-        for _ in range(3 * len(basis)):
-            dx = basis @ dy
-            excess = np.maximum(limits[0] - dx, dx - limits[1])
-            excess[list(held)] = 0.0
-            worst = int(np.argmax(excess))
-            if excess[worst] <= 1e-15:
-                release = self._release(dy, damping, basis, held, limits)
-                if release is None:
-                    break
-                del held[release]
-            else:
-                low = limits[0][worst] - dx[worst] > 0.0
-                held[worst] = limits[0][worst] if low else limits[1][worst]
-            dy = self._held(damping, basis, held)
-        return dy, tuple(sorted(held))
-
-    def _held(self, damping: float, basis: Floats, held: dict[int, float]) -> Floats:
-        """The step under the equalities `basis[k] dy = value`, by the null space."""
-        rows, values = basis[list(held)], np.array(list(held.values()))
-        U, s, Vt = np.linalg.svd(rows, full_matrices=True)
-        rank = int((s > 1e-12 * max(1.0, s[0] if len(s) else 1.0)).sum())
-        particular: Floats = Vt[:rank].T @ ((U[:, :rank].T @ values) / s[:rank])
-        Z = Vt[rank:].T
-        if Z.shape[1] == 0:
-            return particular
-        svd = np.linalg.svd(self.A @ Z, full_matrices=False)
-        return np.asarray(
-            particular + Z @ self._damped(svd, self.r + self.A @ particular, damping)
-        )
-
-    def _release(
-        self,
-        dy: Floats,
-        damping: float,
-        basis: Floats,
-        held: dict[int, float],
-        limits: tuple[Floats, Floats],
-    ) -> int | None:
-        """A held bound that the cost pulls inward, or None."""
-        if not held:
-            return None
-        gradient = self.A.T @ (self.A @ dy + self.r) + damping * dy
-        rows = basis[list(held)]
-        multipliers = np.linalg.lstsq(rows.T, gradient, rcond=None)[0]
-        scale = np.linalg.norm(gradient) / (np.linalg.norm(rows, axis=1) + 1e-300)
-        # At a lower bound the gradient along the component must not be negative.
-        inward = [
-            (-m if value == limits[0][k] else m) / s
-            for (k, value), m, s in zip(held.items(), multipliers, scale, strict=True)
-        ]
-        worst = int(np.argmax(inward))
-        return list(held)[worst] if inward[worst] > 1e-9 else None
-
-    def _damped(
-        self, svd: tuple[Floats, Floats, Floats], r: Floats, damping: float
-    ) -> Floats:
-        U, s, Vt = svd
-        if len(s) == 0:
-            return np.zeros(Vt.shape[1])
-        keep = s > self.rank_tolerance * s[0]
-        gain = s[keep] / (s[keep] ** 2 + damping)
-        return np.asarray(-Vt[keep].T @ (gain * (U[:, keep].T @ r)))
+    def solve(self, damping: float) -> Floats:
+        """The damped step of least length, shape (k,)."""
+        return np.asarray(-self.V @ (self.s / (self.s**2 + damping) * self.along))

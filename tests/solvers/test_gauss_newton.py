@@ -7,7 +7,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from scipy.optimize import lsq_linear
 
 from calib_pin.solvers import LeastSquaresResult, Status, gauss_newton
 from calib_pin.spatial import Floats
@@ -115,30 +114,6 @@ def test_directions_outside_the_basis_stay() -> None:
     result = gauss_newton(problem.linearize, problem.residual, start, basis)
     assert result.x[2] == 3.0
     assert basis.T @ (problem.A.T @ result.fun) == pytest.approx([0, 0], abs=1e-12)
-
-
-@pytest.mark.parametrize("seed", range(20))
-def test_bounds_agree_with_scipy(seed: int) -> None:
-    rng = np.random.default_rng(seed)
-    A, b = rng.normal(size=(30, 8)), rng.normal(size=30)
-    low, high = -rng.uniform(0.0, 0.2, 8), rng.uniform(0.0, 0.2, 8)
-    result = Linear(A, b).solve(bounds=(low, high))
-    expected = lsq_linear(A, b, (low, high), method="bvls", tol=1e-14)
-    assert result.status is Status.CONVERGED
-    assert result.x == pytest.approx(expected.x, abs=1e-9)
-    assert set(result.active) == set(np.flatnonzero(expected.active_mask))
-
-
-def test_bounds_in_a_slanted_basis() -> None:
-    """A bounded component that two directions share: the other one takes over."""
-    basis = np.array([[1.0, 1.0], [1.0, -1.0]]) / np.sqrt(2.0)
-    problem = Linear(np.eye(2), np.array([3.0, 1.0]))
-    bounds = np.array([-1.0, -9.0]), np.array([1.0, 9.0])
-    result = gauss_newton(
-        problem.linearize, problem.residual, np.zeros(2), basis, bounds=bounds
-    )
-    assert result.x == pytest.approx([1.0, 1.0], abs=1e-12)
-    assert result.active == (0,)
 
 
 def test_no_directions_is_a_fit_of_nothing() -> None:

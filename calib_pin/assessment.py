@@ -12,6 +12,7 @@ from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.parameters import ParameterSet
+from calib_pin.problem import Problem
 from calib_pin.result import (
     CoupledGroup,
     Identifiability,
@@ -19,10 +20,18 @@ from calib_pin.result import (
     ParameterEstimate,
     QuantityErrors,
 )
-from calib_pin.solvers import Status
+from calib_pin.solvers import LeastSquaresResult, Status
 from calib_pin.spatial import Floats
 
-__all__ = ["estimates", "fitted_ranks", "outliers", "structural_ranks", "verdict"]
+__all__ = [
+    "chi2_interval",
+    "estimates",
+    "fitted_ranks",
+    "outliers",
+    "registration_reason",
+    "structural_ranks",
+    "verdict",
+]
 
 CORRELATED = 0.95
 """Absolute correlation above which two estimates are reported as a pair."""
@@ -40,7 +49,7 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
     data = fitted.problem.data
     # A configuration measured again is checked better, but shows nothing new.
     repeated = len(data) - len(set(data.groups().tolist()))
-    rows = len(fitted.result.fun) - repeated * fitted.problem.sigma.shape[1]
+    rows = (len(data) - repeated) * fitted.problem.sigma.shape[1]
     rank = fitted.structure.rank
     if rows < rank:
         return "untrusted", (
@@ -78,6 +87,26 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
                 f"instead of {before.rms:.3g} {quantity.unit}"
             )
     return "good", ""
+
+
+def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
+    """Why a registration must not be trusted; empty where it may be.
+
+    Args:
+        problem: The problem whose nuisances were fitted.
+        result: Outcome of the fit.
+    """
+    parameters = problem.parameters
+    A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
+    rank = int(np.linalg.matrix_rank(A)) if A.size else 0
+    repeated = len(problem.data) - len(set(problem.data.groups().tolist()))
+    values = (len(problem.data) - repeated) * problem.sigma.shape[1]
+    if rank and values <= rank:
+        return (
+            f"{values} measured values are used up by the {rank} unknowns of base, "
+            "tool and instrument; measure more configurations"
+        )
+    return "" if result.status is Status.CONVERGED else result.status.advice
 
 
 def estimates(
@@ -155,7 +184,7 @@ def structural_ranks(
         everett=everett_count(chain.revolute),
         condition=float(s[0] / s[-1]) if len(s) else 0.0,
         singular_values=tuple(float(value) for value in s),
-        observability={},
+        observability=observability(s, structure.configurations),
         weak=0,
         correlated=(),
     )
@@ -229,7 +258,8 @@ def outliers(fitted: Fit) -> tuple[Outlier, ...]:
         return ()
     data = fitted.problem.data
     whitened = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
-    unit = 1.0 if data.sigma is not None else fitted.sigma0
+    # A row that spoils the fit must not make outliers of all the others.
+    unit = fitted.sigma0 if data.sigma is None else max(1.0, fitted.sigma0)
     squares = np.sum((whitened / unit) ** 2, axis=1)
     limit = chdtri(whitened.shape[1], 0.01 / len(data))
     order = np.argsort(-squares, kind="stable")
@@ -238,3 +268,10 @@ def outliers(fitted: Fit) -> tuple[Outlier, ...]:
         for row in order
         if squares[row] > limit
     )
+
+
+def chi2_interval(dof: int) -> tuple[float, float]:
+    """The interval that holds chi-square in 95 of 100 cases if all sigmas are right."""
+    from scipy.special import chdtri
+
+    return float(chdtri(dof, 0.975)), float(chdtri(dof, 0.025))

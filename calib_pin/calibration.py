@@ -17,6 +17,7 @@ from calib_pin.assessment import (
     estimates,
     fitted_ranks,
     outliers,
+    registration_reason,
     structural_ranks,
     verdict,
 )
@@ -41,6 +42,9 @@ __all__ = ["calibrate", "evaluate", "identify", "make_problem", "nominal_problem
 
 FOLDS = 5
 """Parts of a cross-validation."""
+
+FEWEST = 4
+"""Configurations of every target without which there is no cross-validation."""
 
 
 def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
@@ -128,6 +132,7 @@ def calibrate(
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
         model=CalibratedModel.create(fitted.problem, fitted.theta),
+        reference=CalibratedModel.create(fitted.problem, 0.0 * fitted.theta),
         verdict=status,
         reason=reason,
         parameters=found,
@@ -191,9 +196,13 @@ def evaluate(
         problem = make_problem(robot, measurements, setup)
         theta = np.zeros(len(problem.parameters))
         registration = True
+    if len(measurements) == 0:
+        raise InputError("there are no rows to evaluate")
+    reason = ""
     if registration:
         problem, result = register(problem, theta)
         theta = result.x
+        reason = registration_reason(problem, result)
     residual = problem.errors(theta)
     return Evaluation(
         errors=tuple(
@@ -202,6 +211,8 @@ def evaluate(
         ),
         rows=len(measurements),
         registered=registration,
+        verdict="untrusted" if reason else "good",
+        reason=reason,
     )
 
 
@@ -268,6 +279,8 @@ def _split(
     if len(training) == 0:
         raise InputError("no row is left to fit: all are marked for validation")
     if validation is not None:
+        if len(validation) == 0:
+            raise InputError("there are no rows to validate with")
         if validation.model != measurements.model:
             raise InputError(
                 f"cannot check '{measurements.model}' measurements with "
@@ -301,7 +314,10 @@ def _shuffled_groups(rows: Measurements, seed: int) -> list[NDArray[np.int64]]:
 
 
 def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
-    """Masks of the parts of a cross-validation; none where the rows do not suffice."""
+    """Masks of the parts of a cross-validation; none where the rows do not suffice.
+
+    What is fitted without a part must still determine the robot and every plane.
+    """
     groups = _shuffled_groups(rows, seed)
     masks = []
     for k in range(FOLDS):
@@ -309,10 +325,17 @@ def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]
         for group in groups[k::FOLDS]:
             mask[group] = True
         masks.append(mask)
+    if len(groups) < FOLDS:
+        return []
     components = fitted.problem.sigma.shape[1]
-    least = min(int((~mask).sum()) for mask in masks) * components
-    enough = len(groups) >= FOLDS and least > fitted.structure.rank
-    return masks if enough else []
+    labels, targets = rows.groups(), np.array(rows.target)
+    for mask in masks:
+        if components * len(set(labels[~mask])) <= fitted.structure.rank:
+            return []
+        for name in set(rows.target):
+            if len(set(labels[~mask & (targets == name)])) < FEWEST:
+                return []
+    return masks
 
 
 def _quantity_errors(

@@ -281,6 +281,6 @@ def analyze_structure(
     _, J = problem.about(theta, q, target).linearize(theta)
     rows = count * components
     return (
-        structure(J[:rows], problem.parameters),
+        structure(J[:rows], problem.parameters, count),
         visible_directions(J, problem.parameters),
     )

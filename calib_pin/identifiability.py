@@ -81,6 +81,7 @@ class Structure:
         rank: Number of singular values above rounding.
         robot: Singular values of the robot's directions with the nuisances projected
             out, descending.
+        configurations: Number of configurations they belong to.
         combinations: The identifiable combinations, one per rank, in order.
         unidentifiable: Positions of the free parameters without any effect.
     """
@@ -88,6 +89,7 @@ class Structure:
     singular_values: Floats
     rank: int
     robot: Floats
+    configurations: int
     combinations: tuple[Combination, ...]
     unidentifiable: tuple[int, ...]
 
@@ -98,12 +100,15 @@ class Structure:
         return float(s[r - 1] / s[r]) if 0 < r < len(s) and s[r] > 0.0 else np.inf
 
 
-def structure(J: Floats, parameters: ParameterSet) -> Structure:
+def structure(
+    J: Floats, parameters: ParameterSet, configurations: int = 1
+) -> Structure:
     """Analyze a structural Jacobian.
 
     Args:
         J: Jacobian at zero errors over many random configurations, shape (M, P).
         parameters: The parameters; columns of fixed ones are ignored.
+        configurations: Number of configurations that J belongs to.
     """
     free = parameters.free
     A = J[:, free] * parameters.scales[free]
@@ -128,6 +133,7 @@ def structure(J: Floats, parameters: ParameterSet) -> Structure:
         singular_values=s,
         rank=rank,
         robot=robot_svd(J, parameters)[0],
+        configurations=configurations,
         combinations=tuple(sums),
         unidentifiable=tuple(int(k) for k in found if k not in used),
     )

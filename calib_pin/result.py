@@ -231,6 +231,8 @@ class CalibrationResult(Identification):
 
     Attributes:
         model: The calibrated robot.
+        reference: The nominal robot about the registered frames and instrument that
+            the values of their parameters deviate from.
         verdict: `good` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
         errors: Accuracy by quantity.
@@ -252,6 +254,7 @@ class CalibrationResult(Identification):
     """
 
     model: CalibratedModel
+    reference: CalibratedModel
     verdict: str
     reason: str
     errors: tuple[QuantityErrors, ...]
@@ -279,9 +282,14 @@ class Evaluation:
     Attributes:
         errors: Accuracy by quantity name and unit.
         rows: Number of rows.
-        registered: Whether base, tool and instrument were fitted to these rows.
+        registered: Whether what is unknown of base, tool and instrument was fitted to
+            these rows.
+        verdict: `good` or `untrusted`.
+        reason: Why it must not be trusted; empty where it is good.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
     rows: int
     registered: bool
+    verdict: str = "good"
+    reason: str = ""

@@ -11,7 +11,7 @@ import calib_pin
 from calib_pin.calibration import nominal_problem
 from calib_pin.errors import InputError, OptionError
 from calib_pin.result import CalibratedModel
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 
@@ -241,3 +241,86 @@ def test_holdout_of_everything() -> None:
     chain, rows = measured(20)
     with pytest.raises(OptionError, match="leaves no row"):
         calib_pin.calibrate(chain, rows, holdout=0.9999)
+
+
+def test_evaluation_of_too_few_rows() -> None:
+    """Base and tool explain one row perfectly; that says nothing of the robot."""
+    chain, rows = measured(20)
+    few = calib_pin.evaluate(chain, rows.rows(np.arange(3)))
+    assert few.verdict == "untrusted"
+    assert "used up" in few.reason
+    assert calib_pin.evaluate(chain, rows).verdict == "good"
+    with pytest.raises(InputError, match="no rows"):
+        calib_pin.evaluate(chain, rows.rows(np.arange(0)))
+
+
+def test_priors_are_no_measurements() -> None:
+    chain, rows = measured(5)
+    setup = Setup(prior={"*.placement.*": 1e-3})
+    result = calib_pin.calibrate(chain, rows, setup)
+    assert result.verdict == "untrusted"
+    assert "15 measured values cannot determine 27" in result.reason
+
+
+def test_chi_square_counts_what_its_degrees_of_freedom_count() -> None:
+    chain, rows = measured(60)
+    stated = replace(rows, sigma=np.full((60, 3), 5e-5))
+    setup = Setup(prior={"*.placement.*": 1e-3})
+    result = calib_pin.calibrate(chain, stated, setup, validate=False)
+    assert result.sigma0 == pytest.approx(np.sqrt(result.chi2 / result.dof))
+    assert result.sigma0 == pytest.approx(1.0, abs=0.2)
+
+
+def test_one_bad_row_makes_no_outliers_of_the_others() -> None:
+    chain, rows = measured(60)
+    values = rows.values.copy()
+    values[17, 1] += 0.02
+    stated = replace(rows, values=values, sigma=np.full((60, 3), 5e-5))
+    result = calib_pin.calibrate(chain, stated, validate=False)
+    assert [outlier.row for outlier in result.outliers] == [17]
+
+
+def test_a_plane_with_a_single_row_stops_no_validation() -> None:
+    chain = calib_pin.load_chain("space6")
+    known = FrameSetup(estimate=False)
+    planes = {"a": (0.0, 1.0, 4.6), "b": (1.0, 0.3, 4.0)}
+    setup = Setup(
+        parameters=("dh",),
+        base_frame=known,
+        tool_frame=known,
+        planes={name: PlaneSetup(n, -0.69) for name, n in planes.items()},
+    )
+    rng = np.random.default_rng(0)
+    problem = nominal_problem(chain, "plane-distance", setup)
+    rows = calib_pin.simulate(problem, problem.held, rng, count=120, noise=1e-4)
+    of_b = [k for k, name in enumerate(rows.target) if name == "b"]
+    kept = np.setdiff1d(np.arange(120), of_b[1:])
+    unknown = replace(setup, planes={})
+    result = calib_pin.calibrate(chain, rows.rows(kept), unknown)
+    assert result.validation == "none"
+
+
+def test_distances_beyond_those_of_a_simulation() -> None:
+    chain = calib_pin.load_chain("space6")
+    known = FrameSetup(estimate=False)
+    far = Setup(
+        parameters=("dh",),
+        base_frame=known,
+        tool_frame=known,
+        planes={"wall": PlaneSetup((0.2, 1.0, 0.3), -20.0)},
+    )
+    problem = nominal_problem(chain, "plane-distance", far)
+    reaching = replace(problem, measurement=replace(problem.measurement, reach=60.0))
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(reaching, truth, rng, count=80, noise=1e-4)
+    assert rows.values.min() > 10.0
+    assert calib_pin.calibrate(chain, rows, far).verdict == "good"
+
+
+def test_a_partly_fixed_frame_is_about_the_setup() -> None:
+    chain, rows = measured(60)
+    setup = Setup(fixed=("base.frame.r*",))
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    assert np.allclose(result.model.error.base.rotation, np.eye(3), atol=1e-15)
+    assert np.allclose(result.reference.error.base.homogeneous, np.eye(4), atol=1e-15)

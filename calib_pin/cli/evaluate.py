@@ -22,7 +22,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
 )
-from calib_pin.cli.printing import notice, show
+from calib_pin.cli.printing import show
 
 __all__ = ["evaluate"]
 
@@ -55,7 +55,8 @@ def evaluate(
     """Print the accuracy of a robot or a calibration on measurements.
 
     A URDF knows neither base nor tool: they are registered on these rows, and the
-    output says so. A calibration is taken as it is, unless --register is given.
+    output says so. A calibration is taken as it is, unless --register is given. Exit
+    status 2: the rows are too few, or the calibration must not be trusted.
     """
     from dataclasses import asdict, replace
 
@@ -66,16 +67,22 @@ def evaluate(
     from calib_pin.io.results import read_calibration
     from calib_pin.report.text import evaluation_report
     from calib_pin.result import CalibratedModel
+    from calib_pin.setup import Setup
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     subject: Chain | CalibratedModel
+    doubts: list[str] = []
     inside = Path(robot, "calibration.json")
     if exists(inside):
         raise OptionError("is a folder", file=robot, allowed=f"{inside}, or a robot")
     if robot.endswith(".json"):
         if base is not None or tip is not None or model is not None:
             raise OptionError("a calibration has its own base, tip and model")
-        subject = read_calibration(robot, notice=notice)
+        subject = read_calibration(robot, notice=doubts.append)
+        if setup is not None and stated != Setup(joints=stated.joints):
+            raise OptionError(
+                "a calibration has its own setup", file=setup, allowed="joints"
+            )
         chain = subject.chain
         joints = stated.joints or subject.setup.joints
         stated = replace(stated, model=subject.measurement.name, joints=joints)
@@ -84,6 +91,8 @@ def evaluate(
     require_distinct(measurements)
     rows = open_measurements(measurements, chain, stated)
     evaluation = run(subject, rows, stated, registration=register)
+    if doubts:
+        evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
     if json:
         errors = {
             name: {"unit": unit, **asdict(accuracy)}
@@ -92,9 +101,10 @@ def evaluate(
         document = {
             "rows": evaluation.rows,
             "registered": evaluation.registered,
+            "verdict": {"status": evaluation.verdict, "reason": evaluation.reason},
             "errors": errors,
         }
         typer.echo(encode(document).decode(), nl=False)
     else:
         show(evaluation_report(evaluation))
-    return 0
+    return 0 if evaluation.verdict == "good" else 2

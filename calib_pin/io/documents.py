@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.assessment import chi2_interval
 from calib_pin.io.files import read_bytes
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
@@ -116,16 +118,6 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
         InputError: If a measurement file cannot be read again for its hash.
     """
     model, robot = result.model, result.model.chain.robot
-    planes = {}
-    if isinstance(model.measurement, PlaneDistance):
-        planes = {
-            plane.name: {
-                "normal": np.asarray(plane.normal).tolist(),
-                "offset": plane.offset,
-                "estimated": plane.estimate,
-            }
-            for plane in model.measurement.planes
-        }
     free = model.error.parameters.free
     return {
         "format": FORMAT,
@@ -154,6 +146,7 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
             "dof": result.dof,
             "sigma0": result.sigma0,
             "stated_sigma": result.stated_sigma,
+            "chi2_interval": list(chi2_interval(result.dof)) if result.dof > 0 else [],
             "outliers": [asdict(outlier) for outlier in result.outliers],
         },
         "solver": {
@@ -166,11 +159,19 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
             "seed": result.seed,
         },
         "frames": {
-            "base": _frame(model.error.base, bool(free[:6].any())),
-            "tool": _frame(model.tool, bool(free[-6:].any())),
+            "base": {
+                **_frame(model.error.base),
+                "estimated": bool(free[:6].any()),
+                "reference": _frame(result.reference.error.base),
+            },
+            "tool": {
+                **_frame(model.tool),
+                "estimated": bool(free[-6:].any()),
+                "reference": _frame(result.reference.error.tool),
+            },
         },
         "targets": {},
-        "planes": planes,
+        "planes": _planes(model.measurement, result.reference.measurement),
         "residual_model": None,
         "setup": setup_document(model.setup),
         "provenance": {
@@ -186,12 +187,30 @@ def _sha256_of(file: str) -> str:
     return sha256(read_bytes(file)) if Path(file).is_file() else ""
 
 
-def _frame(pose: pin.SE3, estimated: bool) -> Json:
+def _frame(pose: pin.SE3) -> Json:
     return {
         "xyz": pose.translation.tolist(),
         "rpy": pin.rpy.matrixToRpy(pose.rotation).tolist(),
-        "estimated": estimated,
     }
+
+
+def _planes(fitted: MeasurementModel, reference: MeasurementModel) -> Json:
+    if not isinstance(fitted, PlaneDistance) or not isinstance(
+        reference, PlaneDistance
+    ):
+        return {}
+    return {
+        plane.name: {
+            **_plane(plane),
+            "estimated": plane.estimate,
+            "reference": _plane(start),
+        }
+        for plane, start in zip(fitted.planes, reference.planes, strict=True)
+    }
+
+
+def _plane(plane: Plane) -> Json:
+    return {"normal": np.asarray(plane.normal).tolist(), "offset": plane.offset}
 
 
 def _errors(errors: QuantityErrors, method: str) -> Json:

@@ -13,6 +13,7 @@ from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
+from calib_pin.assessment import chi2_interval
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
@@ -126,11 +127,18 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
             name, str(evaluation.rows), *_sizes(accuracy, unit), DISPLAY[unit][0]
         )
     how = (
-        "Base, tool and instrument were registered on these rows."
+        "What is unknown of base, tool and instrument was registered on these rows."
         if evaluation.registered
         else "Nothing was fitted to these rows."
     )
-    return Group(table, Text(how, style="dim"))
+    parts: list[RenderableType] = [table, Text(how, style="dim")]
+    if evaluation.verdict != "good":
+        parts.insert(0, _untrusted(evaluation.reason))
+    return Group(*parts)
+
+
+def _untrusted(reason: str) -> Text:
+    return Text(f"UNTRUSTED: {reason.rstrip('.')}.\n", style="bold red")
 
 
 def _verdict(result: CalibrationResult) -> Text:
@@ -283,7 +291,7 @@ def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
     grid.add_row("  sigma0", f"{_number(result.sigma0)} times the {sigmas} sigma")
     remark = ""
     if result.stated_sigma and result.dof > 0:
-        low, high = _chi2_interval(result.dof)
+        low, high = chi2_interval(result.dof)
         where = "inside"
         if result.chi2 < low:
             where, remark = "below", "less than their sigma says: it may be too large."
@@ -379,9 +387,3 @@ def _compressed(names: Sequence[str]) -> Iterator[str]:
         together.setdefault(stem, []).append(component)
     for stem, components in together.items():
         yield f"{stem}.{'|'.join(components)}"
-
-
-def _chi2_interval(dof: int) -> tuple[float, float]:
-    from scipy.special import chdtri
-
-    return float(chdtri(dof, 0.975)), float(chdtri(dof, 0.025))

@@ -703,8 +703,8 @@ def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
     rows_of_another_robot(here)
     assert run("calibrate arm.urdf rows.csv --setup setup.yaml -o out").status == 2
     result = run("evaluate out/calibration.json new.csv")
-    assert result.status == 0
-    assert result.err.startswith(
-        "calib-pin: note: out/calibration.json must not be trusted: on rows"
+    assert result.status == 2
+    assert result.out.startswith(
+        "UNTRUSTED: out/calibration.json must not be trusted: on rows"
     )
     assert "Nothing was fitted" in result.out

@@ -354,6 +354,6 @@ def test_evaluations(result):
     assert text.splitlines()[2].split()[:2] == ["position", "12"]
     assert "mm" in text
     assert "deg" in text
-    assert "Base, tool and instrument were registered on these rows." in text
+    assert "What is unknown of base, tool and instrument was registered" in text
     text = plain_text(evaluation_report(evaluate(result.model, rows)))
     assert "Nothing was fitted to these rows." in text

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,7 @@ from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.spatial import Floats
 
-__all__ = ["Linearization", "MeasurementModel", "Quantity"]
+__all__ = ["FreeInstrument", "Linearization", "MeasurementModel", "Quantity"]
 
 
 @dataclass(frozen=True)
@@ -139,3 +139,35 @@ class MeasurementModel(Protocol):
             The model about its registered references, the base and the tool frame.
         """
         ...
+
+
+class FreeInstrument:
+    """What models share whose instrument stands anywhere and has no parameters.
+
+    It measures in a frame of its own, at every pose.
+    """
+
+    @property
+    def measuring_frame(self) -> bool:
+        """The instrument's own."""
+        return True
+
+    @property
+    def missing(self) -> str:
+        """Nothing."""
+        return ""
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """None."""
+        return ()
+
+    def about(self, own: Floats) -> Self:
+        """Itself: there is nothing to move."""
+        return self
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(T), bool)

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurement_models.base import FreeInstrument, Linearization, Quantity
 from calib_pin.measurements import Measurements
-from calib_pin.parameters import Parameter
 from calib_pin.registration import register_poses
 from calib_pin.spatial import (
     Floats,
@@ -26,7 +24,7 @@ __all__ = ["Pose"]
 
 
 @dataclass(frozen=True)
-class Pose:
+class Pose(FreeInstrument):
     """Position residual in the measuring frame [m], rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
@@ -42,34 +40,9 @@ class Pose:
             Quantity("orientation", "rad", slice(3, 6), 1e-4),
         )
 
-    @property
-    def measuring_frame(self) -> bool:
-        """The instrument stands anywhere."""
-        return True
-
-    @property
-    def missing(self) -> str:
-        """Nothing."""
-        return ""
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """None of its own."""
-        return ()
-
-    def about(self, own: Floats) -> Pose:
-        """Itself: there is nothing to move."""
-        return self
-
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Position and unit quaternion of the tool, shape (N, 7)."""
         return np.column_stack([T[:, :3, 3], to_quaternion(T[:, :3, :3])])
-
-    def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(T), bool)
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """Shift the position and turn the orientation in the tool frame."""

@@ -7,11 +7,9 @@ from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
-from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurement_models.base import FreeInstrument, Linearization, Quantity
 from calib_pin.measurements import Measurements
-from calib_pin.parameters import Parameter
 from calib_pin.registration import register_points
 from calib_pin.spatial import Floats
 
@@ -19,7 +17,7 @@ __all__ = ["Position"]
 
 
 @dataclass(frozen=True)
-class Position:
+class Position(FreeInstrument):
     """`residual = p(T) - y`, the origin of the tool frame in the measuring frame [m].
 
     A point has no orientation: `tool.frame.rx|ry|rz` are unidentifiable.
@@ -32,34 +30,9 @@ class Position:
         """One: the position."""
         return (Quantity("position", "m", slice(0, 3), 1e-4),)
 
-    @property
-    def measuring_frame(self) -> bool:
-        """The instrument stands anywhere."""
-        return True
-
-    @property
-    def missing(self) -> str:
-        """Nothing."""
-        return ""
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """None of its own."""
-        return ()
-
-    def about(self, own: Floats) -> Position:
-        """Itself: there is nothing to move."""
-        return self
-
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Origins of the tool frame, shape (N, 3) [m]."""
         return np.array(T[:, :3, 3])
-
-    def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(T), bool)
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """Add noise to the coordinates."""

@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.chain import Chain
 from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
-from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.result import (
@@ -39,18 +39,13 @@ CORRELATED = 0.95
 WEAK_PART = 0.1
 """Part of a parameter in directions left at nominal from which it counts as weak."""
 
-
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
 
 def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
     """`good` or `untrusted`, and the reason where it is not good."""
-    data = fitted.problem.data
-    # A configuration measured again is checked better, but shows nothing new.
-    repeated = len(data) - len(set(data.groups().tolist()))
-    rows = (len(data) - repeated) * fitted.problem.sigma.shape[1]
-    rank = fitted.structure.rank
+    rows, rank = fitted.problem.distinct_values, fitted.structure.rank
     if rows < rank:
         return "untrusted", (
             f"{rows} measured values cannot determine {rank} identifiable parameters; "
@@ -64,14 +59,13 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
     if fitted.result.status is not Status.CONVERGED:
         return "untrusted", fitted.result.status.advice
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
-    if free.any() and fitted.directions.count == fitted.nuisances:
+    if free.any() and fitted.directions.robot.shape[1] == 0:
         return "untrusted", (
             "the rows fit so badly that they tell nothing of the robot; check the base "
             "and tip links, the joint columns with their signs and offsets, and units"
         )
     for quantity in errors:
-        limit = UNEXPLAINED * (LENGTH_SCALE if quantity.unit == "m" else ANGLE_SCALE)
-        if quantity.after.rms > limit:
+        if quantity.after.rms > UNEXPLAINED * expected_size(quantity.unit):
             return "untrusted", (
                 f"{quantity.name} errors of {quantity.after.rms:.3g} {quantity.unit} "
                 "rms remain, far more than a robot's geometry explains; check the base "
@@ -99,8 +93,7 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     parameters = problem.parameters
     A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
     rank = int(np.linalg.matrix_rank(A)) if A.size else 0
-    repeated = len(problem.data) - len(set(problem.data.groups().tolist()))
-    values = (len(problem.data) - repeated) * problem.sigma.shape[1]
+    values = problem.distinct_values
     if rank and values <= rank:
         return (
             f"{values} measured values are used up by the {rank} unknowns of base, "
@@ -175,7 +168,37 @@ def structural_ranks(
     parameters: ParameterSet, structure: Structure, chain: Chain
 ) -> Identifiability:
     """Ranks without measurements."""
-    s = structure.robot
+    return _ranks(
+        parameters, structure, chain, structure.robot, structure.configurations
+    )
+
+
+def fitted_ranks(fitted: Fit) -> Identifiability:
+    """Ranks and observability of the rows that were fitted."""
+    s = fitted.singular_values
+    problem = fitted.problem
+    return replace(
+        _ranks(
+            problem.parameters,
+            fitted.structure,
+            problem.error.chain,
+            s[s > 1e-12 * s.max(initial=0.0)],
+            len(problem.data),
+        ),
+        rank=fitted.rank,
+        weak=fitted.directions.weak.shape[1],
+        correlated=tuple(_correlated(fitted)),
+    )
+
+
+def _ranks(
+    parameters: ParameterSet,
+    structure: Structure,
+    chain: Chain,
+    s: Floats,
+    configurations: int,
+) -> Identifiability:
+    """Ranks of a structure, with the singular values s of some configurations."""
     return Identifiability(
         parameters=int(parameters.free.sum()),
         rank=structure.rank,
@@ -184,27 +207,9 @@ def structural_ranks(
         everett=everett_count(chain.revolute),
         condition=float(s[0] / s[-1]) if len(s) else 0.0,
         singular_values=tuple(float(value) for value in s),
-        observability=observability(s, structure.configurations),
+        observability=observability(s, configurations),
         weak=0,
         correlated=(),
-    )
-
-
-def fitted_ranks(fitted: Fit) -> Identifiability:
-    """Ranks and observability of the rows that were fitted."""
-    s = fitted.singular_values
-    s = s[s > 1e-12 * s.max(initial=0.0)]
-    structural = structural_ranks(
-        fitted.problem.parameters, fitted.structure, fitted.problem.error.chain
-    )
-    return replace(
-        structural,
-        rank=fitted.rank,
-        condition=float(s[0] / s[-1]) if len(s) else 0.0,
-        singular_values=tuple(float(value) for value in s),
-        observability=observability(s, len(fitted.problem.data)),
-        weak=fitted.directions.weak.shape[1],
-        correlated=tuple(_correlated(fitted)),
     )
 
 

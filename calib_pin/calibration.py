@@ -132,7 +132,7 @@ def calibrate(
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
         model=CalibratedModel.create(fitted.problem, fitted.theta),
-        reference=CalibratedModel.create(fitted.problem, 0.0 * fitted.theta),
+        reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
         verdict=status,
         reason=reason,
         parameters=found,
@@ -319,22 +319,21 @@ def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]
     What is fitted without a part must still determine the robot and every plane.
     """
     groups = _shuffled_groups(rows, seed)
+    if len(groups) < FOLDS:
+        return []
+    targets = np.array(rows.target)
     masks = []
     for k in range(FOLDS):
         mask = np.zeros(len(rows), bool)
-        for group in groups[k::FOLDS]:
-            mask[group] = True
-        masks.append(mask)
-    if len(groups) < FOLDS:
-        return []
-    components = fitted.problem.sigma.shape[1]
-    labels, targets = rows.groups(), np.array(rows.target)
-    for mask in masks:
-        if components * len(set(labels[~mask])) <= fitted.structure.rank:
+        mask[np.concatenate(groups[k::FOLDS])] = True
+        rest = rows.rows(~mask)
+        values = rest.configurations * fitted.problem.components
+        if values <= fitted.structure.rank or any(
+            rows.rows(~mask & (targets == name)).configurations < FEWEST
+            for name in set(rows.target)
+        ):
             return []
-        for name in set(rows.target):
-            if len(set(labels[~mask & (targets == name)])) < FEWEST:
-                return []
+        masks.append(mask)
     return masks
 
 

@@ -34,17 +34,24 @@ class Directions:
     """What the fit may move, in parameters divided by their scale.
 
     Attributes:
-        basis: Nuisances and the robot directions that are estimated, shape (P, k).
+        nuisances: Unit vectors of the free nuisances, shape (P, f).
+        robot: Robot directions that are estimated, shape (P, r).
         weak: Robot directions that stay at nominal, shape (P, w).
     """
 
-    basis: Floats
+    nuisances: Floats
+    robot: Floats
     weak: Floats
+
+    @property
+    def basis(self) -> Floats:
+        """All that is moved, shape (P, f + r)."""
+        return np.column_stack([self.nuisances, self.robot])
 
     @property
     def count(self) -> int:
         """Number of directions that are moved."""
-        return int(self.basis.shape[1])
+        return int(self.nuisances.shape[1] + self.robot.shape[1])
 
 
 def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
@@ -104,7 +111,8 @@ def practical_directions(
     count = min(count, int((s > rounding(A) * s.max(initial=0.0)).sum()))
     nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
     return Directions(
-        basis=np.column_stack([nuisance, robot @ Vt[:count].T]),
+        nuisances=nuisance,
+        robot=robot @ Vt[:count].T,
         weak=robot @ Vt[count:].T,
     )
 
@@ -120,32 +128,34 @@ def pruned(
         parameters: The parameters.
         sigma0: Standard deviation of unit weight of the fit.
     """
-    A = J * parameters.scales
-    nuisances = int((parameters.free & parameters.nuisance).sum())
-    robot = directions.basis[:, nuisances:]
-    projected, _ = _project(A @ robot, A, parameters)
-    triangle = np.asarray(np.linalg.qr(projected, mode="r"))
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=True)
+    _, s, Vt = np.linalg.svd(_triangle(directions, J, parameters))
     count = int((s * WEAK > sigma0).sum())
     return Directions(
-        basis=np.column_stack([directions.basis[:, :nuisances], robot @ Vt[:count].T]),
-        weak=np.column_stack([directions.weak, robot @ Vt[count:].T]),
+        nuisances=directions.nuisances,
+        robot=directions.robot @ Vt[:count].T,
+        weak=np.column_stack([directions.weak, directions.robot @ Vt[count:].T]),
     )
 
 
-def robot_singular_values(J: Floats, moved: Floats, parameters: ParameterSet) -> Floats:
-    """Singular values of moved robot directions, the nuisances projected out.
+def robot_singular_values(
+    directions: Directions, J: Floats, parameters: ParameterSet
+) -> Floats:
+    """Singular values of the moved robot directions, the nuisances projected out.
 
     Args:
-        J: Jacobian, shape (M, P).
-        moved: Directions, in parameters and not in scales, shape (P, k).
+        directions: What the fit moved.
+        J: Whitened Jacobian at its solution, shape (M, P).
         parameters: The parameters.
     """
-    # Nuisances may be mixed in where a bound ties them to the robot.
-    robot = np.where(parameters.nuisance[:, None], 0.0, moved)
-    robot = robot[:, np.abs(robot).max(axis=0, initial=0.0) > 0.0]
-    projected, _ = _project(J @ robot, J * parameters.scales, parameters)
-    return np.asarray(np.linalg.svd(projected, compute_uv=False))
+    triangle = _triangle(directions, J, parameters)
+    return np.asarray(np.linalg.svd(triangle, compute_uv=False))
+
+
+def _triangle(directions: Directions, J: Floats, parameters: ParameterSet) -> Floats:
+    """Triangular factor of the robot directions without what nuisances can absorb."""
+    A = J * parameters.scales
+    projected, _ = _project(A @ directions.robot, A, parameters)
+    return np.asarray(np.linalg.qr(projected, mode="r"))
 
 
 def robot_svd(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:

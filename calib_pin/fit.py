@@ -57,12 +57,6 @@ class Fit:
         return self.result.x
 
     @property
-    def nuisances(self) -> int:
-        """Number of free nuisances."""
-        parameters = self.problem.parameters
-        return int((parameters.free & parameters.nuisance).sum())
-
-    @property
     def dof(self) -> int:
         """Residual components minus the rank."""
         return len(self.result.fun) - self.rank
@@ -126,7 +120,6 @@ def _fit(
 
     last = solutions[-1]
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
-    moved = parameters.scales[:, None] * last.directions.basis
     return Fit(
         problem=problem,
         before=before.x,
@@ -140,7 +133,9 @@ def _fit(
         rank=last.rank,
         sigma0=last.sigma0,
         covariance=weight * last.half @ last.half.T,
-        singular_values=robot_singular_values(last.result.jac, moved, parameters),
+        singular_values=robot_singular_values(
+            last.directions, last.result.jac, parameters
+        ),
     )
 
 
@@ -275,11 +270,10 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    components = problem.measurement.quantities[-1].columns.stop
-    count = max(50, -(-3 * len(problem.parameters) // components))
+    count = max(50, -(-3 * len(problem.parameters) // problem.components))
     q, target = observable_configurations(problem, theta, count, rng)
     _, J = problem.about(theta, q, target).linearize(theta)
-    rows = count * components
+    rows = count * problem.components
     return (
         structure(J[:rows], problem.parameters, count),
         visible_directions(J, problem.parameters),

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.directions import robot_svd, rounding
-from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 from calib_pin.spatial import Floats
 
@@ -212,8 +212,7 @@ def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combi
 
     def weight(term: tuple[int, float]) -> float:
         position, coefficient = term
-        length = parameters[position].unit == "m"
-        return abs(coefficient) * (LENGTH_SCALE if length else ANGLE_SCALE)
+        return abs(coefficient) * expected_size(parameters[position].unit)
 
     heaviest = max(map(weight, terms))
     terms = [term for term in terms if weight(term) > CRUMB * heaviest]

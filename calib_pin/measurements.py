@@ -124,6 +124,11 @@ class Measurements:
                 label[order] = np.concatenate([[0], np.cumsum(apart)])
         return label
 
+    @property
+    def configurations(self) -> int:
+        """Number of different configurations; repetitions show nothing new."""
+        return len(np.unique(self.groups()))
+
     def place(self, row: int) -> str:
         """Where a row stands, as `file:line`, or `row k` where there is no file."""
         if self.files[row]:

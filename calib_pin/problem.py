@@ -76,6 +76,16 @@ class Problem:
             assumed_sigma(self.measurement, self.setup.noise), (len(self.data), 1)
         )
 
+    @property
+    def components(self) -> int:
+        """Residual components of a row."""
+        return int(self.measurement.quantities[-1].columns.stop)
+
+    @property
+    def distinct_values(self) -> int:
+        """Measured values, repetitions of a configuration left out."""
+        return self.data.configurations * self.components
+
     @cached_property
     def _prior(self) -> NDArray[np.bool_]:
         return np.isfinite(self.parameters.priors) & self.parameters.free

@@ -20,6 +20,7 @@ __all__ = [
     "open_measurements",
     "open_setup",
     "require_distinct",
+    "require_model",
 ]
 
 
@@ -64,6 +65,23 @@ def open_setup(
         tip=tip or setup.tip,
         model=model or setup.model,
     )
+
+
+def require_model(setup: Setup) -> str:
+    """The measurement model where no columns show it.
+
+    Raises:
+        OptionError: If neither the setup nor a flag names one.
+    """
+    from calib_pin.errors import OptionError
+    from calib_pin.measurement_models import MEASUREMENT_MODELS
+
+    if setup.model is None:
+        raise OptionError(
+            "without measurements the way of measuring must be named with --model",
+            allowed=", ".join(MEASUREMENT_MODELS),
+        )
+    return setup.model
 
 
 def open_chain(robot: str, setup: Setup) -> Chain:

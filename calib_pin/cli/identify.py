@@ -12,6 +12,7 @@ from calib_pin.cli.files import (
     open_measurements,
     open_setup,
     require_distinct,
+    require_model,
 )
 from calib_pin.cli.options import (
     Base,
@@ -50,13 +51,12 @@ def identify(
     Without measurements: what the robot and the way it is measured can reveal at all.
     With them: what these rows can tell. Nothing is written.
     """
-    from rich.text import Text
+    from rich.console import Group
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.calibration import identify as structural
-    from calib_pin.errors import OptionError
     from calib_pin.io.documents import encode, identification_document
-    from calib_pin.report.text import identification_report
+    from calib_pin.report.text import identification_report, untrusted
     from calib_pin.result import Identification
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
@@ -67,13 +67,8 @@ def identify(
         rows = open_measurements(measurements, chain, stated)
         result = run(chain, rows, stated, validate=False, seed=seed)
         found, verdict, reason = result, result.verdict, result.reason
-    elif stated.model is None:
-        raise OptionError(
-            "without measurements the way of measuring must be named with --model",
-            allowed="position, pose, plane-distance",
-        )
     else:
-        found = structural(chain, stated.model, stated, seed=seed)
+        found = structural(chain, require_model(stated), stated, seed=seed)
         verdict, reason = "good", ""
     if json:
         document = identification_document(found)
@@ -81,6 +76,6 @@ def identify(
         typer.echo(encode(document).decode(), nl=False)
     else:
         if verdict != "good":
-            show(Text(f"UNTRUSTED: {reason}.\n", style="bold red"))
+            show(Group(untrusted(reason), ""))
         show(identification_report(found, fitted=bool(measurements)))
     return 0 if verdict == "good" else 2

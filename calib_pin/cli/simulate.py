@@ -11,6 +11,7 @@ from calib_pin.cli.files import (
     check_outputs,
     open_chain,
     open_setup,
+    require_model,
 )
 from calib_pin.cli.options import (
     OUTPUT,
@@ -153,16 +154,12 @@ def simulate(
     from calib_pin.simulation import simulate as run
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
-    if stated.model is None:
-        raise OptionError(
-            "name how the robot is measured with --model",
-            allowed="position, pose, plane-distance",
-        )
+    measured = require_model(stated)
     if (count is None) == (configurations is None):
         raise OptionError("give either --count or --configurations")
     check_outputs((output, truth), (robot, setup, configurations, errors), force)
     chain = open_chain(robot, stated)
-    problem = nominal_problem(chain, stated.model, stated)
+    problem = nominal_problem(chain, measured, stated)
     rng = np.random.default_rng(seed)
     if errors is None:
         theta = draw_errors(problem.parameters, rng)

@@ -106,9 +106,9 @@ def write_urdf(
     """
     chain = model.chain
     q = chain.random_configurations(20, np.random.default_rng(0))
-    expected = model.error.base.actInv(pin.SE3.Identity()).homogeneous @ model.poses(q)
+    expected = model.error.base.inverse().homogeneous @ model.poses(q)
 
-    def check(robot: Any) -> None:
+    def check(robot: Robot) -> None:
         written = Chain(robot, chain.base, chain.tip)
         found = written.poses(q) @ model.tool.homogeneous
         difference = float(np.abs(found - expected).max())
@@ -168,7 +168,8 @@ def _model(document: Json, robot: Robot) -> CalibratedModel:
         tool = error.corrections(theta)[-2].actInv(tool)
     planes = {name: _read_plane(plane) for name, plane in document["planes"].items()}
     model = _text(document["measurements"]["model"])
-    if model == "plane-distance" and not planes:
+    measurement = measurement_model(model, Setup(planes=planes))
+    if measurement.missing:
         raise ValueError("the planes are missing")
     if "setup" in document:
         setup = setup_of(document["setup"])
@@ -177,7 +178,7 @@ def _model(document: Json, robot: Robot) -> CalibratedModel:
         setup = Setup(base_frame=known[0], tool_frame=known[1], planes=planes)
     return CalibratedModel(
         error=error.with_frames(base, tool),
-        measurement=measurement_model(model, Setup(planes=planes)),
+        measurement=measurement,
         theta=theta,
         setup=setup,
     )

@@ -16,6 +16,7 @@ __all__ = [
     "LENGTH_SCALE",
     "Parameterization",
     "Screw",
+    "expected_size",
     "owner",
     "robot_parameter",
 ]
@@ -76,7 +77,12 @@ def owner(joint: str) -> str:
     return f"joint:{joint}" if joint in ("base", "tool") else joint
 
 
+def expected_size(unit: str) -> float:
+    """Expected size of an error of a robot in a unit, `m` or an angle."""
+    return LENGTH_SCALE if unit == "m" else ANGLE_SCALE
+
+
 def robot_parameter(joint: str, kind: str, component: str, unit: str) -> Parameter:
     """A parameter of the robot with the scale of its unit."""
-    scale = LENGTH_SCALE if unit == "m" else ANGLE_SCALE
-    return Parameter(f"{owner(joint)}.{kind}.{component}", unit, scale)
+    name = f"{owner(joint)}.{kind}.{component}"
+    return Parameter(name, unit, expected_size(unit))

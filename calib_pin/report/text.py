@@ -32,6 +32,7 @@ __all__ = [
     "identification_report",
     "plain_text",
     "report",
+    "untrusted",
 ]
 
 WIDTH = 80
@@ -133,17 +134,18 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
     )
     parts: list[RenderableType] = [table, Text(how, style="dim")]
     if evaluation.verdict != "good":
-        parts.insert(0, _untrusted(evaluation.reason))
+        parts = [untrusted(evaluation.reason), "", *parts]
     return Group(*parts)
 
 
-def _untrusted(reason: str) -> Text:
-    return Text(f"UNTRUSTED: {reason.rstrip('.')}.\n", style="bold red")
+def untrusted(reason: str) -> Text:
+    """The line that comes first where a result must not be trusted."""
+    return Text(f"UNTRUSTED: {reason.rstrip('.')}.", style="bold red")
 
 
 def _verdict(result: CalibrationResult) -> Text:
     if result.verdict != "good":
-        return Text(f"UNTRUSTED: {result.reason.rstrip('.')}.", style="bold red")
+        return untrusted(result.reason)
     if result.validation == "none":
         text = "GOOD: the fit converged; too few rows to check it on unseen ones."
     elif all(_better(error) for error in result.errors):

@@ -69,6 +69,8 @@ class Chain:
         placements: Nominal joint placements in the frame of the chain's joint before
             them in the tree, else in the root link at zero joint positions, n SE3.
         tip_placement: Tip in the frame of its own moving joint, SE3.
+        ends: Base and tip, each in the frame of the chain's joint that carries it, else
+            in the root link at zero joint positions, two SE3.
         tip_joint: Fixed joint that carries the tip, if the chain ends with one; the
             URDF can hold an error of the tip there.
 
@@ -149,6 +151,10 @@ class Chain:
         )
         tip_frame = full.frames[_frame(full, self.tip)]
         self.tip_placement: pin.SE3 = tip_frame.placement.copy()
+        self.ends: tuple[pin.SE3, pin.SE3] = (
+            self._model.frames[self._base_id].placement.copy(),
+            self._model.frames[self._tip_id].placement.copy(),
+        )
         on_path = self.tip in robot.fixed_parents and not self.reversed[-1]
         self.tip_joint: str | None = robot.fixed_parents[self.tip] if on_path else None
 

@@ -79,6 +79,7 @@ def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
 def practical_directions(
     J: Floats,
     r: Floats,
+    count: int,
     parameters: ParameterSet,
     robot: Floats,
     sigma0: float | None = None,
@@ -92,6 +93,7 @@ def practical_directions(
     Args:
         J: Whitened Jacobian at zero robot errors, shape (M, P).
         r: Whitened residual there, shape (M,); predicts sigma0 where it is None.
+        count: Residual components; more than M where J and r are a reduced system.
         parameters: The parameters.
         robot: Structurally visible robot directions, shape (P, r).
         sigma0: Standard deviation of unit weight of a fit, where one is known.
@@ -104,16 +106,16 @@ def practical_directions(
     left, s, Vt = np.linalg.svd(projected, full_matrices=True)
     if sigma0 is None:
         along = left.T[: len(s)] @ rest
-        dof = len(r) - nuisances
-        count = _predicted_count(s, along, float(rest @ rest), dof)
+        dof = count - nuisances
+        kept = _predicted_count(s, along, float(rest @ rest), dof)
     else:
-        count = int((s * WEAK > sigma0).sum())
-    count = min(count, int((s > rounding(A) * s.max(initial=0.0)).sum()))
+        kept = int((s * WEAK > sigma0).sum())
+    kept = min(kept, int((s > rounding(A) * s.max(initial=0.0)).sum()))
     nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
     return Directions(
         nuisances=nuisance,
-        robot=robot @ Vt[:count].T,
-        weak=robot @ Vt[count:].T,
+        robot=robot @ Vt[:kept].T,
+        weak=robot @ Vt[kept:].T,
     )
 
 

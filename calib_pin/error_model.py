@@ -25,7 +25,7 @@ from calib_pin.parameterizations import Screw, frame_screws, parameterization
 from calib_pin.parameters import ParameterSet
 from calib_pin.spatial import Floats, adjoint, invert
 
-__all__ = ["ErrorModel", "PoseLinearization"]
+__all__ = ["ErrorModel", "PoseLinearization", "ordered_screws"]
 
 
 @dataclass(frozen=True)
@@ -192,7 +192,7 @@ class ErrorModel:
             q: Joint positions, shape (N, n) [rad, m].
             theta: Parameter values, shape (P,).
         """
-        columns, corrections = self._columns(theta)
+        columns, corrections = ordered_screws(self.screws, theta, self.places)
         base, placements, tip, tool = self._placed(corrections)
         F, R = self.chain.regressor(q, placements)
         to_tip = (tip * tool).homogeneous
@@ -221,28 +221,6 @@ class ErrorModel:
         linear = self.linearize(q, theta)
         return linear.T, linear.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
 
-    def _columns(self, theta: Floats) -> tuple[Floats, list[pin.SE3]]:
-        """Body twist at its own place per parameter, and the products of the places.
-
-        The screws behind it in the product carry a twist along by their adjoint.
-
-        Returns:
-            Twists, shape (6, P), and the same products as `corrections`.
-        """
-        columns = np.empty((6, len(self.screws)))
-        behind: list[pin.SE3 | None] = [None] * self.places
-        for k in reversed(range(len(self.screws))):
-            screw, amount = self.screws[k], theta[k]
-            after = behind[screw.place]
-            columns[:, k] = screw.twist
-            if after is not None:
-                columns[:, k] = after.toActionMatrixInverse() @ screw.twist
-            if amount != 0.0:
-                motion = pin.exp6(screw.twist * amount)
-                behind[screw.place] = motion if after is None else motion * after
-        identity = pin.SE3.Identity()
-        return columns, [identity if b is None else b for b in behind]
-
     def _placed(
         self, corrections: Sequence[pin.SE3]
     ) -> tuple[pin.SE3, list[pin.SE3], pin.SE3, pin.SE3]:
@@ -254,3 +232,34 @@ class ErrorModel:
         ]
         base, tool = self.base * corrections[0], self.tool * corrections[-1]
         return base, placements, corrections[-2], tool
+
+
+def ordered_screws(
+    screws: Sequence[Screw], theta: Floats, places: int
+) -> tuple[Floats, list[pin.SE3]]:
+    """Body twist at the end of its own place per parameter, and the places' products.
+
+    The screws behind it in the product carry a twist along by their adjoint.
+
+    Args:
+        screws: One screw per parameter, in the order they apply within a place.
+        theta: Parameter values, shape (P,).
+        places: Number of places.
+
+    Returns:
+        Twists, shape (6, P), and the product `Exp(S_1 t_1) Exp(S_2 t_2) ...` of every
+        place.
+    """
+    columns = np.empty((6, len(screws)))
+    behind: list[pin.SE3 | None] = [None] * places
+    for k in reversed(range(len(screws))):
+        screw, amount = screws[k], theta[k]
+        after = behind[screw.place]
+        columns[:, k] = screw.twist
+        if after is not None:
+            columns[:, k] = after.toActionMatrixInverse() @ screw.twist
+        if amount != 0.0:
+            motion = pin.exp6(screw.twist * amount)
+            behind[screw.place] = motion if after is None else motion * after
+    identity = pin.SE3.Identity()
+    return columns, [identity if b is None else b for b in behind]

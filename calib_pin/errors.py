@@ -10,6 +10,7 @@ from __future__ import annotations
 import difflib
 from collections.abc import Iterable
 from pathlib import Path
+from typing import Self
 
 __all__ = [
     "CalibPinError",
@@ -68,6 +69,19 @@ class InputError(CalibPinError):
         if allowed is not None:
             message += f"; allowed: {allowed}"
         super().__init__(" ".join(message.split()))
+
+    def within(self, file: str) -> Self:
+        """The same error, in a file where one is named.
+
+        For mistakes that a file states and only later work can recognize.
+        """
+        return type(self)(
+            self.reason,
+            file=file or None,
+            column=self.column,
+            value=self.value,
+            allowed=self.allowed,
+        )
 
 
 class RobotError(InputError):

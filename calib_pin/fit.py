@@ -17,7 +17,8 @@ from calib_pin.directions import (
 from calib_pin.identifiability import Structure, structure
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem, observable_configurations
-from calib_pin.solvers import LeastSquaresResult, gauss_newton
+from calib_pin.solve import Progress, Solved, Solver, least_squares
+from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
 
 __all__ = ["Fit", "analyze_structure", "fit", "register"]
@@ -39,6 +40,9 @@ class Fit:
             the data have them, else scaled by sigma0.
         singular_values: Of the whitened, scaled Jacobian of the estimated robot
             directions at the solution with the nuisances projected out, descending.
+        solver: Name of the solver.
+        evaluator: What evaluated the rows, see `solve.Solved`.
+        evolution: The last evolution, if there was one.
     """
 
     problem: Problem
@@ -50,6 +54,9 @@ class Fit:
     sigma0: float
     covariance: Floats
     singular_values: Floats
+    solver: str
+    evaluator: str
+    evolution: EvolutionResult | None
 
     @property
     def theta(self) -> Floats:
@@ -59,16 +66,16 @@ class Fit:
     @property
     def dof(self) -> int:
         """Residual components minus the rank."""
-        return len(self.result.fun) - self.rank
+        return self.problem.count - self.rank
 
 
 def fit(
     problem: Problem,
     rng: np.random.Generator,
     *,
-    callback: Callable[[int, float], None] | None = None,
+    progress: Progress | None = None,
 ) -> Fit:
-    """Fit a problem.
+    """Fit a problem with the solver of its setup.
 
     The robot moves only in directions that its structure shows at nominal geometry and
     that the rows can tell, judged by the standard deviation of unit weight. That is
@@ -79,18 +86,23 @@ def fit(
 
     Args:
         problem: The problem; its frames are registered here.
-        rng: Random generator for the configurations of the structural analysis.
-        callback: Called with the step count and the cost after each step.
+        rng: Random generator for the configurations of the structural analysis and
+            for the search of a solver that has one.
+        progress: Told how far such a search is.
+
+    Raises:
+        OptionError: If the setup names a solver or an option that does not exist.
     """
+    solver = Solver(problem, rng, progress)
     problem, before = register(problem, np.zeros(len(problem.parameters)))
-    return _bounded(problem, lambda held: _fit(held, before, rng, callback))
+    return _bounded(problem, lambda held: _fit(held, before, rng, solver))
 
 
 def _fit(
     problem: Problem,
     before: LeastSquaresResult,
     rng: np.random.Generator,
-    callback: Callable[[int, float], None] | None,
+    solver: Solver,
 ) -> Fit:
     """Fit a registered problem from its registration, without regard to bounds."""
     parameters = problem.parameters
@@ -98,25 +110,29 @@ def _fit(
     r, J = problem.linearize(nominal)
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
 
-    def solve(directions: Directions, start: Floats) -> None:
-        solutions.append(_solve(problem, directions, start, callback))
+    def solve(directions: Directions) -> None:
+        previous = _within(solutions[-1], directions, parameters) if solutions else None
+        found = solver.solve(problem, directions, nominal, previous)
+        solutions.append(_judge(problem, directions, found))
+
+    def choose(sigma0: float | None) -> Directions:
+        return practical_directions(J, r, problem.count, parameters, visible, sigma0)
 
     solutions: list[_Solution] = []
-    directions = practical_directions(J, r, parameters, visible)
+    # A search takes errors for which the linear prediction of sigma0 is no good.
+    directions = choose(0.0 if solver.searches else None)
     tried: set[int] = set()
     while directions.count not in tried:
         tried.add(directions.count)
-        solve(directions, _start(solutions, directions, nominal, parameters))
+        solve(directions)
         if np.isfinite(solutions[-1].sigma0):
-            directions = practical_directions(
-                J, r, parameters, visible, solutions[-1].sigma0
-            )
+            directions = choose(solutions[-1].sigma0)
     while np.isfinite(solutions[-1].sigma0):
         last = solutions[-1]
         directions = pruned(last.directions, last.result.jac, parameters, last.sigma0)
         if directions.count == last.directions.count:
             break
-        solve(directions, _start(solutions, directions, nominal, parameters))
+        solve(directions)
 
     last = solutions[-1]
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
@@ -135,6 +151,11 @@ def _fit(
         covariance=weight * last.half @ last.half.T,
         singular_values=robot_singular_values(
             last.directions, last.result.jac, parameters
+        ),
+        solver=solver.name,
+        evaluator=last.found.evaluator,
+        evolution=next(
+            (s.found.evolution for s in reversed(solutions) if s.found.evolution), None
         ),
     )
 
@@ -179,56 +200,49 @@ class _Solution:
 
     Attributes:
         directions: The directions.
-        result: Outcome of the solver.
+        found: What the solver found.
         half: Factor of the covariance at unit weight, shape (P, rank).
         rank: Rank of the Jacobian in the directions.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
     """
 
     directions: Directions
-    result: LeastSquaresResult
+    found: Solved
     half: Floats
     rank: int
     sigma0: float
 
+    @property
+    def result(self) -> LeastSquaresResult:
+        """Outcome of the solver."""
+        return self.found.result
 
-def _solve(
-    problem: Problem,
-    directions: Directions,
-    start: Floats,
-    callback: Callable[[int, float], None] | None,
-) -> _Solution:
+
+def _judge(problem: Problem, directions: Directions, found: Solved) -> _Solution:
+    """Rank and covariance of a solution."""
+    if problem.many:
+        # They were solved by normal equations, which cannot tell the rank.
+        fun, jac = problem.factorize(found.result.x)
+        found = replace(found, result=replace(found.result, fun=fun, jac=jac))
     basis = problem.parameters.scales[:, None] * directions.basis
-    result = gauss_newton(
-        problem.linearize,
-        problem.residual,
-        start,
-        basis,
-        callback=callback,
-    )
-    triangle = np.linalg.qr(result.jac @ basis, mode="r")
+    triangle = np.linalg.qr(found.result.jac @ basis, mode="r")
     _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
-    dof = len(result.fun) - rank
+    dof = problem.count - rank
     return _Solution(
         directions=directions,
-        result=result,
+        found=found,
         half=basis @ (Vt[:rank].T / s[:rank]),
         rank=rank,
-        sigma0=float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan,
+        sigma0=float(np.sqrt(2.0 * found.result.cost / dof)) if dof > 0 else np.nan,
     )
 
 
-def _start(
-    solutions: list[_Solution],
-    directions: Directions,
-    nominal: Floats,
-    parameters: ParameterSet,
+def _within(
+    solution: _Solution, directions: Directions, parameters: ParameterSet
 ) -> Floats:
-    """The last solution within the directions; the rest returns to nominal."""
-    if not solutions:
-        return nominal
-    x = solutions[-1].result.x
+    """A solution within other directions; the rest returns to nominal."""
+    x = solution.result.x
     kept = directions.basis @ (directions.basis.T @ (x / parameters.scales))
     stay = parameters.nuisance | ~parameters.free
     return np.where(stay, x, parameters.scales * kept)
@@ -248,12 +262,7 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
     problem = problem.register(theta)
     start = np.where(parameters.nuisance, 0.0, theta)
     free = parameters.free & parameters.nuisance
-    return problem, gauss_newton(
-        problem.linearize,
-        problem.residual,
-        start,
-        np.diag(parameters.scales)[:, free],
-    )
+    return problem, least_squares(problem, start, np.diag(parameters.scales)[:, free])
 
 
 def analyze_structure(

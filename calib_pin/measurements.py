@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 from typing import Any
 
 import numpy as np
@@ -101,6 +102,21 @@ class Measurements:
             files=tuple(self.files[i] for i in order),
         )
 
+    def sample(self, count: int) -> Measurements:
+        """At most `count` rows of every target, evenly spread over the rows."""
+        if len(self) <= count:
+            return self
+        names = {name: k for k, name in enumerate(dict.fromkeys(self.target))}
+        label = np.zeros(len(self), np.int64)
+        if len(names) > 1:
+            label[:] = [names[name] for name in self.target]
+        chosen = []
+        for k in range(len(names)):
+            rows = np.flatnonzero(label == k)
+            step = np.linspace(0, len(rows) - 1, min(count, len(rows)))
+            chosen.append(rows[step.astype(np.int64)])
+        return self.rows(np.sort(np.concatenate(chosen)))
+
     def split(self) -> tuple[Measurements, Measurements]:
         """The training rows and the validation rows, by the `set` column."""
         return self.rows(~self.validate), self.rows(self.validate)
@@ -124,7 +140,7 @@ class Measurements:
                 label[order] = np.concatenate([[0], np.cumsum(apart)])
         return label
 
-    @property
+    @cached_property
     def configurations(self) -> int:
         """Number of different configurations; repetitions show nothing new."""
         return len(np.unique(self.groups()))

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TYPE_CHECKING
 
 import numpy as np
 import pinocchio as pin
@@ -18,10 +19,22 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 
+if TYPE_CHECKING:
+    from calib_pin.many_rows import ManyRows
+
 __all__ = ["Problem", "assumed_sigma", "frame_pose", "observable_configurations"]
 
 DRAWS = 200
 """Random configurations tried for each one that is wanted."""
+
+SAMPLE = 10_000
+"""Rows of every target that a closed-form start is made from; more do not help it."""
+
+MANY = 1_000_000
+"""Entries of a Jacobian from which rows go through the compiled kernels, in chunks.
+
+Below, Pinocchio takes less time than loading the kernels.
+"""
 
 
 @dataclass(frozen=True)
@@ -63,9 +76,7 @@ class Problem:
             )
         except OptionError as error:
             # The names are first known here; the mistake stands in the setup file.
-            raise OptionError(
-                error.reason, file=self.setup.file or None, value=error.value
-            ) from None
+            raise error.within(self.setup.file) from None
 
     @cached_property
     def sigma(self) -> Floats:
@@ -80,6 +91,11 @@ class Problem:
     def components(self) -> int:
         """Residual components of a row."""
         return int(self.measurement.quantities[-1].columns.stop)
+
+    @property
+    def count(self) -> int:
+        """Components of the whitened residual: those of the rows and the priors."""
+        return len(self.data) * self.components + int(self._prior.sum())
 
     @property
     def distinct_values(self) -> int:
@@ -107,27 +123,67 @@ class Problem:
         kept = {k: v for k, v in self.held_at.items() if k not in positions}
         return replace(self, held_at=kept)
 
-    def poses(self, theta: Floats) -> Floats:
-        """Tool poses in the measuring frame, shape (N, 4, 4)."""
-        return self.error.poses(self.data.q, self.split(theta)[0])
-
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
-        return self.measurement.residual(
-            self.poses(theta), self.split(theta)[1], self.data
-        )
+        of_robot, own = self.split(theta)
+        if self._many is not None:
+            return self._many.errors(of_robot, own)
+        T = self.error.poses(self.data.q, of_robot)
+        return self.measurement.residual(T, own, self.data)
 
     def residual(self, theta: Floats) -> Floats:
-        """Whitened residual, shape (N d + priors,)."""
+        """Whitened residual, shape (M,): components of the rows, then the priors."""
         rows = (self.errors(theta) / self.sigma).reshape(-1)
-        return np.concatenate([rows, (theta / self.parameters.priors)[self._prior]])
+        return np.concatenate([rows, self.prior_rows(theta)])
+
+    def prior_rows(self, theta: Floats) -> Floats:
+        """Parameters in standard deviations of their priors, (..., P) -> (..., p)."""
+        return np.asarray((theta / self.parameters.priors)[..., self._prior])
+
+    def cost(self, theta: Floats) -> float:
+        """Half the sum of squares of the whitened residual."""
+        if self._many is None:
+            r = self.residual(theta)
+            return 0.5 * float(r @ r)
+        prior = self.prior_rows(theta)
+        return self._many.cost(*self.split(theta)) + 0.5 * float(prior @ prior)
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
 
+        Of very many rows they are those of a square system with the same normal
+        equations, in which singular values below 1e-8 of the largest are lost: enough
+        for a step, not for a rank.
+
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
+        if self._many is None:
+            return self._with_priors(theta, *self._linearize_rows(theta))
+        return self._with_priors(theta, *self._many.normal(*self.split(theta)))
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The same as `linearize` to full precision, for decisions about ranks."""
+        if self._many is None:
+            return self.linearize(theta)
+        return self._with_priors(theta, *self._many.triangular(*self.split(theta)))
+
+    @property
+    def many(self) -> bool:
+        """Whether `linearize` returns a square system in place of the rows."""
+        return self._many is not None
+
+    @cached_property
+    def _many(self) -> ManyRows | None:
+        """The compiled kernels where a Jacobian would be too large to be handy."""
+        if len(self.data) * self.components * len(self.parameters) < MANY:
+            return None
+        from calib_pin.many_rows import ManyRows
+
+        return ManyRows(self.error, self.measurement, self.data, self.sigma)
+
+    def _linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual (N d,) and Jacobian (N d, P) of the rows."""
         of_robot, own = self.split(theta)
         poses = self.error.linearize(self.data.q, of_robot)
         linear = self.measurement.linearize(poses.T, own, self.data)
@@ -136,7 +192,12 @@ class Problem:
         if len(own):
             blocks.append(linear.by_own * weight)
         J = _joined(blocks, axis=2).reshape(-1, len(theta))
-        r = (linear.residual / self.sigma).reshape(-1)
+        return (linear.residual / self.sigma).reshape(-1), J
+
+    def _with_priors(
+        self, theta: Floats, r: Floats, J: Floats
+    ) -> tuple[Floats, Floats]:
+        """Residual and Jacobian with the rows of the priors behind them."""
         if not self._prior.any():
             return r, J
         prior = np.diag(1.0 / self.parameters.priors)[self._prior]
@@ -152,6 +213,7 @@ class Problem:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         count = len(self.error.screws)
+        few = self.data.sample(SAMPLE)
         # A frame of the chain has six parameters at either end.
         start = (
             self._given(self.setup.base_frame, slice(0, 6)),
@@ -164,8 +226,8 @@ class Problem:
                 f"{self.measurement.missing}",
                 file=self.setup.file or None,
             )
-        F = self.error.tip_poses(self.data.q, self.split(theta)[0])
-        measurement, base, tool = self.measurement.register(F, self.data, *start)
+        F = self.error.tip_poses(few.q, self.split(theta)[0])
+        measurement, base, tool = self.measurement.register(F, few, *start)
         return replace(
             self, error=self.error.with_frames(base, tool), measurement=measurement
         )
@@ -210,9 +272,9 @@ class Problem:
         return replace(self, data=data)
 
     def split(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Values of the error model and of the measurement model."""
+        """Values of the error model and of the measurement model, (..., P) each."""
         count = len(self.error.screws)
-        return theta[:count], theta[count:]
+        return theta[..., :count], theta[..., count:]
 
 
 def _joined(blocks: list[Floats], axis: int) -> Floats:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, field
 
-__all__ = ["FrameSetup", "JointMap", "PlaneSetup", "Setup"]
+__all__ = ["FrameSetup", "JointMap", "PlaneSetup", "Setup", "SolverSetup"]
 
 Triple = tuple[float, float, float]
 
@@ -63,6 +63,21 @@ class JointMap:
 
 
 @dataclass(frozen=True)
+class SolverSetup:
+    """How the least-squares problem is solved.
+
+    Attributes:
+        name: `gauss-newton`, `de` (differential evolution) or `hybrid` (differential
+            evolution, then Gauss-Newton from its best member).
+        evolution: Options of `solvers.DifferentialEvolution` by name; what is left out
+            has its default.
+    """
+
+    name: str = "gauss-newton"
+    evolution: Mapping[str, str | float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
 class Setup:
     """Everything a setup file can state; the defaults are those of an empty file.
 
@@ -80,6 +95,7 @@ class Setup:
         prior: Glob to the prior standard deviation about zero [SI].
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`)
             used where the file has no sigma columns [SI].
+        solver: How the fit is solved.
         file: Where all this was read from, for messages.
     """
 
@@ -95,4 +111,5 @@ class Setup:
     bounds: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)
     prior: Mapping[str, float] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
+    solver: SolverSetup = SolverSetup()
     file: str = field(default="", compare=False)

@@ -12,10 +12,10 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 # Modules and families by layer; a new one is added here.
 LAYERS = (
     ("errors", "parameters", "setup", "spatial"),
-    ("chain", "measurements", "registration"),
-    ("parameterizations", "measurement_models", "error_model"),
-    ("problem", "directions", "identifiability", "solvers"),
-    ("fit", "result", "assessment", "calibration", "simulation"),
+    ("chain", "kernels", "measurements", "registration", "threads"),
+    ("parameterizations", "measurement_models", "error_model", "segments", "many_rows"),
+    ("problem", "population", "directions", "identifiability", "solvers"),
+    ("fit", "solve", "result", "assessment", "calibration", "simulation"),
     ("io", "report"),
     ("cli",),
 )
@@ -31,7 +31,12 @@ APART = {
     "io",
     "report",
 }
-SIDEWAYS = {("error_model", "parameterizations"), ("identifiability", "directions")}
+SIDEWAYS = {
+    ("error_model", "parameterizations"),
+    ("identifiability", "directions"),
+    ("many_rows", "measurement_models"),
+    ("population", "problem"),
+}
 NUMERICS = 4
 FORBIDDEN_MODULES = {
     *("builtins", "datetime", "ftplib", "getpass", "glob", "http", "io", "logging"),

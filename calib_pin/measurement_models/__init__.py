@@ -8,6 +8,7 @@ import numpy as np
 
 from calib_pin.errors import OptionError, nearest
 from calib_pin.measurement_models.base import (
+    BatchedModel,
     Linearization,
     MeasurementModel,
     Quantity,
@@ -19,6 +20,7 @@ from calib_pin.setup import Setup
 
 __all__ = [
     "MEASUREMENT_MODELS",
+    "BatchedModel",
     "Linearization",
     "MeasurementModel",
     "Quantity",

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self
+from typing import Protocol, Self, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
@@ -14,7 +14,14 @@ from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.spatial import Floats
 
-__all__ = ["FreeInstrument", "Linearization", "MeasurementModel", "Quantity"]
+__all__ = [
+    "Batch",
+    "BatchedModel",
+    "FreeInstrument",
+    "Linearization",
+    "MeasurementModel",
+    "Quantity",
+]
 
 
 @dataclass(frozen=True)
@@ -137,6 +144,37 @@ class MeasurementModel(Protocol):
 
         Returns:
             The model about its registered references, the base and the tool frame.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What a compiled kernel needs to cost a whole population on some rows.
+
+    Attributes:
+        order: The rows in the order of the kernel's arrays, shape (N,).
+        groups: Sizes of successive groups of these rows that share a block.
+        costs: Half the sums of squared whitened residuals of the members, from their
+            links (S, n + 1, 12), joint motions and starts (`kernels.motions`), and the
+            model's own parameters (S, K), into an array (S,).
+    """
+
+    order: NDArray[np.int64]
+    groups: Sequence[int]
+    costs: Callable[[Floats, Floats, NDArray[np.int64], Floats, Floats], None]
+
+
+@runtime_checkable
+class BatchedModel(Protocol):
+    """A measurement model that a compiled kernel can evaluate."""
+
+    def batch(self, data: Measurements, weights: Floats) -> Batch:
+        """The batch form of some rows.
+
+        Args:
+            data: The rows.
+            weights: Reciprocal standard deviations of the residual, shape (N, d).
         """
         ...
 

@@ -10,7 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.measurement_models.base import Linearization, Quantity
+from calib_pin.measurement_models.base import Batch, Linearization, Quantity
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.registration import register_plane
@@ -70,6 +70,13 @@ class Plane:
         by_u = np.cross(t_1, normal)
         by_v = first @ np.cross(t_2, halfway)
         return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
+
+    def turned_many(self, own: Floats) -> Floats:
+        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        turns = so3_exp(own[:, :1] * t_1) @ so3_exp(own[:, 1:2] * t_2)
+        return np.column_stack([turns @ self.normal, self.offset + own[:, 2]])
 
 
 @dataclass(frozen=True)
@@ -174,6 +181,44 @@ class PlaneDistance:
             )
         by_own[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, by_twist, by_own)
+
+    def batch(self, data: Measurements, weights: Floats) -> Batch:
+        """Carries the origin and the beam of the tool to the base, plane by plane."""
+        from calib_pin import kernels
+
+        index = self._index(data.target)
+        order = np.argsort(index, kind="stable")
+        groups = [int(size) for size in np.bincount(index) if size]
+        values, weights = data.values[order].T.copy(), weights[order].T.copy()
+        # A block of configurations looks at one plane.
+        of_block = index[order]
+
+        def costs(
+            chains: Floats,
+            motion: Floats,
+            starts: NDArray[np.int64],
+            own: Floats,
+            costs: Floats,
+        ) -> None:
+            planes = np.stack(
+                [
+                    plane.turned_many(own[:, 3 * k : 3 * k + 3])
+                    for k, plane in enumerate(self.planes)
+                ],
+                axis=1,
+            )
+            kernels.plane_distance_costs(
+                chains,
+                motion,
+                starts,
+                planes,
+                of_block[starts[:-1]],
+                values,
+                weights,
+                costs,
+            )
+
+        return Batch(order, groups, costs)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

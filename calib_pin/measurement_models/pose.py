@@ -8,7 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.measurement_models.base import FreeInstrument, Linearization, Quantity
+from calib_pin.measurement_models.base import (
+    Batch,
+    FreeInstrument,
+    Linearization,
+    Quantity,
+)
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_poses
 from calib_pin.spatial import (
@@ -62,6 +67,21 @@ class Pose(FreeInstrument):
         by_twist[:, :3, :3] = T[:, :3, :3]
         by_twist[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
         return Linearization(residual, by_twist, np.zeros((len(T), 6, 0)))
+
+    def batch(self, data: Measurements, weights: Floats) -> Batch:
+        """Carries the origin and the axes of the tool to the base."""
+        from calib_pin import kernels
+
+        R_y = from_quaternion(data.values[:, 3:]).reshape(-1, 9)
+        values = np.concatenate([data.values[:, :3], R_y], axis=1).T.copy()
+        weights = weights.T.copy()
+        return Batch(
+            order=np.arange(len(data)),
+            groups=(len(data),),
+            costs=lambda chains, motion, starts, own, costs: kernels.pose_costs(
+                chains, motion, starts, values, weights, costs
+            ),
+        )
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

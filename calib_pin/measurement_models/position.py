@@ -8,7 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.measurement_models.base import FreeInstrument, Linearization, Quantity
+from calib_pin.measurement_models.base import (
+    Batch,
+    FreeInstrument,
+    Linearization,
+    Quantity,
+)
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_points
 from calib_pin.spatial import Floats
@@ -48,6 +53,19 @@ class Position(FreeInstrument):
         by_twist[:, :, :3] = T[:, :3, :3]
         return Linearization(
             self.residual(T, own, data), by_twist, np.zeros((len(T), 3, 0))
+        )
+
+    def batch(self, data: Measurements, weights: Floats) -> Batch:
+        """Carries the origin of the tool to the base."""
+        from calib_pin import kernels
+
+        values, weights = data.values.T.copy(), weights.T.copy()
+        return Batch(
+            order=np.arange(len(data)),
+            groups=(len(data),),
+            costs=lambda chains, motion, starts, own, costs: kernels.position_costs(
+                chains, motion, starts, values, weights, costs
+            ),
         )
 
     def register(

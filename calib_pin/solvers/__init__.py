@@ -2,6 +2,19 @@
 
 from __future__ import annotations
 
-from calib_pin.solvers.gauss_newton import LeastSquaresResult, Status, gauss_newton
+from calib_pin.solvers.differential_evolution import (
+    DifferentialEvolution,
+    differential_evolution,
+)
+from calib_pin.solvers.evolution import EvolutionResult
+from calib_pin.solvers.gauss_newton import LeastSquaresResult, gauss_newton
+from calib_pin.solvers.status import Status
 
-__all__ = ["LeastSquaresResult", "Status", "gauss_newton"]
+__all__ = [
+    "DifferentialEvolution",
+    "EvolutionResult",
+    "LeastSquaresResult",
+    "Status",
+    "differential_evolution",
+    "gauss_newton",
+]

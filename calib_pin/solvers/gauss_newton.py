@@ -15,13 +15,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from enum import Enum
 
 import numpy as np
 
+from calib_pin.solvers.status import Status
 from calib_pin.spatial import Floats
 
-__all__ = ["LeastSquaresResult", "Status", "gauss_newton"]
+__all__ = ["LeastSquaresResult", "gauss_newton"]
 
 SHORTEST = 1e-12
 """Length of a step, in units of the basis, that ends the iteration."""
@@ -33,35 +33,7 @@ NEGLIGIBLE = 1e-10
 """Part of the squares that a step may fail to gain by rounding."""
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
-Residual = Callable[[Floats], Floats]
-
-
-class Status(Enum):
-    """How a solver ended: a word, and a sentence of advice."""
-
-    CONVERGED = "converged"
-    ITERATIONS = "iteration limit"
-    STALLED = "stalled"
-    NOT_FINITE = "not finite"
-
-    @property
-    def advice(self) -> str:
-        """What it means and what to do about it."""
-        return {
-            Status.CONVERGED: "The fit converged.",
-            Status.ITERATIONS: (
-                "The fit did not converge within the iterations allowed; check units, "
-                "joint signs and frames, or start closer with a first guess."
-            ),
-            Status.STALLED: (
-                "No step improves the fit although it is not at a minimum; check for "
-                "measurements near a singularity of the measurement model."
-            ),
-            Status.NOT_FINITE: (
-                "The residual is not a finite number at the start; check the frames "
-                "and the first guess."
-            ),
-        }[self]
+Cost = Callable[[Floats], float]
 
 
 @dataclass(frozen=True)
@@ -74,7 +46,7 @@ class LeastSquaresResult:
         jac: Jacobian there, shape (M, P).
         cost: Half the sum of squared residuals.
         nit: Number of steps taken.
-        nfev: Number of residual evaluations.
+        nfev: Number of evaluations of the cost.
         status: How the solver ended.
     """
 
@@ -89,7 +61,7 @@ class LeastSquaresResult:
 
 def gauss_newton(
     linearize: Linearize,
-    residual: Residual,
+    cost_of: Cost,
     x0: Floats,
     basis: Floats,
     *,
@@ -102,8 +74,9 @@ def gauss_newton(
     """Minimize half the sum of squared residuals.
 
     Args:
-        linearize: Residual (M,) and Jacobian (M, P) at x.
-        residual: Residual (M,) at x.
+        linearize: Residual (M,) and Jacobian (M, P) at x, or those of any system with
+            the same normal equations.
+        cost_of: Half the sum of squared residuals at x.
         x0: Start, shape (P,).
         basis: Directions that x may take, shape (P, k).
         tolerance: Converged when a step promises to lower the cost by less than this
@@ -125,7 +98,7 @@ def gauss_newton(
     while status is Status.ITERATIONS and iteration < max_iterations:
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, SHORTEST), tolerance * cost
-        trial = _search(step, residual, x, basis, damping, limit, damped)
+        trial = _search(step, cost_of, x, basis, damping, limit, damped)
         evaluations += trial.evaluations
         if trial.improved or not damped:
             x, way = trial.x, way + trial.length
@@ -157,7 +130,7 @@ class _Trial:
 
 def _search(
     step: _Step,
-    residual: Residual,
+    cost_of: Cost,
     x: Floats,
     basis: Floats,
     damping: float,
@@ -168,7 +141,7 @@ def _search(
 
     Args:
         step: The linearized problem at x.
-        residual: Residual at x.
+        cost_of: Half the sum of squared residuals.
         x: Where the step starts, shape (P,).
         basis: Directions, shape (P, k).
         damping: Damping to begin with.
@@ -186,9 +159,8 @@ def _search(
     while True:
         dy = step.solve(damping)
         candidate = x + basis @ dy
-        fresh = residual(candidate)
         evaluations += 1
-        improved = float(fresh @ fresh) < step.square
+        improved = 2.0 * cost_of(candidate) < step.square
         rounding = not improved and negligible
         exhausted = damping > 1e8 * step.curvature
         if improved or done or rounding or exhausted or not damped:

@@ -14,7 +14,18 @@ from calib_pin.spatial import Floats
 DATA = Path(__file__).parents[1] / "data"
 
 
-class Linear:
+class Curve:
+    """Something with a residual."""
+
+    def residual(self, x: Floats) -> Floats:
+        raise NotImplementedError
+
+    def cost(self, x: Floats) -> float:
+        r = self.residual(x)
+        return 0.5 * float(r @ r)
+
+
+class Linear(Curve):
     """`A x - b`."""
 
     def __init__(self, A: Floats, b: Floats) -> None:
@@ -30,14 +41,14 @@ class Linear:
         size = self.A.shape[1]
         return gauss_newton(
             self.linearize,
-            self.residual,
+            self.cost,
             np.zeros(size),
             np.eye(size),
             **options,  # type: ignore[arg-type]
         )
 
 
-class Rosenbrock:
+class Rosenbrock(Curve):
     """`(10 (y - x^2), 1 - x)`: a bent valley."""
 
     def residual(self, x: Floats) -> Floats:
@@ -47,7 +58,7 @@ class Rosenbrock:
         return self.residual(x), np.array([[-20 * x[0], 10.0], [-1.0, 0.0]])
 
 
-class Misra1a:
+class Misra1a(Curve):
     """NIST StRD nonlinear regression, `y = b1 (1 - exp(-b2 x))`."""
 
     y, x = np.loadtxt(DATA / "misra1a.csv", delimiter=",", unpack=True)
@@ -84,7 +95,7 @@ def test_damping_follows_a_bent_valley(start: tuple[float, float]) -> None:
     costs: list[float] = []
     result = gauss_newton(
         valley.linearize,
-        valley.residual,
+        valley.cost,
         np.array(start),
         np.eye(2),
         callback=lambda step, cost: costs.append(cost),
@@ -99,7 +110,7 @@ def test_damping_follows_a_bent_valley(start: tuple[float, float]) -> None:
 def test_certified_values_and_deviations(start: tuple[float, float]) -> None:
     curve = Misra1a()
     scale = np.diag([100.0, 1e-4])
-    result = gauss_newton(curve.linearize, curve.residual, np.array(start), scale)
+    result = gauss_newton(curve.linearize, curve.cost, np.array(start), scale)
     assert result.status is Status.CONVERGED
     assert result.x == pytest.approx(curve.certified, rel=1e-8)
     variance = 2 * result.cost / (len(curve.y) - 2)
@@ -111,7 +122,7 @@ def test_directions_outside_the_basis_stay() -> None:
     rng = np.random.default_rng(0)
     problem = Linear(rng.normal(size=(20, 3)), rng.normal(size=20))
     start, basis = np.array([1.0, 2.0, 3.0]), np.eye(3)[:, :2]
-    result = gauss_newton(problem.linearize, problem.residual, start, basis)
+    result = gauss_newton(problem.linearize, problem.cost, start, basis)
     assert result.x[2] == 3.0
     assert basis.T @ (problem.A.T @ result.fun) == pytest.approx([0, 0], abs=1e-12)
 
@@ -119,7 +130,7 @@ def test_directions_outside_the_basis_stay() -> None:
 def test_no_directions_is_a_fit_of_nothing() -> None:
     problem = Linear(np.eye(2), np.ones(2))
     result = gauss_newton(
-        problem.linearize, problem.residual, np.zeros(2), np.zeros((2, 0))
+        problem.linearize, problem.cost, np.zeros(2), np.zeros((2, 0))
     )
     assert result.status is Status.CONVERGED
     assert result.x == pytest.approx([0.0, 0.0])
@@ -129,7 +140,7 @@ def test_a_single_undamped_step() -> None:
     valley = Rosenbrock()
     result = gauss_newton(
         valley.linearize,
-        valley.residual,
+        valley.cost,
         np.array([-1.2, 1.0]),
         np.eye(2),
         damped=False,
@@ -145,7 +156,7 @@ def test_start_that_is_not_finite() -> None:
     def linearize(x: Floats) -> tuple[Floats, Floats]:
         return np.array([np.nan]), np.ones((1, 1))
 
-    result = gauss_newton(linearize, lambda x: linearize(x)[0], np.zeros(1), np.eye(1))
+    result = gauss_newton(linearize, lambda x: np.nan, np.zeros(1), np.eye(1))
     assert result.status is Status.NOT_FINITE
 
 
@@ -153,7 +164,7 @@ def test_a_wrong_jacobian_stalls() -> None:
     problem = Linear(np.eye(2), np.array([1.0, 2.0]))
     result = gauss_newton(
         lambda x: (problem.residual(x), -problem.A),
-        problem.residual,
+        problem.cost,
         np.zeros(2),
         np.eye(2),
     )

@@ -1,0 +1,592 @@
+"""The compiled kernels: one chain at many configurations, for many parameter values.
+
+They work on the chain as a product of constant links and joint motions,
+
+    T(q) = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n
+
+where Z turns about z or shifts along it and only the links depend on parameters
+(`calib_pin.segments`). What does not depend on parameters is computed once: `motions`
+holds cosine, sine and shift of every joint position.
+
+No pose is multiplied out. A point or a direction of the tool is carried from the tip
+to the base, which takes half the operations of a matrix product for a beam and a
+quarter for a point; a row of a Jacobian is carried the same way as a wrench. The
+innermost loops run over a block of configurations in one array whose parts lie a
+constant distance apart, so that the compiler sees that they do not overlap and uses
+vector instructions.
+
+All functions release the interpreter and take one thread; callers split members or
+rows into pieces. Sums run in a fixed order within a member or a block, so that results
+do not depend on the number of threads. They stand in one file because numba, which
+keeps machine code on disk, notices a change only in a function's own file.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import atan2, cos, hypot, sin, sqrt
+from typing import TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "BLOCK",
+    "links",
+    "motions",
+    "normal_equations",
+    "plane_distance_costs",
+    "pose_costs",
+    "poses",
+    "position_costs",
+    "triangular_factor",
+]
+
+Booleans = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+BLOCK = 128
+"""Configurations in a block; a constant, for the distances within work arrays."""
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def _compiled(function: _Function) -> _Function:
+    """Compile at the first call and keep the machine code on disk.
+
+    Sums may be reordered and contracted, which vector instructions need; not-a-number
+    and infinity keep their meaning.
+    """
+    options = {"reassoc", "contract", "nsz", "arcp"}
+    jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=options)
+    return cast(_Function, jit(function))
+
+
+def motions(
+    q: Floats, revolute: Booleans, groups: Sequence[int] = ()
+) -> tuple[Floats, Indices]:
+    """Joint motions of configurations in blocks.
+
+    Args:
+        q: Joint positions, shape (N, n) [rad, m], signs of reversed joints applied.
+        revolute: True for joints that turn, shape (n,).
+        groups: Sizes of successive groups of rows, each of which begins a new block;
+            default one group.
+
+    Returns:
+        Cosines, then sines, then shifts of every block, shape (blocks, n, 3 BLOCK), and
+        the first row of every block with the number of rows behind, (blocks + 1,).
+    """
+    first = np.cumsum([0, *(groups or [len(q)])])
+    cuts = [np.arange(start, stop, BLOCK) for start, stop in pairwise(first)]
+    starts = np.concatenate([*cuts, first[-1:]])
+    result = np.zeros((len(starts) - 1, q.shape[1], 3 * BLOCK))
+    _fill_motions(q, revolute, starts, result)
+    return result, starts
+
+
+@_compiled
+def _fill_motions(
+    q: Floats, revolute: Booleans, starts: Indices, result: Floats
+) -> None:
+    for block in range(len(result)):
+        for row in range(starts[block], starts[block + 1]):
+            k = row - starts[block]
+            for joint in range(q.shape[1]):
+                motion, position = result[block, joint], q[row, joint]
+                if revolute[joint]:
+                    motion[k], motion[BLOCK + k] = cos(position), sin(position)
+                else:
+                    motion[k], motion[2 * BLOCK + k] = 1.0, position
+
+
+@_compiled
+def links(
+    constants: Floats,
+    segment: Indices,
+    parameter: Indices,
+    twists: Floats,
+    theta: Floats,
+    result: Floats,
+) -> None:
+    """Links of a population: constants times the screws of their segment in order.
+
+    Args:
+        constants: Nominal links as rows of (R | p), shape (n + 1, 12).
+        segment: Link of each screw, shape (K,).
+        parameter: Parameter of each screw, shape (K,).
+        twists: Unit twists (linear, angular), shape (K, 6).
+        theta: Parameter values, shape (S, P).
+        result: Filled with the links, shape (S, n + 1, 12).
+    """
+    for member in range(theta.shape[0]):
+        result[member] = constants
+        for k in range(len(segment)):
+            amount = theta[member, parameter[k]]
+            if amount != 0.0:
+                _times_exponential(result[member, segment[k]], twists[k], amount)
+
+
+@_compiled
+def _times_exponential(link: Floats, twist: Floats, amount: float) -> None:
+    """Multiply a link (12,) from the right by Exp(twist amount), in place."""
+    vx, vy, vz = twist[0], twist[1], twist[2]
+    x, y, z = twist[3], twist[4], twist[5]
+    square = x * x + y * y + z * z
+    angle = sqrt(square) * amount
+    if abs(angle) < 1e-2:
+        # Series: the closed forms below cancel at small angles.
+        a2 = angle * angle
+        first = amount * (1.0 - a2 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0)))
+        second = 0.5 * amount**2 * (1.0 - a2 / 12.0 * (1.0 - a2 / 30.0))
+        third = amount**3 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0))
+    else:
+        first = amount * sin(angle) / angle
+        second = 2.0 * (sin(0.5 * angle) / angle * amount) ** 2
+        third = (amount - first) / square
+    # R = I + first W + second W^2, p = (amount + second W + third W^2) v.
+    r00, r01 = 1.0 + second * (x * x - square), second * x * y - first * z
+    r02, r10 = second * x * z + first * y, second * x * y + first * z
+    r11, r12 = 1.0 + second * (y * y - square), second * y * z - first * x
+    r20, r21 = second * x * z - first * y, second * y * z + first * x
+    r22 = 1.0 + second * (z * z - square)
+    cx, cy, cz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
+    px = amount * vx + second * cx + third * (y * cz - z * cy)
+    py = amount * vy + second * cy + third * (z * cx - x * cz)
+    pz = amount * vz + second * cz + third * (x * cy - y * cx)
+    for row in range(3):
+        i = 4 * row
+        a, b, c = link[i], link[i + 1], link[i + 2]
+        link[i] = a * r00 + b * r10 + c * r20
+        link[i + 1] = a * r01 + b * r11 + c * r21
+        link[i + 2] = a * r02 + b * r12 + c * r22
+        link[i + 3] += a * px + b * py + c * pz
+
+
+@_compiled
+def _carry(
+    chain: Floats, motion: Floats, size: int, work: Floats, directions: int
+) -> None:
+    """Carry the tool's origin and some of its axes through one block to the base.
+
+    Args:
+        chain: Links, shape (n + 1, 12).
+        motion: Joint motions of the block, shape (n, 3 BLOCK).
+        size: Configurations in the block.
+        work: Filled: x, y, z of the point, then of each direction, BLOCK each.
+        directions: The axes z, y, x of the tool, the first so many of them.
+    """
+    last = chain[len(chain) - 1]
+    for i in range(3):
+        for k in range(size):
+            work[i * BLOCK + k] = last[4 * i + 3]
+    for axis in range(directions):
+        for i in range(3):
+            for k in range(size):
+                work[(3 * (axis + 1) + i) * BLOCK + k] = last[4 * i + 2 - axis]
+    for joint in range(len(chain) - 2, -1, -1):
+        _step(chain[joint], motion[joint], size, work[: 3 * BLOCK], 1.0)
+        for axis in range(1, directions + 1):
+            part = work[3 * axis * BLOCK : 3 * (axis + 1) * BLOCK]
+            _step(chain[joint], motion[joint], size, part, 0.0)
+
+
+@_compiled
+def _step(
+    link: Floats, motion: Floats, size: int, vectors: Floats, weight: float
+) -> None:
+    """Through one joint and the link before it, with weight 0 for directions."""
+    r00, r01, r02, px = link[0], link[1], link[2], weight * link[3]
+    r10, r11, r12, py = link[4], link[5], link[6], weight * link[7]
+    r20, r21, r22, pz = link[8], link[9], link[10], weight * link[11]
+    for k in range(size):
+        cosine, sine = motion[k], motion[k + BLOCK]
+        u, v = vectors[k], vectors[k + BLOCK]
+        x, y = cosine * u - sine * v, sine * u + cosine * v
+        z = vectors[k + 2 * BLOCK] + weight * motion[k + 2 * BLOCK]
+        vectors[k] = r00 * x + r01 * y + r02 * z + px
+        vectors[k + BLOCK] = r10 * x + r11 * y + r12 * z + py
+        vectors[k + 2 * BLOCK] = r20 * x + r21 * y + r22 * z + pz
+
+
+@_compiled
+def position_costs(
+    chains: Floats,
+    motion: Floats,
+    starts: Indices,
+    values: Floats,
+    weights: Floats,
+    costs: Floats,
+) -> None:
+    """Half the sum of squared whitened residuals of positions, for every member.
+
+    Args:
+        chains: Links of the members, shape (S, n + 1, 12).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        values: Measured x, y, z, shape (3, N) [m].
+        weights: Reciprocal standard deviations, shape (3, N) [1/m].
+        costs: Filled, shape (S,).
+    """
+    work = np.empty(3 * BLOCK)
+    for member in range(len(chains)):
+        total = 0.0
+        for block in range(len(motion)):
+            start, size = starts[block], starts[block + 1] - starts[block]
+            _carry(chains[member], motion[block], size, work, 0)
+            for i in range(3):
+                value, weight = values[i, start:], weights[i, start:]
+                for k in range(size):
+                    residual = (work[i * BLOCK + k] - value[k]) * weight[k]
+                    total += residual * residual
+        costs[member] = 0.5 * total
+
+
+@_compiled
+def plane_distance_costs(
+    chains: Floats,
+    motion: Floats,
+    starts: Indices,
+    planes: Floats,
+    index: Indices,
+    values: Floats,
+    weights: Floats,
+    costs: Floats,
+) -> None:
+    """Half the sum of squared whitened residuals of distances along the tool's z axis.
+
+    Args:
+        chains: Links of the members, shape (S, n + 1, 12).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        planes: Normal and offset of each plane and member, shape (S, planes, 4).
+        index: Plane of each block, shape (blocks,).
+        values: Measured distances, shape (1, N) [m].
+        weights: Reciprocal standard deviations, shape (1, N) [1/m].
+        costs: Filled, shape (S,).
+    """
+    work = np.empty(6 * BLOCK)
+    for member in range(len(chains)):
+        total = 0.0
+        for block in range(len(motion)):
+            start, size = starts[block], starts[block + 1] - starts[block]
+            _carry(chains[member], motion[block], size, work, 1)
+            nx, ny, nz, offset = planes[member, index[block]]
+            value, weight = values[0, start:], weights[0, start:]
+            for k in range(size):
+                height = offset + nx * work[k]
+                height += ny * work[k + BLOCK] + nz * work[k + 2 * BLOCK]
+                fall = nx * work[k + 3 * BLOCK]
+                fall += ny * work[k + 4 * BLOCK] + nz * work[k + 5 * BLOCK]
+                residual = -height / fall - value[k]
+                residual *= weight[k]
+                total += residual * residual
+        costs[member] = 0.5 * total
+
+
+@_compiled
+def pose_costs(
+    chains: Floats,
+    motion: Floats,
+    starts: Indices,
+    values: Floats,
+    weights: Floats,
+    costs: Floats,
+) -> None:
+    """Half the sum of squared whitened residuals of poses, for every member.
+
+    Args:
+        chains: Links of the members, shape (S, n + 1, 12).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        values: Measured x, y, z and rotation matrix by rows, shape (12, N).
+        weights: Reciprocal standard deviations, shape (6, N) [1/m, 1/rad].
+        costs: Filled, shape (S,).
+    """
+    work = np.empty(12 * BLOCK)
+    R = np.empty((3, 3))
+    for member in range(len(chains)):
+        total = 0.0
+        for block in range(len(motion)):
+            start, size = starts[block], starts[block + 1] - starts[block]
+            _carry(chains[member], motion[block], size, work, 3)
+            for k in range(size):
+                row = start + k
+                for i in range(3):
+                    residual = (work[i * BLOCK + k] - values[i, row]) * weights[i, row]
+                    total += residual * residual
+                for i in range(3):
+                    for axis in range(3):
+                        # Measured axis i against predicted axis, R_y^T R.
+                        at = 3 * (3 - axis) * BLOCK + k
+                        R[i, axis] = values[3 + i, row] * work[at]
+                        R[i, axis] += values[6 + i, row] * work[at + BLOCK]
+                        R[i, axis] += values[9 + i, row] * work[at + 2 * BLOCK]
+                x, y, z = _rotation_vector(R)
+                total += (x * weights[3, row]) ** 2
+                total += (y * weights[4, row]) ** 2
+                total += (z * weights[5, row]) ** 2
+        costs[member] = 0.5 * total
+
+
+@_compiled
+def _rotation_vector(R: Floats) -> tuple[float, float, float]:
+    """Logarithm of a rotation matrix, by its quaternion as in `spatial.so3_log`."""
+    trace = R[0, 0] + R[1, 1] + R[2, 2]
+    largest = max(trace, R[0, 0], R[1, 1], R[2, 2])
+    if largest == trace:
+        w = 1.0 + trace
+        x, y, z = R[2, 1] - R[1, 2], R[0, 2] - R[2, 0], R[1, 0] - R[0, 1]
+    elif largest == R[0, 0]:
+        w, x = R[2, 1] - R[1, 2], 1.0 + 2.0 * R[0, 0] - trace
+        y, z = R[0, 1] + R[1, 0], R[0, 2] + R[2, 0]
+    elif largest == R[1, 1]:
+        w, y = R[0, 2] - R[2, 0], 1.0 + 2.0 * R[1, 1] - trace
+        x, z = R[0, 1] + R[1, 0], R[1, 2] + R[2, 1]
+    else:
+        w, z = R[1, 0] - R[0, 1], 1.0 + 2.0 * R[2, 2] - trace
+        x, y = R[0, 2] + R[2, 0], R[1, 2] + R[2, 1]
+    if w < 0.0:
+        w, x, y, z = -w, -x, -y, -z
+    sine = sqrt(x * x + y * y + z * z)
+    factor = 2.0 * atan2(sine, w) / sine if sine > 1e-12 * w else 2.0 / w
+    return factor * x, factor * y, factor * z
+
+
+@_compiled
+def poses(chain: Floats, motion: Floats, starts: Indices, result: Floats) -> None:
+    """Tool poses of one chain.
+
+    Args:
+        chain: Links, shape (n + 1, 12).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        result: Filled with poses, shape (N, 4, 4).
+    """
+    work = np.empty(12 * BLOCK)
+    for block in range(len(motion)):
+        start, size = starts[block], starts[block + 1] - starts[block]
+        _carry(chain, motion[block], size, work, 3)
+        for k in range(size):
+            T = result[start + k]
+            for i in range(3):
+                T[i, 3] = work[i * BLOCK + k]
+                T[3, i] = 0.0
+                for axis in range(3):
+                    T[i, axis] = work[(3 * (3 - axis) + i) * BLOCK + k]
+            T[3, 3] = 1.0
+
+
+@_compiled
+def normal_equations(
+    chain: Floats,
+    motion: Floats,
+    starts: Indices,
+    by_twist: Floats,
+    others: Floats,
+    weights: Floats,
+    result: Floats,
+) -> None:
+    """Products of all pairs of columns of a Jacobian by the twists of every link.
+
+    Args:
+        chain: Links, shape (n + 1, 12).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        starts: First row of every block, shape (blocks + 1,).
+        by_twist: Derivatives by the tool's body twist, shape (N, d, 6).
+        others: Further columns of the same rows, shape (N, d, K).
+        weights: Factors of the rows' components, shape (N, d).
+        result: Filled, lower half, shape (M, M), M >= 6 (n + 1) + K a multiple of 4:
+            the twists at the ends of the links from base to tool, then the others.
+    """
+    panel = np.zeros((weights.shape[1], len(result), BLOCK))
+    result[:] = 0.0
+    for block in range(len(motion)):
+        rows = slice(starts[block], starts[block + 1])
+        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
+        _gram(panel, starts[block + 1] - starts[block], result)
+
+
+@_compiled
+def triangular_factor(
+    chain: Floats,
+    motion: Floats,
+    starts: Indices,
+    by_twist: Floats,
+    others: Floats,
+    weights: Floats,
+    result: Floats,
+) -> None:
+    """Factor R of the same columns `A = Q R`, by Householder reflections.
+
+    Takes what `normal_equations` takes; fills the upper half of result, (M, M).
+    """
+    panel = np.zeros((weights.shape[1], len(result), BLOCK))
+    result[:] = 0.0
+    for block in range(len(motion)):
+        rows = slice(starts[block], starts[block + 1])
+        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
+        # One column after the other: the loops over them are many and short.
+        size = starts[block + 1] - starts[block]
+        columns = panel[:, :, :size].transpose(1, 0, 2).copy()
+        _eliminate(columns.reshape(len(result), -1), result)
+
+
+@_compiled
+def _fill(
+    chain: Floats,
+    motion: Floats,
+    by_twist: Floats,
+    others: Floats,
+    weights: Floats,
+    panel: Floats,
+) -> None:
+    """Columns of one block by components, shape (d, M, BLOCK)."""
+    size, components = weights.shape
+    joints, first = len(motion), 6 * len(chain)
+    for c in range(components):
+        for k in range(size):
+            weight = weights[k, c]
+            for i in range(6):
+                panel[c, 6 * joints + i, k] = weight * by_twist[k, c, i]
+            for i in range(others.shape[2]):
+                panel[c, first + i, k] = weight * others[k, c, i]
+        flat = panel[c].reshape(-1)
+        for joint in range(joints, 0, -1):
+            middle = 6 * joint * BLOCK
+            source = flat[middle : middle + 6 * BLOCK]
+            target = flat[middle - 6 * BLOCK : middle]
+            _carry_wrench(chain[joint], motion[joint - 1], size, source, target)
+
+
+@_compiled
+def _carry_wrench(
+    link: Floats, motion: Floats, size: int, source: Floats, target: Floats
+) -> None:
+    """Carry covectors of a body twist from the end of a link to that of the one before.
+
+    A covector acts on twists as a wrench does: force f and moment m move through a
+    transform (R, p) as `R f` and `R m + p x R f`.
+    """
+    r00, r01, r02, px = link[0], link[1], link[2], link[3]
+    r10, r11, r12, py = link[4], link[5], link[6], link[7]
+    r20, r21, r22, pz = link[8], link[9], link[10], link[11]
+    for k in range(size):
+        u, v, w = source[k], source[k + BLOCK], source[k + 2 * BLOCK]
+        x = r00 * u + r01 * v + r02 * w
+        y = r10 * u + r11 * v + r12 * w
+        z = r20 * u + r21 * v + r22 * w
+        u, v, w = source[k + 3 * BLOCK], source[k + 4 * BLOCK], source[k + 5 * BLOCK]
+        mx = r00 * u + r01 * v + r02 * w + py * z - pz * y
+        my = r10 * u + r11 * v + r12 * w + pz * x - px * z
+        mz = r20 * u + r21 * v + r22 * w + px * y - py * x
+        cosine, sine, shift = motion[k], motion[k + BLOCK], motion[k + 2 * BLOCK]
+        fx, fy = cosine * x - sine * y, sine * x + cosine * y
+        target[k] = fx
+        target[k + BLOCK] = fy
+        target[k + 2 * BLOCK] = z
+        target[k + 3 * BLOCK] = cosine * mx - sine * my - shift * fy
+        target[k + 4 * BLOCK] = sine * mx + cosine * my + shift * fx
+        target[k + 5 * BLOCK] = mz
+
+
+@_compiled
+def _gram(panel: Floats, size: int, result: Floats) -> None:
+    """Add the products of all pairs of a panel's rows, `A A^T` in its lower half.
+
+    Four rows by four at a time: sixteen sums stay in registers while eight rows are
+    read.
+
+    Args:
+        panel: Rows in components, shape (d, M, BLOCK), M a multiple of 4.
+        size: Columns that count.
+        result: Added to, shape (M, M).
+    """
+    components, rows = panel.shape[:2]
+    for c in range(components):
+        for i in range(0, rows, 4):
+            a0, a1 = panel[c, i], panel[c, i + 1]
+            a2, a3 = panel[c, i + 2], panel[c, i + 3]
+            for j in range(0, i + 1, 4):
+                b0, b1 = panel[c, j], panel[c, j + 1]
+                b2, b3 = panel[c, j + 2], panel[c, j + 3]
+                s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
+                s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
+                for k in range(size):
+                    s00 += a0[k] * b0[k]
+                    s01 += a0[k] * b1[k]
+                    s02 += a0[k] * b2[k]
+                    s03 += a0[k] * b3[k]
+                    s10 += a1[k] * b0[k]
+                    s11 += a1[k] * b1[k]
+                    s12 += a1[k] * b2[k]
+                    s13 += a1[k] * b3[k]
+                    s20 += a2[k] * b0[k]
+                    s21 += a2[k] * b1[k]
+                    s22 += a2[k] * b2[k]
+                    s23 += a2[k] * b3[k]
+                    s30 += a3[k] * b0[k]
+                    s31 += a3[k] * b1[k]
+                    s32 += a3[k] * b2[k]
+                    s33 += a3[k] * b3[k]
+                result[i, j] += s00
+                result[i, j + 1] += s01
+                result[i, j + 2] += s02
+                result[i, j + 3] += s03
+                result[i + 1, j] += s10
+                result[i + 1, j + 1] += s11
+                result[i + 1, j + 2] += s12
+                result[i + 1, j + 3] += s13
+                result[i + 2, j] += s20
+                result[i + 2, j + 1] += s21
+                result[i + 2, j + 2] += s22
+                result[i + 2, j + 3] += s23
+                result[i + 3, j] += s30
+                result[i + 3, j + 1] += s31
+                result[i + 3, j + 2] += s32
+                result[i + 3, j + 3] += s33
+
+
+@_compiled
+def _eliminate(columns: Floats, R: Floats) -> None:
+    """Reflect rows into the triangular factor above them.
+
+    The vector of the j-th reflection is (R_jj + sign(R_jj) |.|, a_j), zero between.
+
+    Args:
+        columns: Columns of the rows, shape (M, W); destroyed.
+        R: Upper triangular factor so far, shape (M, M); replaced.
+    """
+    for j in range(len(R)):
+        a = columns[j]
+        square = _dot(a, a)
+        if square == 0.0:
+            continue
+        head = R[j, j]
+        length = hypot(head, sqrt(square))
+        top = head + length if head > 0.0 else head - length
+        R[j, j] = -length if head > 0.0 else length
+        scale = 2.0 / (top * top + square)
+        for i in range(j + 1, len(R)):
+            along = scale * (R[j, i] * top + _dot(a, columns[i]))
+            R[j, i] -= along * top
+            _subtract(along, a, columns[i])
+
+
+@_compiled
+def _dot(a: Floats, b: Floats) -> float:
+    total = 0.0
+    for k in range(len(a)):
+        total += a[k] * b[k]
+    return total
+
+
+@_compiled
+def _subtract(factor: float, a: Floats, b: Floats) -> None:
+    """Subtract a multiple of a from b, in place."""
+    for k in range(len(a)):
+        b[k] -= factor * a[k]

@@ -1,0 +1,74 @@
+"""The cost of a problem for a whole population of parameter values at once."""
+
+from __future__ import annotations
+
+from typing import Literal
+
+import numpy as np
+
+from calib_pin import kernels
+from calib_pin.measurement_models import BatchedModel
+from calib_pin.problem import Problem
+from calib_pin.segments import Segments
+from calib_pin.spatial import Floats
+from calib_pin.threads import Threads
+
+__all__ = ["PopulationCost"]
+
+
+class PopulationCost:
+    """Half the sum of squared whitened residuals and priors of every member.
+
+    Args:
+        problem: The problem.
+        threads: Number of threads; default one per available core.
+
+    Attributes:
+        evaluator: `kernel`, or `loop` where the measurement model has no batch form
+            and the members are evaluated one by one.
+
+    Example:
+        >>> import numpy as np, calib_pin
+        >>> from calib_pin.calibration import nominal_problem
+        >>> from calib_pin.setup import Setup
+        >>> chain = calib_pin.load_chain("space6")
+        >>> nominal = nominal_problem(chain, "position", Setup())
+        >>> zero = np.zeros(len(nominal.parameters))
+        >>> problem = nominal.about(zero, np.zeros((5, 6)), [""] * 5)
+        >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 0.0
+        array([False,  True])
+    """
+
+    def __init__(self, problem: Problem, threads: int | None = None) -> None:
+        """Compute what does not depend on the parameters."""
+        self._problem = problem
+        self._threads = Threads(threads)
+        measurement = problem.measurement
+        self.evaluator: Literal["kernel", "loop"] = "loop"
+        if isinstance(measurement, BatchedModel):
+            self.evaluator = "kernel"
+            self._segments = Segments.of(problem.error)
+            self._batch = measurement.batch(problem.data, 1.0 / problem.sigma)
+            self._motion, self._starts = kernels.motions(
+                problem.data.q[self._batch.order] * self._segments.signs,
+                self._segments.revolute,
+                self._batch.groups,
+            )
+
+    def __call__(self, theta: Floats) -> Floats:
+        """Costs of parameter values, shape (S, P) -> (S,)."""
+        if self.evaluator == "loop":
+            return np.array([self._problem.cost(member) for member in theta])
+        of_robot, own = self._problem.split(theta)
+        costs = np.empty(len(theta))
+
+        def evaluate(part: slice) -> None:
+            chains = self._segments.links(of_robot[part])
+            self._batch.costs(
+                chains, self._motion, self._starts, own[part], costs[part]
+            )
+
+        for _ in self._threads.map(evaluate, self._threads.slices(len(theta))):
+            pass
+        priors = self._problem.prior_rows(theta)
+        return costs + 0.5 * np.asarray(np.sum(priors**2, axis=-1))

@@ -1,0 +1,153 @@
+"""The error model in the form that the kernels take.
+
+    T(q, theta) = L_0(theta) Z_1(q_1) L_1(theta) ... Z_n(q_n) L_n(theta)
+
+Z turns about z or shifts along it. Whatever stands between two joint motions becomes
+one segment: constants multiplied together and moved to the left, and behind them the
+screws of the parameters in their order, each carried along by the adjoint. Joints that
+a chain passes backwards have their sign in the motion and inverted screws.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import TypeAlias
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.error_model import ErrorModel, ordered_screws
+from calib_pin.parameterizations import Screw
+from calib_pin.spatial import Floats
+
+__all__ = ["Segments"]
+
+Factor: TypeAlias = "pin.SE3 | tuple[int, float]"
+"""A constant, or a screw by its position with the sign it is applied with."""
+
+
+@dataclass(frozen=True)
+class Segments:
+    """The segments of an error model with n joints and P parameters.
+
+    Attributes:
+        constants: Nominal links as rows of (R | p), shape (n + 1, 12).
+        screws: Screws in the order they apply; `place` is the segment, 0..n, and the
+            twist acts at its end.
+        parameter: Parameter of each screw, shape (P,).
+        signs: -1 for joints passed backwards, 1 for the others, shape (n,).
+        revolute: True for joints that turn, shape (n,).
+    """
+
+    constants: Floats
+    screws: tuple[Screw, ...]
+    parameter: NDArray[np.int64]
+    signs: Floats
+    revolute: NDArray[np.bool_]
+
+    @staticmethod
+    def of(model: ErrorModel) -> Segments:
+        """The segments of an error model."""
+        constants: list[pin.SE3] = []
+        screws: list[Screw] = []
+        order: list[int] = []
+        for segment, factors in enumerate(_split(model)):
+            # From the right: what stands behind a screw carries its twist along.
+            behind = pin.SE3.Identity()
+            found: list[tuple[int, Screw]] = []
+            for factor in reversed(factors):
+                if isinstance(factor, pin.SE3):
+                    behind = factor * behind
+                    continue
+                k, sign = factor
+                twist = behind.toActionMatrixInverse() @ model.screws[k].twist
+                screw = replace(model.screws[k], place=segment, twist=sign * twist)
+                found.append((k, screw))
+            constants.append(behind)
+            order += [k for k, _ in reversed(found)]
+            screws += [screw for _, screw in reversed(found)]
+        chain = model.chain
+        return Segments(
+            constants=np.array([c.homogeneous[:3].reshape(-1) for c in constants]),
+            screws=tuple(screws),
+            parameter=np.array(order, np.int64),
+            signs=np.where(chain.reversed, -1.0, 1.0),
+            revolute=chain.revolute,
+        )
+
+    @cached_property
+    def places(self) -> NDArray[np.int64]:
+        """Segment of each screw, shape (P,)."""
+        return np.array([screw.place for screw in self.screws], np.int64)
+
+    @cached_property
+    def twists(self) -> Floats:
+        """Twist of each screw, shape (P, 6)."""
+        return np.array([screw.twist for screw in self.screws]).reshape(-1, 6)
+
+    def links(self, theta: Floats) -> Floats:
+        """Links of a population, shape (S, n + 1, 12).
+
+        Args:
+            theta: Parameter values of the members, shape (S, P).
+        """
+        from calib_pin import kernels
+
+        result = np.empty((len(theta), *self.constants.shape))
+        kernels.links(
+            self.constants, self.places, self.parameter, self.twists, theta, result
+        )
+        return result
+
+    def columns(self, theta: Floats) -> Floats:
+        """Body twists at the ends of all segments by parameter, shape (6 n + 6, P).
+
+        Args:
+            theta: Parameter values, shape (P,).
+        """
+        count = len(self.constants)
+        twists, _ = ordered_screws(self.screws, theta[self.parameter], count)
+        result = np.zeros((6 * count, len(theta)))
+        for k, (screw, column) in enumerate(zip(self.screws, twists.T, strict=True)):
+            rows = slice(6 * screw.place, 6 * screw.place + 6)
+            result[rows, self.parameter[k]] = column
+        return result
+
+
+def _split(model: ErrorModel) -> Iterator[list[Factor]]:
+    """Factors of `T(q, theta)` from base to tool, split at the joint motions."""
+    chain = model.chain
+    at: list[list[int]] = [[] for _ in range(model.places)]
+    for k, screw in enumerate(model.screws):
+        at[screw.place].append(k)
+    base, tip = chain.ends
+    factors: list[Factor] = [model.base, *_applied(at[0]), base.inverse()]
+    for i in range(len(chain.joints)):
+        placement, screws = chain.placements[i], at[i + 1]
+        align = _to_axis(chain.axes[i])
+        if chain.reversed[i]:
+            yield [*factors, align]
+            inverted: list[Factor] = [(k, -1.0) for k in reversed(screws)]
+            factors = [align.inverse(), *inverted, placement.inverse()]
+        else:
+            yield [*factors, placement, *_applied(screws), align]
+            factors = [align.inverse()]
+    yield [*factors, tip, *_applied(at[-2]), model.tool, *_applied(at[-1])]
+
+
+def _applied(screws: list[int]) -> list[Factor]:
+    return [(k, 1.0) for k in screws]
+
+
+def _to_axis(axis: Floats) -> pin.SE3:
+    """A rotation that takes z to a unit axis."""
+    z = np.array([0.0, 0.0, 1.0])
+    turn = np.cross(z, axis)
+    sine = float(np.linalg.norm(turn))
+    if sine < 1e-12:
+        turn, sine = np.array([1.0, 0.0, 0.0]), 1.0
+    angle = np.arctan2(np.linalg.norm(np.cross(z, axis)), axis[2])
+    return pin.SE3(pin.exp3(turn / sine * angle), np.zeros(3))

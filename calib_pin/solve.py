@@ -1,0 +1,220 @@
+"""Problems meet solvers: Gauss-Newton, differential evolution, or one after the other.
+
+Both move the parameters in given directions only. Gauss-Newton follows the derivative
+from a start; evolution searches a box around the nominal robot whose size the linear
+solution suggests, with the compiled kernels, and needs no derivative.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.directions import Directions
+from calib_pin.errors import OptionError, nearest
+from calib_pin.problem import SAMPLE, Problem
+from calib_pin.solvers import (
+    DifferentialEvolution,
+    EvolutionResult,
+    LeastSquaresResult,
+    Status,
+    differential_evolution,
+    gauss_newton,
+)
+from calib_pin.spatial import Floats
+
+__all__ = ["SOLVERS", "Progress", "Solved", "Solver", "least_squares"]
+
+SOLVERS = ("gauss-newton", "de", "hybrid")
+"""Names of the solvers."""
+
+Progress = Callable[[float], None]
+"""Told how much of the work is done, 0 to 1."""
+
+MARGIN = 4.0
+"""Size of the box of an evolution, in sizes of the linear solution.
+
+That is about right even for errors that put the tip off by a third of a meter.
+"""
+
+ROBOT_BOX = (10.0, 100.0)
+"""Smallest and largest half width in the robot's directions, in expected sizes."""
+
+NUISANCE_BOX = (0.02, 1.0)
+"""The same in the directions of frames and instrument [m, rad]."""
+
+ROWS = 1000
+"""Rows of every target that an evolution looks at when Gauss-Newton follows."""
+
+NEGLIGIBLE = 0.01
+"""Part of the cost that an evolution may leave to gain and yet have converged."""
+
+
+@dataclass(frozen=True)
+class Solved:
+    """A solution, and how it was found.
+
+    Attributes:
+        result: The solution, with the steps and evaluations of all stages.
+        evaluator: What evaluated the rows: `pinocchio`, the compiled `kernel`, or for
+            an evolution the `loop` over members where there is no kernel.
+        evolution: The evolution, if there was one.
+    """
+
+    result: LeastSquaresResult
+    evaluator: str
+    evolution: EvolutionResult | None = None
+
+
+class Solver:
+    """The solver that a setup names.
+
+    Args:
+        problem: A problem with the setup.
+        rng: Random generator of evolutions.
+        progress: Told how far an evolution is.
+
+    Raises:
+        OptionError: If there is no such solver, or an option of it is not allowed.
+    """
+
+    def __init__(
+        self,
+        problem: Problem,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+    ) -> None:
+        """Check the name and the options."""
+        stated = problem.setup.solver
+        self._rng, self._progress = rng, progress
+        self.name = stated.name
+        try:
+            if self.name not in SOLVERS:
+                raise OptionError(
+                    f"unknown solver '{self.name}'{nearest(self.name, SOLVERS)}",
+                    allowed=", ".join(SOLVERS),
+                )
+            self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
+        except OptionError as error:
+            raise error.within(problem.setup.file) from None
+
+    @property
+    def searches(self) -> bool:
+        """Whether it begins with a search that sees all directions."""
+        return self.name != "gauss-newton"
+
+    def solve(
+        self,
+        problem: Problem,
+        directions: Directions,
+        nominal: Floats,
+        previous: Floats | None,
+    ) -> Solved:
+        """Minimize the cost in some directions.
+
+        Args:
+            problem: The problem.
+            directions: What may move.
+            nominal: Registered parameters of the nominal robot, shape (P,).
+            previous: The solution in other directions, within these, shape (P,).
+        """
+        start = nominal if previous is None else previous
+        if self.name == "de":
+            return self._evolve(problem, directions, nominal, start)
+        basis = problem.parameters.scales[:, None] * directions.basis
+        # What other directions have led to needs no search again.
+        if self.name == "gauss-newton" or previous is not None:
+            result = least_squares(problem, start, basis)
+            return Solved(result, "kernel" if problem.many else "pinocchio")
+        few = replace(problem, data=problem.data.sample(ROWS))
+        found = self._evolve(few, directions, nominal, start)
+        result = least_squares(problem, found.result.x, basis)
+        result = replace(
+            result,
+            nit=result.nit + found.result.nit,
+            nfev=result.nfev + found.result.nfev,
+        )
+        return replace(found, result=result)
+
+    def _evolve(
+        self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
+    ) -> Solved:
+        """Differential evolution in a box around the nominal robot."""
+        from calib_pin.population import PopulationCost
+
+        scales = problem.parameters.scales
+        basis = scales[:, None] * directions.basis
+        costs = PopulationCost(problem)
+        bounds = _box(problem, directions, nominal)
+        first = directions.basis.T @ ((start - nominal) / scales)
+        found = differential_evolution(
+            lambda members: costs(nominal + members @ basis.T),
+            bounds,
+            self._rng,
+            self._options,
+            x0=np.clip(first, *bounds.T),
+            callback=self._report,
+        )
+        x = nominal + basis @ found.x
+        fun, jac = problem.linearize(x)
+        status = _judged(found, fun, jac @ basis)
+        result = LeastSquaresResult(
+            x, fun, jac, found.fun, found.nit, found.nfev, status
+        )
+        return Solved(result, costs.evaluator, found)
+
+    def _report(self, generation: int, best: Floats, cost: float) -> None:
+        if self._progress is not None:
+            self._progress(min(1.0, generation / self._options.maxiter))
+
+
+def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
+    """Gauss-Newton from a start; very many rows begin with a sample of them.
+
+    Args:
+        problem: The problem.
+        start: Start, shape (P,).
+        basis: Directions that the parameters may take, shape (P, k).
+    """
+    if problem.many and len(problem.data) > 2 * SAMPLE:
+        # The sample is done in no time and ends one or two steps from the solution.
+        few = replace(problem, data=problem.data.sample(SAMPLE))
+        start = gauss_newton(few.linearize, few.cost, start, basis).x
+    return gauss_newton(problem.linearize, problem.cost, start, basis)
+
+
+def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
+    """Bounds of an evolution in its directions, shape (k, 2).
+
+    The linear solution tells how large the errors are, though not where.
+    """
+    r, J = problem.linearize(nominal)
+    A = J @ (problem.parameters.scales[:, None] * directions.basis)
+    linear = np.full(A.shape[1], np.inf)
+    if np.isfinite(A).all() and np.isfinite(r).all():
+        linear = np.abs(np.linalg.lstsq(A, -r, rcond=1e-9)[0])
+    count = directions.nuisances.shape[1]
+    half = np.empty(len(linear))
+    for part, (least, most) in (
+        (slice(0, count), NUISANCE_BOX),
+        (slice(count, None), ROBOT_BOX),
+    ):
+        half[part] = np.clip(MARGIN * linear[part].max(initial=0.0), least, most)
+    return np.column_stack([-half, half])
+
+
+def _judged(found: EvolutionResult, fun: Floats, A: Floats) -> Status:
+    """An evolution at its limit has converged if next to nothing is left to gain.
+
+    Args:
+        found: The evolution.
+        fun: Residual at its best member, shape (M,).
+        A: Jacobian by its directions there, shape (M, k).
+    """
+    if found.status is not Status.GENERATIONS:
+        return found.status
+    step = np.linalg.lstsq(A, fun, rcond=None)[0]
+    promised = float(fun @ (A @ step)) / 2.0
+    return Status.CONVERGED if promised <= NEGLIGIBLE * found.fun else found.status

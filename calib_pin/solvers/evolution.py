@@ -1,0 +1,266 @@
+"""The generation loop that all variants of differential evolution share.
+
+A population of members x_i within a box of bounds is improved generation by generation
+(Storn and Price 1997, doi 10.1023/A:1008202821328). A *variant* breeds one trial for
+every member, its target; what leaves the box is brought back; all trials are evaluated
+in one call; each trial then replaces its target unless it is worse. So the best cost
+never rises, and whatever stops the loop, the best member ever seen is still there.
+
+The population lives in the caller's units: every mutation is an affine combination of
+members, which a scaling of the components does not change.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import OptionError
+from calib_pin.solvers.box import Box
+from calib_pin.solvers.status import Status
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "Callback",
+    "Costs",
+    "EvolutionResult",
+    "Stops",
+    "Variant",
+    "below",
+    "crossing",
+    "evolve",
+    "three_others",
+]
+
+Booleans = NDArray[np.bool_]
+Indices = NDArray[np.intp]
+Rng = np.random.Generator
+
+Costs = Callable[[Floats], Floats]
+"""Costs of a whole population at once, shape (S, D) -> (S,)."""
+
+Callback = Callable[[int, Floats, float], bool | None]
+"""Told the generation, the best member (D,) and its cost; True stops the evolution."""
+
+
+@dataclass(frozen=True)
+class EvolutionResult:
+    """Outcome of an evolution, in the words of scipy.optimize.
+
+    Attributes:
+        x: Best member, shape (D,), within the bounds.
+        fun: Its cost.
+        nit: Number of generations after the first population.
+        nfev: Number of members evaluated.
+        status: How the evolution ended.
+        population: Last population, shape (S, D).
+        population_energies: Its costs, shape (S,).
+        best_history: Best cost of every generation, shape (nit + 1,).
+        mean_history: Mean cost of every generation, shape (nit + 1,).
+    """
+
+    x: Floats
+    fun: float
+    nit: int
+    nfev: int
+    status: Status
+    population: Floats
+    population_energies: Floats
+    best_history: Floats
+    mean_history: Floats
+
+    @property
+    def success(self) -> bool:
+        """Whether the population met, or the cost reached its target."""
+        return self.status in (Status.CONVERGED, Status.TARGET)
+
+    @property
+    def message(self) -> str:
+        """What the status means and what to do about it."""
+        return self.status.advice
+
+
+@dataclass(frozen=True)
+class Stops:
+    """What ends an evolution.
+
+    Attributes:
+        target: Reached when `best cost <= target`.
+        tol: Relative part of the spread, see `atol`.
+        atol: Converged when `std(costs) <= atol + tol * |mean(costs)|`, as in scipy.
+        evaluations: Ends before the generation that would need more than these.
+    """
+
+    target: float
+    tol: float
+    atol: float
+    evaluations: int
+
+    def reached(self, best: float, mean: float, deviation: float) -> Status | None:
+        """The stop that a population has reached, if any.
+
+        With infinite members the standard deviation is NaN: no spread to judge.
+        """
+        if best <= self.target:
+            return Status.TARGET
+        converged = deviation <= self.atol + self.tol * abs(mean)
+        return Status.CONVERGED if converged else None
+
+
+class Variant(Protocol):
+    """What sets one evolution apart from another."""
+
+    def breed(self, population: Floats, energies: Floats) -> Floats:
+        """One trial for every member, a new array (S, D) that may leave the box."""
+        ...
+
+    def learn(
+        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
+    ) -> int:
+        """Take note of how the trials fared.
+
+        Args:
+            parents: The population before selection, shape (S, D).
+            energies: Its costs, shape (S,).
+            fresh: Costs of the trials, shape (S,); NaN counts as worse.
+            evaluations: Number of evaluations so far.
+
+        Returns:
+            How many of the best members live on, S at most.
+        """
+        ...
+
+
+def evolve(
+    costs: Costs,
+    box: Box,
+    population: Floats,
+    variant: Variant,
+    stops: Stops,
+    rng: Rng,
+    callback: Callback | None = None,
+) -> EvolutionResult:
+    """Improve a population until something stops it.
+
+    Args:
+        costs: Costs of a population; called once per generation with all trials.
+        box: Bounds of the members.
+        population: First population, shape (S, D), within the bounds.
+        variant: Breeds the trials.
+        stops: What ends the evolution.
+        rng: Source of chance for the way back into the box.
+        callback: Called after every generation.
+
+    Raises:
+        OptionError: If `costs` does not give one number per member.
+    """
+    # Own copies: these two arrays evolve in place.
+    population, energies = population.copy(), _evaluate(costs, population)
+    energies = np.where(np.isnan(energies), np.inf, energies)
+    nfev, best, (mean, deviation) = len(energies), energies.argmin(), _moments(energies)
+    best_history, mean_history = [float(energies[best])], [mean]
+    status = stops.reached(best_history[0], mean, deviation)
+    if best_history[0] == np.inf:
+        status = Status.NOT_FINITE
+    while status is None:
+        if nfev + len(population) > stops.evaluations:
+            status = Status.GENERATIONS
+            break
+        trials = variant.breed(population, energies)
+        box.repair(trials, population, rng)
+        fresh = _evaluate(costs, trials)
+        nfev += len(trials)
+        size = variant.learn(population, energies, fresh, nfev)
+        # A tie goes to the trial, so that members can cross a plateau; NaN never wins.
+        better = fresh <= energies
+        np.copyto(population, trials, where=better[:, None])
+        np.copyto(energies, fresh, where=better)
+        if size < len(energies):
+            keep = np.argsort(energies, kind="stable")[:size]
+            population, energies = population[keep], energies[keep]
+        best, (mean, deviation) = energies.argmin(), _moments(energies)
+        best_history.append(float(energies[best]))
+        mean_history.append(mean)
+        status = stops.reached(best_history[-1], mean, deviation)
+        if callback is not None:
+            generation = len(best_history) - 1
+            asked = callback(generation, population[best].copy(), best_history[-1])
+            status = status or (Status.STOPPED if asked else None)
+    return EvolutionResult(
+        x=population[best].copy(),
+        fun=best_history[-1],
+        nit=len(best_history) - 1,
+        nfev=nfev,
+        status=status,
+        population=population,
+        population_energies=energies,
+        best_history=np.array(best_history),
+        mean_history=np.array(mean_history),
+    )
+
+
+def _evaluate(costs: Costs, members: Floats) -> Floats:
+    """Costs of members, shape (S, D) -> (S,)."""
+    energies = np.asarray(costs(members), float)
+    if energies.shape != (len(members),):
+        raise OptionError(
+            "costs must give one number per member",
+            value=energies.shape,
+            allowed=f"shape ({len(members)},)",
+        )
+    return energies
+
+
+def _moments(energies: Floats) -> tuple[float, float]:
+    """Mean and standard deviation of costs; the latter NaN if one is infinite."""
+    mean = float(np.add.reduce(energies)) / len(energies)
+    if not math.isfinite(mean):
+        return mean, math.nan
+    deviations = energies - mean
+    return mean, math.sqrt(float(np.dot(deviations, deviations)) / len(energies))
+
+
+def below(limit: int | Floats, shape: int | tuple[int, ...], rng: Rng) -> Indices:
+    """Random whole numbers from 0 to limit - 1; a third of the time of `integers`."""
+    return np.asarray((rng.random(shape) * limit).astype(np.intp))
+
+
+def three_others(size: int, generations: int, rng: Rng) -> Indices:
+    """For every member, three that differ from it and from each other.
+
+    What is drawn is the offset from the target, less one: the target itself never
+    occurs. Each further offset comes from a range shorter by those already drawn and
+    steps over them in ascending order: uniform, without trial and error.
+
+    Returns:
+        Indices of members, shape (generations, 3, size).
+    """
+    ranges = size - np.array([1.0, 2.0, 3.0])[:, None, None]
+    a, b, c = below(ranges, (3, generations, size), rng)
+    b += b >= a
+    c += c >= np.minimum(a, b)
+    c += c >= np.maximum(a, b)
+    others = np.stack([a, b, c], axis=1) + np.arange(1, size + 1)
+    return np.where(others >= size, others - size, others)
+
+
+def crossing(shape: tuple[int, ...], CR: Floats | float, rng: Rng) -> Booleans:
+    """Which components trials take from their mutants in binomial crossover.
+
+    Those where `rand <= CR`, and one at a random place in any case.
+
+    Args:
+        shape: (..., D).
+        CR: Recombination, one number or an array that broadcasts to the shape.
+        rng: Source of chance.
+    """
+    # Single precision is chance enough, and these are most of all random numbers.
+    crossed = rng.random(shape, np.float32) <= CR
+    trials = crossed.reshape(-1, shape[-1])
+    trials[np.arange(len(trials)), below(shape[-1], len(trials), rng)] = True
+    return crossed

@@ -107,7 +107,9 @@ def _fit(
     """Fit a registered problem from its registration, without regard to bounds."""
     parameters = problem.parameters
     nominal = np.where(parameters.free, before.x, problem.held)
-    r, J = problem.linearize(nominal)
+    r, J = before.fun, before.jac
+    if problem.held_at:
+        r, J = problem.linearize(nominal)
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
 
     def solve(directions: Directions) -> None:

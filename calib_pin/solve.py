@@ -48,6 +48,12 @@ NUISANCE_BOX = (0.02, 1.0)
 ROWS = 1000
 """Rows of every target that an evolution looks at when Gauss-Newton follows."""
 
+EXACT = 1e-14
+"""Part of the cost that a step must promise: all that rounding leaves."""
+
+ENOUGH = 1e-12
+"""The same for very many rows; of a million it is a thousandth of a deviation."""
+
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""
 
@@ -179,10 +185,13 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
         basis: Directions that the parameters may take, shape (P, k).
     """
     if problem.many and len(problem.data) > 2 * SAMPLE:
-        # The sample is done in no time and ends one or two steps from the solution.
+        # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
         start = gauss_newton(few.linearize, few.cost, start, basis).x
-    return gauss_newton(problem.linearize, problem.cost, start, basis)
+    tolerance = ENOUGH if problem.many else EXACT
+    return gauss_newton(
+        problem.linearize, problem.cost, start, basis, tolerance=tolerance
+    )
 
 
 def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:

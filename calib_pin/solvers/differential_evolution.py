@@ -51,7 +51,7 @@ from calib_pin.spatial import Floats
 
 __all__ = ["STRATEGIES", "DifferentialEvolution", "differential_evolution"]
 
-TRADEOFF = "midpoint"
+TRADEOFF = "rand-to-best/1"
 """What `tradeoff` stands for.
 
 A reconstruction: eq. 16 of Liu et al. is lost in the text at hand. It draws three

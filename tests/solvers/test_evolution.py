@@ -1,0 +1,257 @@
+"""The loop that all evolutions share: selection, stops, history, chance."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import OptionError
+from calib_pin.solvers import EvolutionResult, Status
+from calib_pin.solvers.box import Box
+from calib_pin.solvers.evolution import (
+    Stops,
+    crossing,
+    evolve,
+    three_others,
+)
+from calib_pin.spatial import Floats
+
+UNIT = Box(np.zeros(1), np.ones(1))
+NEVER = {"target": -np.inf, "tol": 0.0, "atol": 0.0}
+
+
+class Script:
+    """A variant that brings the trials, and the sizes, that a test prescribes."""
+
+    def __init__(self, *generations: list[float], sizes: tuple[int, ...] = ()) -> None:
+        self.trials = [np.array(members)[:, None] for members in generations]
+        self.sizes = list(sizes)
+        self.learnt: list[tuple[list[float], list[float], list[float], int]] = []
+
+    def breed(self, population: Floats, energies: Floats) -> Floats:
+        return self.trials.pop(0)
+
+    def learn(
+        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
+    ) -> int:
+        self.learnt.append(
+            (parents[:, 0].tolist(), energies.tolist(), fresh.tolist(), evaluations)
+        )
+        return self.sizes.pop(0) if self.sizes else len(parents)
+
+
+def cost(x: Floats) -> Floats:
+    return x[:, 0]
+
+
+def run(first: list[float], script: Script, **options: object) -> EvolutionResult:
+    generations = len(script.trials)
+    costs = options.pop("costs", cost)
+    callback = options.pop("callback", None)
+    stops = NEVER | {"evaluations": len(first) * (generations + 1)} | options
+    return evolve(
+        costs,  # type: ignore[arg-type]
+        UNIT,
+        np.array(first)[:, None],
+        script,
+        Stops(**stops),  # type: ignore[arg-type]
+        np.random.default_rng(0),
+        callback,  # type: ignore[arg-type]
+    )
+
+
+def test_each_trial_replaces_its_own_target_unless_worse() -> None:
+    result = run([0.4, 0.5, 0.6], Script([0.45, 0.1, 0.6]))
+    assert result.population[:, 0].tolist() == [0.4, 0.1, 0.6]
+    assert result.population_energies.tolist() == [0.4, 0.1, 0.6]
+    assert (result.x.tolist(), result.fun) == ([0.1], 0.1)
+    assert (result.nit, result.nfev) == (1, 6)
+    assert result.best_history.tolist() == [0.4, 0.1]
+    assert result.mean_history == pytest.approx([0.5, 1.1 / 3])
+
+
+def test_the_first_population_is_not_written_to() -> None:
+    seen: list[Floats] = []
+
+    def costs(x: Floats) -> Floats:
+        seen.append(x)
+        return x[:, 0]
+
+    run([0.4, 0.5], Script([0.1, 0.2]), costs=costs)
+    assert [x[:, 0].tolist() for x in seen] == [[0.4, 0.5], [0.1, 0.2]]
+
+
+def test_ties_go_to_the_trial() -> None:
+    plateaus = run([0.1, 0.7], Script([0.3, 0.9]), costs=lambda x: np.round(x[:, 0]))
+    assert plateaus.population[:, 0].tolist() == [0.3, 0.9]
+
+
+def test_the_variant_sees_what_was_before_selection() -> None:
+    script = Script([0.3, 0.9], [0.4, 0.4])
+    run([0.5, 0.6], script)
+    assert script.learnt == [
+        ([0.5, 0.6], [0.5, 0.6], [0.3, 0.9], 4),
+        ([0.3, 0.6], [0.3, 0.6], [0.4, 0.4], 6),
+    ]
+
+
+def test_the_best_live_on_when_the_population_shrinks() -> None:
+    script = Script([0.9, 0.1, 0.9, 0.9], [0.8, 0.8], sizes=(2, 2))
+    result = run([0.4, 0.5, 0.2, 0.6], script, evaluations=10)
+    assert sorted(result.population[:, 0]) == [0.1, 0.2]
+    assert (result.nfev, result.nit) == (10, 2)
+
+
+def test_generations_end_before_they_exceed_the_evaluations() -> None:
+    result = run([0.4, 0.5], Script([0.9, 0.9], [0.9, 0.9]), evaluations=5)
+    assert result.status is Status.GENERATIONS
+    assert (result.nit, result.nfev, result.success) == (1, 4, False)
+    assert result.message == Status.GENERATIONS.advice
+
+
+@pytest.mark.parametrize(("target", "generations"), [(0.4, 0), (0.2, 1), (0.19, 2)])
+def test_target_is_reached_at_equality(target: float, generations: int) -> None:
+    result = run([0.4, 0.5], Script([0.2, 0.9], [0.1, 0.1]), target=target)
+    assert (result.status, result.nit) == (Status.TARGET, generations)
+    assert result.success
+
+
+def test_spread_is_that_of_scipy() -> None:
+    energies = np.array([1.0, 1.1, 1.3])
+    spread, mean = energies.std(), energies.mean()
+
+    def status(tol: float, atol: float) -> Status:
+        return run(
+            (energies / 2).tolist(), Script(), costs=twice, tol=tol, atol=atol
+        ).status
+
+    def twice(x: Floats) -> Floats:
+        return 2 * x[:, 0]
+
+    above = 1 + 1e-9
+    for tol, atol in (
+        (spread / mean, 0.0),
+        (0.0, spread),
+        (0.5 * spread / mean, 0.5 * spread),
+    ):
+        assert status(tol * above, atol * above) is Status.CONVERGED
+        assert status(tol / above, atol / above) is Status.GENERATIONS
+
+
+def test_spread_of_negative_costs_uses_the_size_of_the_mean() -> None:
+    result = run([0.5, 0.5001], Script(), costs=lambda x: -x[:, 0], tol=1e-3)
+    assert result.status is Status.CONVERGED
+
+
+def test_the_callback_sees_each_generation_and_can_stop() -> None:
+    seen: list[tuple[int, list[float], float]] = []
+
+    def callback(generation: int, x: Floats, fun: float) -> bool:
+        seen.append((generation, x.tolist(), fun))
+        x[:] = 0.7  # A copy: the population does not change.
+        return generation == 2
+
+    script = Script([0.3, 0.9], [0.9, 0.2], [0.1, 0.1])
+    result = run([0.4, 0.5], script, callback=callback)
+    assert seen == [(1, [0.3], 0.3), (2, [0.2], 0.2)]
+    assert result.status is Status.STOPPED
+    assert (result.nit, result.fun, result.success) == (2, 0.2, False)
+    assert result.population[:, 0].tolist() == [0.3, 0.2]
+
+
+def test_a_target_reached_outranks_the_callback() -> None:
+    result = run([0.4, 0.5], Script([0.1, 0.1]), target=0.2, callback=lambda *_: True)
+    assert result.status is Status.TARGET
+
+
+def test_costs_that_are_not_finite_lose() -> None:
+    def costs(x: Floats) -> Floats:
+        return np.select([x[:, 0] > 0.8, x[:, 0] > 0.6], [np.nan, np.inf], x[:, 0])
+
+    result = run([0.9, 0.7, 0.5], Script([0.9, 0.9, 0.9], [0.7, 0.3, 0.7]), costs=costs)
+    # NaN loses even to infinity, among equals the trial wins.
+    assert result.population[:, 0].tolist() == [0.7, 0.3, 0.5]
+    assert result.population_energies.tolist() == [np.inf, 0.3, 0.5]
+    assert result.mean_history.tolist() == [np.inf] * 3
+    assert result.best_history.tolist() == [0.5, 0.5, 0.3]
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_first_population_without_a_finite_cost(value: float) -> None:
+    result = run([0.4, 0.5], Script([0.1, 0.1]), costs=lambda x: x[:, 0] * 0 + value)
+    assert result.status is Status.NOT_FINITE
+    assert (result.fun, result.nit, result.nfev) == (np.inf, 0, 2)
+
+
+@pytest.mark.parametrize(
+    ("costs", "shape"), [(np.sum, r"\(\)"), (lambda x: x, r"\(2, 1\)")]
+)
+def test_costs_of_the_wrong_shape(costs: object, shape: str) -> None:
+    with pytest.raises(OptionError, match=rf"one number per member \(value {shape}\)"):
+        run([0.4, 0.5], Script(), costs=costs)
+
+
+def test_trials_are_brought_back_and_evaluated_in_one_call() -> None:
+    calls: list[list[float]] = []
+
+    def costs(x: Floats) -> Floats:
+        calls.append(x[:, 0].tolist())
+        return x[:, 0]
+
+    result = run([0.4, 0.5], Script([-3.0, 2.0]), costs=costs)
+    assert len(calls) == 2
+    assert 0 < calls[1][0] < 0.4 and 0.5 < calls[1][1] < 1
+    assert result.x.tolist() == [calls[1][0]]
+
+
+def test_histories_are_monotone_and_end_with_the_result() -> None:
+    rng = np.random.default_rng(0)
+    result = run(rng.random(5).tolist(), Script(*rng.random((20, 5)).tolist()))
+    assert result.best_history.shape == result.mean_history.shape == (21,)
+    assert all(b <= a for a, b in pairwise(result.best_history))
+    assert all(b <= a for a, b in pairwise(result.mean_history))
+    assert result.best_history[-1] == result.fun == result.population_energies.min()
+    assert result.mean_history[-1] == result.population_energies.mean()
+
+
+@pytest.mark.parametrize("size", [4, 5, 9])
+def test_others_differ_from_each_other_and_the_target(size: int) -> None:
+    others = three_others(size, 500, np.random.default_rng(0))
+    assert others.shape == (500, 3, size)
+    assert others.min() == 0 and others.max() == size - 1
+    everyone = np.broadcast_to(np.arange(size), (500, 1, size))
+    group = np.sort(np.concatenate([others, everyone], axis=1), axis=1)
+    assert (np.diff(group, axis=1) > 0).all()
+
+
+def test_others_are_uniform() -> None:
+    generations, size = 20_000, 5
+    others = three_others(size, generations, np.random.default_rng(0))
+    # Every ordered triple of the four others is as likely: 24 of them.
+    expected = generations / 24
+    for target in range(size):
+        a, b, c = others[:, :, target].T
+        counts = np.bincount((a * size + b) * size + c)
+        counts = counts[counts > 0]
+        assert len(counts) == 24
+        chi2 = np.sum((counts - expected) ** 2 / expected)
+        assert chi2 < 23 + 4 * np.sqrt(2 * 23)
+
+
+@pytest.mark.parametrize("CR", [0.0, 0.3, 0.9, 1.0])
+def test_crossing_takes_its_part_and_at_least_one(CR: float) -> None:
+    crossed = crossing((50, 40, 8), CR, np.random.default_rng(0))
+    assert crossed.any(axis=-1).all()
+    # One in eight is forced, the others are left to chance.
+    assert crossed.mean() == pytest.approx(1 / 8 + 7 / 8 * CR, abs=0.01)
+    assert crossed.mean(axis=(0, 1)) == pytest.approx(
+        np.full(8, crossed.mean()), abs=0.05
+    )
+
+
+def test_crossing_with_a_rate_for_each_member() -> None:
+    rates = np.array([[0.0], [1.0]])
+    crossed = crossing((2, 8), rates, np.random.default_rng(0))
+    assert crossed.sum(axis=1).tolist() == [1, 8]

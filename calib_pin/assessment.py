@@ -20,7 +20,7 @@ from calib_pin.result import (
     ParameterEstimate,
     QuantityErrors,
 )
-from calib_pin.solvers import LeastSquaresResult, Status
+from calib_pin.solvers import LeastSquaresResult
 from calib_pin.spatial import Floats
 
 __all__ = [
@@ -56,7 +56,7 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
             f"{rows} measured values for {fitted.rank} estimated parameters leave "
             "nothing to check the fit with; measure more configurations"
         )
-    if fitted.result.status is not Status.CONVERGED:
+    if not fitted.result.status.success:
         return "untrusted", fitted.result.status.advice
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
     if free.any() and fitted.directions.robot.shape[1] == 0:
@@ -99,7 +99,7 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
             f"{values} measured values are used up by the {rank} unknowns of base, "
             "tool and instrument; measure more configurations"
         )
-    return "" if result.status is Status.CONVERGED else result.status.advice
+    return "" if result.status.success else result.status.advice
 
 
 def estimates(

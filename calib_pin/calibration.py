@@ -7,7 +7,7 @@ calibration on other data. `identify` looks at the structure without measurement
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -76,6 +76,7 @@ def calibrate(
     holdout: float | None = None,
     validate: bool = True,
     seed: int = 0,
+    progress: Callable[[str, float], None] | None = None,
 ) -> CalibrationResult:
     """Calibrate a chain.
 
@@ -88,7 +89,8 @@ def calibrate(
         holdout: Part of the rows, 0 to 1, that is set aside for validation.
         validate: Whether to check the fit on unseen rows; without any of the above
             by cross-validation.
-        seed: Seed of random configurations and splits.
+        seed: Seed of random configurations, searches and splits.
+        progress: Told the stage and the part that is done, 0 to 1.
 
     Returns:
         The result. Look at `verdict` before using it.
@@ -111,8 +113,19 @@ def calibrate(
     """
     setup = setup or Setup()
     training, unseen, method = _split(measurements, validation, holdout, seed)
-    fitted = fit(make_problem(chain, training, setup), np.random.default_rng(seed))
+    stages = 1 if unseen is not None or not validate else 1 + FOLDS
 
+    def run(rows: Measurements, stage: int) -> Fit:
+        def report(part: float) -> None:
+            if progress is not None:
+                name = f"check {stage} of {FOLDS}" if stage else "fit"
+                progress(name, (stage + part) / stages)
+
+        report(0.0)
+        problem = make_problem(chain, rows, setup)
+        return fit(problem, np.random.default_rng(seed), progress=report)
+
+    fitted = run(training, 0)
     pairs: list[tuple[Fit, Measurements]] = []
     if not validate:
         method = "none"
@@ -120,12 +133,8 @@ def calibrate(
         pairs = [(fitted, unseen)]
     else:
         folds = _folds(training, fitted, seed)
-        for rows in folds:
-            part = fit(
-                make_problem(chain, training.rows(~rows), setup),
-                np.random.default_rng(seed),
-            )
-            pairs.append((part, training.rows(rows)))
+        for k, rows in enumerate(folds, 1):
+            pairs.append((run(training.rows(~rows), k), training.rows(rows)))
         method = f"{len(folds)}-fold" if folds else "none"
     errors = tuple(_quantity_errors(fitted, pairs))
     status, reason = verdict(fitted, errors)
@@ -147,6 +156,11 @@ def calibrate(
         sigma0=fitted.sigma0,
         stated_sigma=training.sigma is not None,
         outliers=outliers(fitted),
+        solver=fitted.solver,
+        evaluator=fitted.evaluator,
+        history=tuple(
+            () if fitted.evolution is None else fitted.evolution.best_history.tolist()
+        ),
         status=fitted.result.status,
         at_bounds=tuple(
             fitted.problem.parameters[k].name for k in sorted(fitted.problem.held_at)

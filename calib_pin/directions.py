@@ -17,6 +17,7 @@ from calib_pin.spatial import Floats
 __all__ = [
     "WEAK",
     "Directions",
+    "appearing",
     "practical_directions",
     "pruned",
     "robot_singular_values",
@@ -137,6 +138,33 @@ def pruned(
         robot=directions.robot @ Vt[:count].T,
         weak=np.column_stack([directions.weak, directions.robot @ Vt[count:].T]),
     )
+
+
+def appearing(
+    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
+) -> Floats:
+    """Robot directions that only large errors have made visible.
+
+    Special geometry hides them at nominal: parallel or intersecting axes. Away from it
+    they show, the more the larger the errors are.
+
+    Args:
+        directions: What the fit moved, and what it left at nominal.
+        J: Whitened Jacobian at its solution, shape (M, P).
+        parameters: The parameters.
+        sigma0: Standard deviation of unit weight of the fit.
+
+    Returns:
+        Directions that these measurements can estimate beside those, shape (P, k).
+    """
+    robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
+    known = np.column_stack([directions.robot, directions.weak])
+    hidden = _range(robot - known @ (known.T @ robot))
+    A = J * parameters.scales
+    moved = _range(A @ directions.basis)
+    columns = A @ hidden
+    _, s, Vt = np.linalg.svd(columns - moved @ (moved.T @ columns), full_matrices=False)
+    return np.asarray(hidden @ Vt[s * WEAK > sigma0].T)
 
 
 def robot_singular_values(

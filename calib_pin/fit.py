@@ -9,6 +9,7 @@ import numpy as np
 
 from calib_pin.directions import (
     Directions,
+    appearing,
     practical_directions,
     pruned,
     robot_singular_values,
@@ -20,6 +21,9 @@ from calib_pin.problem import Problem, observable_configurations
 from calib_pin.solve import Progress, Solved, Solver, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
+
+SURPRISE = 10.0
+"""Gain in chi-square per direction beyond what chance gives once in six hundred."""
 
 __all__ = ["Fit", "analyze_structure", "fit", "register"]
 
@@ -136,6 +140,8 @@ def _fit(
             break
         solve(directions)
 
+    if np.isfinite(solutions[-1].sigma0):
+        _extend(solutions, solve, parameters)
     last = solutions[-1]
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
     return Fit(
@@ -160,6 +166,27 @@ def _fit(
             (s.found.evolution for s in reversed(solutions) if s.found.evolution), None
         ),
     )
+
+
+def _extend(
+    solutions: list[_Solution],
+    solve: Callable[[Directions], None],
+    parameters: ParameterSet,
+) -> None:
+    """Move directions that large errors have made visible, if that explains a lot.
+
+    With errors of their expected size it explains nothing, and the robot stays within
+    the directions of its nominal geometry.
+    """
+    last = solutions[-1]
+    more = appearing(last.directions, last.result.jac, parameters, last.sigma0)
+    if more.shape[1] == 0:
+        return
+    robot = np.column_stack([last.directions.robot, more])
+    solve(replace(last.directions, robot=robot))
+    gain = 2.0 * (last.result.cost - solutions[-1].result.cost)
+    if not gain > SURPRISE * more.shape[1] * solutions[-1].sigma0 ** 2:
+        solutions.pop()
 
 
 def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:

@@ -244,10 +244,14 @@ class CalibrationResult(Identification):
         sigma0: Standard deviation of unit weight.
         stated_sigma: Whether the rows state their standard deviations.
         outliers: Rows that do not fit.
+        solver: Name of the solver.
+        evaluator: What evaluated the rows, see `solve.Solved`.
+        history: Best cost of every generation, if it searched by evolution: half the
+            sum of squared whitened residuals.
         status: How the solver ended.
         at_bounds: Names of the parameters that stand at a bound.
         iterations: Steps of the solver.
-        evaluations: Residual evaluations of the solver.
+        evaluations: Evaluations of the cost; an evolution counts its members.
         seed: Seed of configurations and splits.
         covariance: Of the parameters, shape (P, P).
         files: Measurement files.
@@ -266,6 +270,9 @@ class CalibrationResult(Identification):
     sigma0: float
     stated_sigma: bool
     outliers: tuple[Outlier, ...]
+    solver: str
+    evaluator: str
+    history: tuple[float, ...]
     status: Status
     at_bounds: tuple[str, ...]
     iterations: int

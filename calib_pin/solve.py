@@ -25,7 +25,14 @@ from calib_pin.solvers import (
 )
 from calib_pin.spatial import Floats
 
-__all__ = ["SOLVERS", "Progress", "Solved", "Solver", "least_squares"]
+__all__ = [
+    "SOLVERS",
+    "Progress",
+    "Solved",
+    "Solver",
+    "check_solver",
+    "least_squares",
+]
 
 SOLVERS = ("gauss-newton", "de", "hybrid")
 """Names of the solvers."""
@@ -56,6 +63,19 @@ ENOUGH = 1e-12
 
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""
+
+
+def check_solver(name: str) -> None:
+    """Refuse what is not the name of a solver.
+
+    Raises:
+        OptionError: If there is no such solver.
+    """
+    if name not in SOLVERS:
+        raise OptionError(
+            f"unknown solver '{name}'{nearest(name, SOLVERS)}",
+            allowed=", ".join(SOLVERS),
+        )
 
 
 @dataclass(frozen=True)
@@ -97,11 +117,7 @@ class Solver:
         self._rng, self._progress = rng, progress
         self.name = stated.name
         try:
-            if self.name not in SOLVERS:
-                raise OptionError(
-                    f"unknown solver '{self.name}'{nearest(self.name, SOLVERS)}",
-                    allowed=", ".join(SOLVERS),
-                )
+            check_solver(self.name)
             self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
         except OptionError as error:
             raise error.within(problem.setup.file) from None

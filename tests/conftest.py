@@ -11,14 +11,19 @@ import logging
 import os
 import warnings
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.io.urdf import parse_robot
+from calib_pin.problem import Problem, frame_pose, observable_configurations
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
 
 def example_robots() -> list[Path]:
@@ -90,6 +95,57 @@ def chain_of() -> Callable[..., Chain]:
 
     def make(urdf: str, base: str | None = None, tip: str | None = None) -> Chain:
         return Chain(parse_robot(urdf.encode(), "test.urdf"), base, tip)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def measured() -> Callable[..., Problem]:
+    """Problem of a chain: `measured(chain, model, parameterizations, rows, seed)`.
+
+    Base and tool are estimated. Rows stand away from what the nominal robot predicts,
+    each with its own sigma; a ranger looks at two planes in turn, in an order that
+    what it cannot see mixes. Further settings of the setup may follow by name.
+    """
+    base = FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True)
+    tool = FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3), estimate=True)
+
+    def make(
+        chain: Chain,
+        model: str,
+        parameterizations: Sequence[str],
+        rows: int,
+        seed: int = 0,
+        **settings: Any,
+    ) -> Problem:
+        rng = np.random.default_rng(seed)
+        # Each plane is hit at a right angle, 2 m in front, from one configuration.
+        F = chain.poses(chain.random_configurations(2, rng))
+        T = frame_pose(base).homogeneous @ F @ frame_pose(tool).homogeneous
+        planes = {
+            name: PlaneSetup(tuple(beam), -float(beam @ point) - 2.0)
+            for name, beam, point in zip(
+                ("floor", "wall"), T[:, :3, 2], T[:, :3, 3], strict=True
+            )
+        }
+        setup = Setup(
+            parameters=tuple(parameterizations),
+            base_frame=base,
+            tool_frame=tool,
+            planes=planes,
+            **settings,
+        )
+        problem = nominal_problem(chain, model, setup)
+        zero = np.zeros(len(problem.parameters))
+        q, target = observable_configurations(problem, zero, rows, rng)
+        exact = problem.about(zero, q, target)
+        noise = 0.05 * rng.normal(size=exact.sigma.shape)
+        data = replace(
+            exact.data,
+            values=exact.measurement.disturb(exact.data.values, noise),
+            sigma=rng.uniform(0.005, 0.02, noise.shape),
+        )
+        return replace(problem, data=data)
 
     return make
 

@@ -29,7 +29,7 @@ from calib_pin.cli.options import (
     Tip,
     number,
 )
-from calib_pin.cli.printing import notice, show
+from calib_pin.cli.printing import notice, progress_bar, show
 
 if TYPE_CHECKING:
     from calib_pin.result import CalibrationResult
@@ -62,11 +62,15 @@ def calibrate(
     tip: Tip = None,
     parameters: Parameters = None,
     solver: Annotated[
-        str,
+        str | None,
         typer.Option(
-            "--solver", metavar="NAME", help="gauss-newton.", rich_help_panel=FIT
+            "--solver",
+            metavar="NAME",
+            help="gauss-newton (default), de (differential evolution), or hybrid: de, "
+            "then gauss-newton, for errors of centimeters and degrees.",
+            rich_help_panel=FIT,
         ),
-    ] = "gauss-newton",
+    ] = None,
     validation: Annotated[
         Path | None,
         typer.Option(
@@ -101,12 +105,11 @@ def calibrate(
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
-    from calib_pin.errors import OptionError
     from calib_pin.report.text import report
 
-    if solver != "gauss-newton":
-        raise OptionError("unknown solver", value=solver, allowed="gauss-newton")
-    stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
+    stated = open_setup(
+        setup, base=base, tip=tip, model=model, parameters=parameters, solver=solver
+    )
     chain = open_chain(robot, stated)
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else _outputs(output, chain.robot.name)
@@ -122,7 +125,16 @@ def calibrate(
         notice(f"the rows that 'set' marks for validation are not used with {option}")
 
     start = time.perf_counter()
-    result = run(chain, rows, stated, validation=unseen, holdout=holdout, seed=seed)
+    with progress_bar(quiet=quiet) as bar:
+        result = run(
+            chain,
+            rows,
+            stated,
+            validation=unseen,
+            holdout=holdout,
+            seed=seed,
+            progress=bar,
+        )
     seconds = time.perf_counter() - start
     written = []
     if files is not None:

@@ -31,6 +31,7 @@ def open_setup(
     tip: str | None = None,
     model: str | None = None,
     parameters: str | None = None,
+    solver: str | None = None,
 ) -> Setup:
     """The setup file with the flags on top.
 
@@ -45,6 +46,7 @@ def open_setup(
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import parameterization
     from calib_pin.setup import Setup
+    from calib_pin.solve import check_solver
 
     for option, value in (("--base", base), ("--tip", tip)):
         if value is not None and not value.strip():
@@ -57,6 +59,9 @@ def open_setup(
         if len(set(names)) != len(names):
             raise OptionError("a parameterization is named twice", value=parameters)
         setup = replace(setup, parameters=names)
+    if solver is not None:
+        check_solver(solver)
+        setup = replace(setup, solver=replace(setup.solver, name=solver))
     if model is not None:
         check_model(model)
     return replace(

@@ -3,6 +3,8 @@
 from __future__ import annotations
 
 import sys
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import typer
@@ -10,7 +12,7 @@ import typer
 if TYPE_CHECKING:
     from rich.console import RenderableType
 
-__all__ = ["notice", "show"]
+__all__ = ["notice", "progress_bar", "show"]
 
 
 def show(content: RenderableType) -> None:
@@ -32,3 +34,30 @@ def show(content: RenderableType) -> None:
 def notice(message: str) -> None:
     """A remark on standard error that does not stop the run."""
     print(f"calib-pin: note: {message}", file=sys.stderr)
+
+
+@contextmanager
+def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
+    """A bar on standard error while something runs; None where nobody looks at it.
+
+    What it gives takes the name of the stage and the part that is done, 0 to 1.
+    """
+    if quiet or not sys.stderr.isatty():
+        yield None
+        return
+    from rich.console import Console
+    from rich.progress import BarColumn, Progress, TextColumn, TimeRemainingColumn
+
+    columns = (
+        TextColumn("{task.description}", markup=False),
+        BarColumn(),
+        TimeRemainingColumn(),
+    )
+    console = Console(file=sys.stderr, highlight=False, markup=False, emoji=False)
+    with Progress(*columns, console=console, transient=True) as progress:
+        task = progress.add_task("", total=1.0)
+
+        def update(stage: str, part: float) -> None:
+            progress.update(task, description=stage, completed=part)
+
+        yield update

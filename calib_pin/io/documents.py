@@ -150,10 +150,12 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
             "outliers": [asdict(outlier) for outlier in result.outliers],
         },
         "solver": {
-            "name": "gauss-newton",
+            "name": result.solver,
+            "evaluator": result.evaluator,
             "status": result.status.value,
             "iterations": result.iterations,
             "evaluations": result.evaluations,
+            "history": list(result.history),
             "at_bounds": list(result.at_bounds),
             "seconds": provenance.seconds,
             "seed": result.seed,

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import FrameSetup, Setup, SolverSetup
 
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
@@ -92,6 +92,9 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "bounds": dict(setup.bounds),
         "prior": dict(setup.prior),
         "noise": dict(setup.noise),
+        "solver": {}
+        if setup.solver == SolverSetup()
+        else {"name": setup.solver.name, **setup.solver.evolution},
     }
     return {key: value for key, value in data.items() if value}
 

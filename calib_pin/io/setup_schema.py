@@ -7,7 +7,7 @@ slow to import; import this module where a file is read.
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from typing import Annotated, Any
 
 from pydantic import (
@@ -19,11 +19,14 @@ from pydantic import (
     model_validator,
 )
 
+from calib_pin.errors import OptionError
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup, SolverSetup
+from calib_pin.solve import SOLVERS
+from calib_pin.solvers import DifferentialEvolution
 
 __all__ = ["LATER", "SetupFile", "known_keys"]
 
@@ -32,6 +35,9 @@ LATER = ("targets", "distances", "gravity", "payloads", "obstacles", "region")
 
 SMALLEST = 1e-12
 """Smallest standard deviation that can be meant [m, rad]."""
+
+WHOLE = ("population_size", "maxiter")
+"""Options that are whole numbers."""
 
 STEEPEST = 1e6
 """Largest length of a normal, and the inverse of the smallest."""
@@ -65,6 +71,30 @@ def _nonzero(value: object) -> float:
     if number == 0.0:
         raise ValueError("a number other than 0")
     return number
+
+
+def _solver(value: object) -> str:
+    if value not in SOLVERS:
+        raise ValueError(", ".join(SOLVERS))
+    return str(value)
+
+
+def _evolution(option: str) -> Callable[[object], Any]:
+    """Validator of one option of differential evolution, which knows its limits."""
+
+    def check(value: object) -> Any:
+        # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
+        number = as_number(value) if isinstance(value, str) else None
+        plain: Any = value if number is None else number
+        if isinstance(plain, float) and plain.is_integer() and option in WHOLE:
+            plain = int(plain)
+        try:
+            DifferentialEvolution(**{option: plain})
+        except OptionError as error:
+            raise ValueError(error.allowed) from None
+        return plain
+
+    return check
 
 
 def _sign(value: object) -> int:
@@ -229,6 +259,30 @@ class NoiseSection(_Section):
     distance: Positive | None = None
 
 
+class SolverSection(_Section):
+    """`solver`."""
+
+    name: Annotated[str, PlainValidator(_solver)] = SolverSetup().name
+    strategy: Annotated[str, PlainValidator(_evolution("strategy"))] | None = None
+    population_size: (
+        Annotated[int, PlainValidator(_evolution("population_size"))] | None
+    ) = None
+    mutation: Annotated[float, PlainValidator(_evolution("mutation"))] | None = None
+    recombination: (
+        Annotated[float, PlainValidator(_evolution("recombination"))] | None
+    ) = None
+    maxiter: Annotated[int, PlainValidator(_evolution("maxiter"))] | None = None
+    target: Annotated[float, PlainValidator(_evolution("target"))] | None = None
+    tol: Annotated[float, PlainValidator(_evolution("tol"))] | None = None
+    atol: Annotated[float, PlainValidator(_evolution("atol"))] | None = None
+    init: Annotated[str, PlainValidator(_evolution("init"))] | None = None
+
+    def setup(self) -> SolverSetup:
+        """The same as plain data."""
+        options = self.model_dump(exclude_none=True, exclude={"name"})
+        return SolverSetup(self.name, options)
+
+
 class SetupFile(_Section):
     """A whole setup file."""
 
@@ -243,6 +297,7 @@ class SetupFile(_Section):
     bounds: dict[str, Bound] = Field(default_factory=dict)
     prior: dict[str, Positive] = Field(default_factory=dict)
     noise: NoiseSection = NoiseSection()
+    solver: SolverSection = SolverSection()
 
     def setup(self) -> Setup:
         """The same as plain data."""
@@ -259,6 +314,7 @@ class SetupFile(_Section):
             bounds=self.bounds,
             prior=self.prior,
             noise=self.noise.model_dump(exclude_none=True),
+            solver=self.solver.setup(),
         )
 
 
@@ -273,6 +329,7 @@ def known_keys(path: Sequence[str | int]) -> list[str]:
         "planes": PlaneSection,
         "joints": JointSection,
         "noise": NoiseSection,
+        "solver": SolverSection,
     }
     section = SetupFile if len(path) == 1 else sections[path[0]]
     return list(section.model_fields)

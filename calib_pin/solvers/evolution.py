@@ -77,7 +77,7 @@ class EvolutionResult:
     @property
     def success(self) -> bool:
         """Whether the population met, or the cost reached its target."""
-        return self.status in (Status.CONVERGED, Status.TARGET)
+        return self.status.success
 
     @property
     def message(self) -> str:

@@ -19,6 +19,11 @@ class Status(Enum):
     NOT_FINITE = "not finite"
 
     @property
+    def success(self) -> bool:
+        """Whether the solution is a minimum, or good enough by the user's own word."""
+        return self in (Status.CONVERGED, Status.TARGET)
+
+    @property
     def advice(self) -> str:
         """What it means and what to do about it."""
         return {

@@ -1,0 +1,275 @@
+"""The compiled kernels against Pinocchio and numpy, on every robot and every size."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+from itertools import combinations
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin import kernels
+from calib_pin.chain import Chain, Robot
+from calib_pin.errors import RobotError
+from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.kernels import BLOCK
+from calib_pin.many_rows import ManyRows
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.population import PopulationCost
+from calib_pin.problem import Problem
+from calib_pin.segments import Segments
+from calib_pin.spatial import Floats, so3_exp, so3_log
+
+Measured = Callable[..., Problem]
+
+SIZES = (1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 5)
+
+
+def longest_chains(robot: Robot) -> list[Chain]:
+    """The longest chains from the root and between two leaves, as far as there are."""
+    joints: dict[str, set[str]] = {}
+    for leaf in robot.leaves:
+        try:
+            joints[leaf] = set(Chain(robot, tip=leaf).joints)
+        except RobotError as error:
+            assert "no moving joint" in str(error) or "cannot contain" in str(error)
+    chains = []
+    if joints:
+        chains.append(Chain(robot, tip=max(joints, key=lambda leaf: len(joints[leaf]))))
+    pairs = [(a, b) for a, b in combinations(joints, 2) if joints[a] ^ joints[b]]
+    if pairs:
+        ends = max(pairs, key=lambda pair: len(joints[pair[0]] ^ joints[pair[1]]))
+        chains.append(Chain(robot, *ends))
+    return chains
+
+
+def problems(path: Path, measured: Measured) -> Iterator[Problem]:
+    """Every measurement model on the longest chains of a robot."""
+    robot = load_robot(path)
+    for chain in longest_chains(robot):
+        for model in MEASUREMENT_MODELS:
+            yield measured(chain, model, ("placement", "dh"), 7, len(robot.source))
+
+
+def members(problem: Problem, sizes: tuple[float, ...]) -> Floats:
+    """Parameters of a size each: base, tool, robot and planes."""
+    shape = len(sizes), len(problem.parameters)
+    return np.random.default_rng(4).normal(size=shape) * np.array(sizes)[:, None]
+
+
+def kernel_poses(problem: Problem, theta: Floats, groups: tuple[int, ...]) -> Floats:
+    """Tool poses of the error model by the kernels, rows in groups."""
+    segments = Segments.of(problem.error)
+    (chain,) = segments.links(problem.split(theta)[0][None])
+    q = problem.data.q * segments.signs
+    motion, starts = kernels.motions(q, segments.revolute, groups)
+    T = np.full((len(q), 4, 4), np.nan)
+    kernels.poses(chain, motion, starts, T)
+    return T
+
+
+# Every robot of example-robot-data.
+
+
+def test_poses_agree_with_pinocchio(example_robot: Path, measured: Measured) -> None:
+    for problem in problems(example_robot, measured):
+        for theta in members(problem, (0.0, 0.05, 0.5)):
+            expected = problem.error.poses(problem.data.q, problem.split(theta)[0])
+            found = kernel_poses(problem, theta, ())
+            # Errors of half a radian about axes that nearly meet far away reach far.
+            size = np.abs(expected).max()
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * size)
+
+
+def test_costs_agree_with_pinocchio(example_robot: Path, measured: Measured) -> None:
+    for problem in problems(example_robot, measured):
+        # A beam of a distance hits at less than 70 degrees at nominal; errors of this
+        # size leave it far from grazing, where rounding would be magnified.
+        large = 0.02 if problem.measurement.name == "plane-distance" else 0.5
+        theta = members(problem, (0.0, 1e-4, large, large))
+        costs = PopulationCost(problem)
+        assert costs.evaluator == "kernel"
+        expected = [problem.cost(member) for member in theta]
+        np.testing.assert_allclose(costs(theta), expected, rtol=1e-12, atol=0)
+
+
+def test_jacobians_agree_with_pinocchio(
+    example_robot: Path, measured: Measured
+) -> None:
+    for problem in problems(example_robot, measured):
+        rows = ManyRows(
+            problem.error, problem.measurement, problem.data, problem.sigma
+        )
+        (theta,) = members(problem, (0.02,))
+        r, J = problem.linearize(theta)
+        lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)
+        lengths[lengths == 0.0] = 1.0
+        expected = products(r, J) / np.outer(lengths, lengths)
+        for reduced in (rows.triangular, rows.normal):
+            found = products(*reduced(*problem.split(theta)))
+            found /= np.outer(lengths, lengths)
+            np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12)
+
+
+def products(r: Floats, J: Floats) -> Floats:
+    """All products of columns, `[J r]^T [J r]`."""
+    columns = np.column_stack([J, r])
+    return np.asarray(columns.T @ columns)
+
+
+# Blocks.
+
+
+@pytest.mark.parametrize("rows", SIZES)
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
+    problem = measured(load_chain("space6"), model, ["placement"], rows)
+    theta = members(problem, (0.02, 0.02, 0.0))
+    expected = [problem.cost(member) for member in theta]
+    found = PopulationCost(problem)(theta)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    "groups",
+    [
+        (1, 1, 1),
+        (BLOCK, BLOCK),
+        (BLOCK - 1, 1),
+        (5, BLOCK + 7, 2 * BLOCK),
+        (3 * BLOCK + 1, 0, 2),
+    ],
+)
+def test_every_group_begins_a_new_block(
+    groups: tuple[int, ...], measured: Measured
+) -> None:
+    chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
+    problem = measured(chain, "position", ["placement"], sum(groups))
+    _, starts = kernels.motions(problem.data.q, chain.revolute, groups)
+    assert set(np.cumsum((0, *groups))) <= set(starts.tolist())
+    assert 0 < np.diff(starts).min() and np.diff(starts).max() <= BLOCK
+    assert len(starts) - 1 == sum(-(-size // BLOCK) for size in groups)
+    (theta,) = members(problem, (0.05,))
+    expected = problem.error.poses(problem.data.q, problem.split(theta)[0])
+    found = kernel_poses(problem, theta, groups)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
+
+
+def test_motions_of_turning_and_shifting_joints() -> None:
+    q = np.array([[0.3, -0.7, 40.0], [1.2, 0.4, -2.0], [0.0, 2.0, 0.1]])
+    revolute = np.array([True, False, True])
+    motion, starts = kernels.motions(q, revolute, (2, 1))
+    assert starts.tolist() == [0, 2, 3]
+    assert motion.shape == (2, 3, 3 * BLOCK)
+    parts = motion.reshape(2, 3, 3, BLOCK)
+    for block, k, row in ((0, 0, 0), (0, 1, 1), (1, 0, 2)):
+        for joint, position in enumerate(q[row]):
+            turn = [np.cos(position), np.sin(position), 0.0]
+            expected = turn if revolute[joint] else [1.0, 0.0, position]
+            np.testing.assert_allclose(parts[block, joint, :, k], expected, rtol=1e-15)
+    # What lies behind the rows of a block is never read, but stays finite.
+    assert not parts[0, :, :, 2:].any() and not parts[1, :, :, 1:].any()
+
+
+# Screws.
+
+
+def link_of(twist: Floats, amount: float) -> Floats:
+    """Link (R | p) of a single screw on the identity, shape (3, 4)."""
+    result = np.empty((1, 1, 12))
+    one = np.zeros(1, np.int64)
+    nominal = np.eye(4)[None, :3].reshape(1, 12)
+    kernels.links(nominal, one, one, twist[None], np.array([[amount]]), result)
+    return np.asarray(result.reshape(3, 4))
+
+
+@pytest.mark.parametrize("sign", [1.0, -1.0])
+@pytest.mark.parametrize(
+    "angle",
+    [1e-12, 1e-6, 1e-3, 9.9e-3, 1e-2 - 1e-9, 1e-2 + 1e-9, 1.1e-2, 0.1, 1.0, 3.0]
+    + [np.pi, 2.0 * np.pi, 6.0, 40.0],
+)
+def test_screws_of_any_angle(angle: float, sign: float) -> None:
+    """The closed form takes over from the series at 1e-2."""
+    rng = np.random.default_rng(6)
+    for speed in (1.0, 0.03, 5.0):
+        linear, axis = rng.normal(size=(2, 3))
+        twist = np.concatenate([linear, speed * axis / np.linalg.norm(axis)])
+        amount = sign * angle / speed
+        expected = pin.exp6(twist * amount).homogeneous[:3]
+        found = link_of(twist, amount)
+        # Relative to the motion, which near zero is far smaller than the identity.
+        np.testing.assert_allclose(
+            found[:, 3], expected[:, 3], rtol=0, atol=1e-14 * np.linalg.norm(expected[:, 3])
+        )
+        np.testing.assert_allclose(found[:, :3], expected[:, :3], rtol=0, atol=5e-15)
+        turn = found[[2, 0, 1], [1, 2, 0]] - found[[1, 2, 0], [2, 0, 1]]
+        exact = 2.0 * np.sin(sign * angle) * twist[3:] / speed
+        np.testing.assert_allclose(turn, exact, rtol=1e-13, atol=2e-14)
+
+
+@pytest.mark.parametrize("amount", [1e-9, -0.3, 7.0])
+def test_a_screw_without_rotation_shifts(amount: float) -> None:
+    found = link_of(np.array([0.6, 0.0, -0.8, 0.0, 0.0, 0.0]), amount)
+    np.testing.assert_array_equal(found[:, :3], np.eye(3))
+    np.testing.assert_allclose(found[:, 3], [0.6 * amount, 0.0, -0.8 * amount])
+
+
+# Rotation vectors.
+
+
+@pytest.mark.parametrize(
+    "angle",
+    [0.0, 1e-300, 1e-15, 1e-12, 1e-8, 1e-4, 1.0, np.pi / 2, 2 * np.pi / 3, 3.0]
+    + [np.pi - 1e-4, np.pi - 1e-7, np.pi - 1e-10],
+)
+def test_rotation_vectors(angle: float) -> None:
+    # Every component takes its turn at being the largest.
+    axes = np.random.default_rng(7).normal(size=(20, 3))
+    axes = np.concatenate([np.eye(3), -np.eye(3), [[1, 1, 1], [1, -1, 0]], axes])
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    for R in so3_exp(angle * axes):
+        found = kernels._rotation_vector(R)
+        np.testing.assert_allclose(found, so3_log(R), rtol=1e-12, atol=1e-15)
+
+
+def test_rotation_vectors_of_half_turns() -> None:
+    """Either sign is right."""
+    axes = np.random.default_rng(7).normal(size=(20, 3))
+    axes = np.concatenate([np.eye(3), axes])
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    for axis, R in zip(axes, so3_exp(np.pi * axes), strict=True):
+        found = np.array(kernels._rotation_vector(R))
+        assert np.linalg.norm(found) == pytest.approx(np.pi, rel=1e-14)
+        assert abs(found @ axis) == pytest.approx(np.pi, rel=1e-14)
+
+
+# Triangular factors.
+
+
+def test_householder_agrees_with_numpy() -> None:
+    """Rows of one joint that stands still: the kernel's columns are plain ones."""
+    rng = np.random.default_rng(8)
+    rows, d, own = 2 * BLOCK + 9, 2, 3
+    by_twist, others = rng.normal(size=(rows, d, 6)), rng.normal(size=(rows, d, own))
+    weights = rng.uniform(0.5, 2.0, (rows, d))
+    chain = np.tile(np.eye(4)[:3].reshape(-1), (2, 1))
+    chain[1, 3] = 0.7  # The second link shifts along x.
+    motion, starts = kernels.motions(np.zeros((rows, 1)), np.array([True]))
+    size = 16  # 12 + 3, and a column of padding.
+    R, H = np.empty((size, size)), np.empty((size, size))
+    kernels.triangular_factor(chain, motion, starts, by_twist, others, weights, R)
+    kernels.normal_equations(chain, motion, starts, by_twist, others, weights, H)
+
+    tool = pin.SE3(np.eye(3), np.array([0.7, 0.0, 0.0]))
+    columns = [by_twist @ tool.toActionMatrixInverse(), by_twist, others]
+    A = (np.concatenate(columns, axis=2) * weights[:, :, None]).reshape(-1, 15)
+    np.testing.assert_allclose(np.tril(H[:15, :15]), np.tril(A.T @ A), atol=1e-10)
+    assert not H[15].any() and not R[:, 15].any()
+    assert not np.tril(R, -1).any()
+    np.testing.assert_allclose((R.T @ R)[:15, :15], A.T @ A, atol=1e-10)
+    independent = [0, 1, 2, 3, 4, 5]
+    expected = np.abs(np.linalg.qr(A[:, independent], mode="r"))
+    np.testing.assert_allclose(np.abs(R[:6, :6]), expected, rtol=0, atol=1e-12)

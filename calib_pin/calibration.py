@@ -37,6 +37,7 @@ from calib_pin.result import (
     QuantityErrors,
 )
 from calib_pin.setup import Setup
+from calib_pin.spatial import Floats
 
 __all__ = ["calibrate", "evaluate", "identify", "make_problem", "nominal_problem"]
 
@@ -126,17 +127,18 @@ def calibrate(
         return fit(problem, np.random.default_rng(seed), progress=report)
 
     fitted = run(training, 0)
-    pairs: list[tuple[Fit, Measurements]] = []
+    checks: list[tuple[Floats, Floats]] = []
     if not validate:
         method = "none"
     elif unseen is not None:
-        pairs = [(fitted, unseen)]
+        checks = [_unseen_errors(fitted, unseen)]
     else:
         folds = _folds(training, fitted, seed)
         for k, rows in enumerate(folds, 1):
-            pairs.append((run(training.rows(~rows), k), training.rows(rows)))
+            part = run(training.rows(~rows), k)
+            checks.append(_unseen_errors(part, training.rows(rows)))
         method = f"{len(folds)}-fold" if folds else "none"
-    errors = tuple(_quantity_errors(fitted, pairs))
+    errors = tuple(_quantity_errors(fitted, checks))
     status, reason = verdict(fitted, errors)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
@@ -150,7 +152,7 @@ def calibrate(
         errors=errors,
         validation=method,
         training=len(training),
-        validated=sum(len(rows) for _, rows in pairs),
+        validated=sum(len(before) for before, _ in checks),
         chi2=2.0 * fitted.result.cost,
         dof=fitted.dof,
         sigma0=fitted.sigma0,
@@ -306,25 +308,25 @@ def _split(
             raise OptionError(
                 "holdout is out of range", value=holdout, allowed="between 0 and 1"
             )
-        order = _shuffled_groups(training, seed)
+        labels, order = _shuffled_groups(training, seed)
         count = max(1, round(holdout * len(training)))
-        size = np.cumsum([len(group) for group in order])
-        chosen = order[: int(np.searchsorted(size, count)) + 1]
-        mask = np.zeros(len(training), bool)
-        mask[np.concatenate(chosen)] = True
+        size = np.cumsum(np.bincount(labels)[order])
+        chosen = np.zeros(len(order), bool)
+        chosen[order[: int(np.searchsorted(size, count)) + 1]] = True
+        mask = chosen[labels]
         if mask.all():
             raise OptionError("holdout leaves no row to fit", value=holdout)
         return training.rows(~mask), training.rows(mask), "holdout"
     return training, unseen if len(unseen) else None, "set"
 
 
-def _shuffled_groups(rows: Measurements, seed: int) -> list[NDArray[np.int64]]:
-    """Row numbers of repeated configurations, groups in random order."""
+def _shuffled_groups(
+    rows: Measurements, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Group of each row, (N,), and the groups of repetitions in random order."""
     labels = rows.groups()
-    sizes = np.bincount(labels)
-    members = np.split(np.argsort(labels, kind="stable"), np.cumsum(sizes)[:-1])
-    order = np.random.default_rng(seed).permutation(len(sizes))
-    return [members[label] for label in order]
+    count = int(labels.max(initial=-1)) + 1
+    return labels, np.random.default_rng(seed).permutation(count)
 
 
 def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
@@ -332,14 +334,15 @@ def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]
 
     What is fitted without a part must still determine the robot and every plane.
     """
-    groups = _shuffled_groups(rows, seed)
-    if len(groups) < FOLDS:
+    labels, order = _shuffled_groups(rows, seed)
+    if len(order) < FOLDS:
         return []
+    fold = np.empty(len(order), np.int64)
+    fold[order] = np.arange(len(order)) % FOLDS
     targets = np.array(rows.target)
     masks = []
     for k in range(FOLDS):
-        mask = np.zeros(len(rows), bool)
-        mask[np.concatenate(groups[k::FOLDS])] = True
+        mask = fold[labels] == k
         rest = rows.rows(~mask)
         values = rest.configurations * fitted.problem.components
         if values <= fitted.structure.rank or any(
@@ -351,31 +354,21 @@ def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]
     return masks
 
 
+def _unseen_errors(part: Fit, rows: Measurements) -> tuple[Floats, Floats]:
+    """Errors of unseen rows before and after a fit, shape (N, d) each."""
+    problem = replace(part.problem, data=rows)
+    return problem.errors(part.before), problem.errors(part.theta)
+
+
 def _quantity_errors(
-    fitted: Fit, pairs: Sequence[tuple[Fit, Measurements]]
+    fitted: Fit, checks: Sequence[tuple[Floats, Floats]]
 ) -> Iterator[QuantityErrors]:
     """Accuracy before and after, on the fitted and on the unseen rows."""
-    before = fitted.problem.errors(fitted.before)
-    after = fitted.problem.errors(fitted.theta)
-    unseen = [(part, replace(part.problem, data=rows)) for part, rows in pairs]
+    stages = [fitted.problem.errors(theta) for theta in (fitted.before, fitted.theta)]
+    unseen = [np.concatenate(parts) for parts in zip(*checks, strict=True)]
     for quantity in fitted.problem.measurement.quantities:
-        accuracies: list[Accuracy | None] = [None, None]
-        if unseen:
-            accuracies = [
-                Accuracy.of(
-                    np.concatenate(
-                        [quantity.errors(residual) for residual in residuals]
-                    )
-                )
-                for residuals in (
-                    [problem.errors(part.before) for part, problem in unseen],
-                    [problem.errors(part.theta) for part, problem in unseen],
-                )
-            ]
+        before, after = (Accuracy.of(quantity.errors(errors)) for errors in stages)
+        accuracies = [Accuracy.of(quantity.errors(errors)) for errors in unseen]
         yield QuantityErrors(
-            quantity.name,
-            quantity.unit,
-            Accuracy.of(quantity.errors(before)),
-            Accuracy.of(quantity.errors(after)),
-            *accuracies,
+            quantity.name, quantity.unit, before, after, *(accuracies or (None, None))
         )

@@ -564,7 +564,8 @@ def _eliminate(columns: Floats, R: Floats) -> None:
     for j in range(len(R)):
         a = columns[j]
         square = _dot(a, a)
-        if square == 0.0:
+        # With fewer rows than columns rounding of rounding is left, down to underflow.
+        if square < 1e-290:
             continue
         head = R[j, j]
         length = hypot(head, sqrt(square))

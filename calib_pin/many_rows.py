@@ -28,9 +28,9 @@ from calib_pin.threads import Threads
 
 __all__ = ["ManyRows"]
 
-CHUNK = 32 * kernels.BLOCK
-"""Rows of a chunk, which fit into a processor's cache. It is the same for any number
-of threads, so that sums have one order."""
+CHUNK = 128 * kernels.BLOCK
+"""Rows of a chunk. It is the same for any number of threads, so that sums have one
+order, and so large that threads seldom wait for the interpreter."""
 
 
 class ManyRows:

@@ -96,10 +96,10 @@ class Measurements:
             q=self.q[order],
             values=self.values[order],
             sigma=None if self.sigma is None else self.sigma[order],
-            target=tuple(self.target[i] for i in order),
+            target=tuple(map(self.target.__getitem__, order.tolist())),
             validate=self.validate[order],
             lines=self.lines[order],
-            files=tuple(self.files[i] for i in order),
+            files=tuple(map(self.files.__getitem__, order.tolist())),
         )
 
     def sample(self, count: int) -> Measurements:
@@ -119,6 +119,8 @@ class Measurements:
 
     def split(self) -> tuple[Measurements, Measurements]:
         """The training rows and the validation rows, by the `set` column."""
+        if not self.validate.any():
+            return self, self.rows(self.validate)
         return self.rows(~self.validate), self.rows(self.validate)
 
     def groups(self) -> NDArray[np.int64]:
@@ -127,23 +129,25 @@ class Measurements:
         Rows of one configuration are repetitions: with one of them fitted the others
         are no longer unseen.
         """
+        # A label is the number of rows in the groups before: to split a group leaves
+        # all others as they are, and a row that stands alone is done with.
         label = np.zeros(len(self), np.int64)
+        shared = np.arange(len(self))
         found = -1
         # Split by one joint after the other at gaps in the sorted positions, until
         # nothing splits: rounding to a grid would part neighbors across its edges.
-        while label.max(initial=-1) != found:
-            found = label.max(initial=-1)
+        while len(shared) and len(shared) != found:
+            found = len(shared)
             for position in self.q.T:
-                order = np.lexsort((position, label))
-                apart = np.diff(label[order]) != 0
-                apart |= np.diff(position[order]) > SAME
-                label[order] = np.concatenate([[0], np.cumsum(apart)])
-        return label
+                shared = _split_groups(label, shared, position)
+        used = np.zeros(len(self) + 1, np.int64)
+        used[label] = 1
+        return np.asarray((np.cumsum(used) - 1)[label])
 
     @cached_property
     def configurations(self) -> int:
         """Number of different configurations; repetitions show nothing new."""
-        return len(np.unique(self.groups()))
+        return int(self.groups().max(initial=-1)) + 1
 
     def place(self, row: int) -> str:
         """Where a row stands, as `file:line`, or `row k` where there is no file."""
@@ -181,3 +185,31 @@ class Measurements:
             lines=np.concatenate([part.lines for part in parts]),
             files=sum((part.files for part in parts), ()),
         )
+
+
+def _split_groups(
+    label: NDArray[np.int64], shared: NDArray[np.int64], position: Floats
+) -> NDArray[np.int64]:
+    """Split groups of rows at gaps between the positions of one joint.
+
+    Args:
+        label: Label of every row, shape (N,); changed in place.
+        shared: The rows of groups of more than one, ascending order not needed.
+        position: Positions of the joint, shape (N,).
+
+    Returns:
+        The rows of groups of more than one that are left.
+    """
+    order = shared[np.lexsort((position[shared], label[shared]))]
+    if len(order) == 0:
+        return order
+    old = label[order]
+    place = np.arange(len(order))
+    begins = np.concatenate([[True], np.diff(old) != 0])
+    apart = begins.copy()
+    apart[1:] |= np.diff(position[order]) > SAME
+    group_begin = np.maximum.accumulate(np.where(begins, place, 0))
+    begin = np.maximum.accumulate(np.where(apart, place, 0))
+    label[order] = old + begin - group_begin
+    sizes = np.diff(np.append(np.flatnonzero(apart), len(order)))
+    return np.asarray(order[np.repeat(sizes > 1, sizes)])

@@ -132,6 +132,56 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     "no measurements": ("calibrate arm.urdf -o out", {}, "MEASUREMENTS"),
     "option without value": (f"{CALIBRATE} --setup", {}, "--setup|argument"),
     "unknown solver": (f"{CALIBRATE} --solver lm", {}, "solver|'lm'|gauss-newton"),
+    "population too small": (
+        SETUP,
+        {"bad.yaml": "solver:\n  name: de\n  population_size: 3\n"},
+        "bad.yaml:3|solver.population_size|'3'|a whole number, 4 or more",
+    ),
+    "recombination out of range": (
+        SETUP,
+        {"bad.yaml": "solver: {recombination: 1.2}\n"},
+        "bad.yaml:1|solver.recombination|'1.2'|0 to 1",
+    ),
+    "unknown mutation": (
+        SETUP,
+        {"bad.yaml": "solver: {name: hybrid, strategy: rand/2}\n"},
+        "bad.yaml:1|solver.strategy|'rand/2'|rand/1, best/1, rand-to-best/1",
+    ),
+    "mutation of zero": (
+        SETUP,
+        {"bad.yaml": "solver: {mutation: 0}\n"},
+        "bad.yaml:1|solver.mutation|'0'|more than 0, up to 2",
+    ),
+    "half a generation": (
+        SETUP,
+        {"bad.yaml": "solver: {maxiter: 2.5}\n"},
+        "bad.yaml:1|solver.maxiter|'2.5'|a whole number",
+    ),
+    "a word for a number": (
+        SETUP,
+        {"bad.yaml": "solver: {tol: tight}\n"},
+        "bad.yaml:1|solver.tol|'tight'|0 or more",
+    ),
+    "unknown solver in the setup": (
+        SETUP,
+        {"bad.yaml": "solver: {name: simplex}\n"},
+        "bad.yaml:1|solver.name|'simplex'|gauss-newton, de, hybrid",
+    ),
+    "unknown option of the solver": (
+        SETUP,
+        {"bad.yaml": "solver: {popsize: 15}\n"},
+        "bad.yaml:1|solver.popsize|did you mean 'population_size'",
+    ),
+    "bounds reversed": (
+        SETUP,
+        {"bad.yaml": "bounds: {'*.placement.x': [0.01, -0.01]}\n"},
+        "bad.yaml:1|bounds|0.01",
+    ),
+    "bounds infinite": (
+        SETUP,
+        {"bad.yaml": "bounds: {'*.placement.x': .inf}\n"},
+        "bad.yaml:1|bounds|.inf",
+    ),
     "unknown parameterization": (
         f"{CALIBRATE} --parameters placements",
         {},

@@ -231,6 +231,8 @@ CONTRACT = {
     "statistics": {"chi2": NUMBER, "dof": int, "sigma0": NUMBER, "outliers": list},
     "solver": {
         "name": str,
+        "evaluator": str,
+        "history": list,
         "status": str,
         "iterations": int,
         "evaluations": int,
@@ -329,6 +331,27 @@ def test_what_is_written(command, quantities, here, run):
         *f"{command} -o out --seed 7".split(),
     ]
     assert ("wall" in found["planes"]) == ("plane" in command)
+
+
+@pytest.mark.parametrize("solver", ["de", "hybrid"])
+def test_solvers_by_option_and_by_setup_file(here, run, solver):
+    assert run(f"{POSITION} -o plain").status == 0
+    with Path("setup.yaml").open("a") as file:
+        file.write("solver: {name: de, population_size: 40}\n")
+    result = run(f"{POSITION} --solver {solver} -o out")
+    assert (result.status, result.err) == (0, "")
+    found, plain = document("out"), document("plain")
+    assert found["solver"]["name"] == solver
+    assert found["solver"]["evaluator"] == "kernel"
+    history = found["solver"]["history"]
+    assert history == sorted(history, reverse=True)
+    assert found["solver"]["iterations"] >= len(history) - 1 > 10
+    assert found["setup"]["solver"] == {"name": solver, "population_size": 40}
+    assert found["statistics"]["chi2"] == pytest.approx(
+        plain["statistics"]["chi2"], rel=1e-9 if solver == "hybrid" else 0.02
+    )
+    # A result says how it was solved, and reads back.
+    assert run("evaluate out/calibration.json new.csv").status == 0
 
 
 def test_the_corrected_robot_is_better(here, run):

@@ -12,7 +12,7 @@ import pytest
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup
 from calib_pin.io.yaml_tree import read_tree
-from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup, SolverSetup
 
 
 @pytest.fixture
@@ -66,6 +66,8 @@ fixed: ["*.placement.z", base.frame.x]
 bounds: {"*.placement.x": 0.01, "*.dh.*": [-0.1, 0.2]}
 prior: {"*.placement.*": 0.002}
 noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4"}
+solver: {name: hybrid, strategy: best/1, population_size: 60, mutation: "0.7",
+  recombination: 1, maxiter: 5e2, target: 1e-3, tol: 0, atol: 1e-9, init: random}
 """
 
 
@@ -89,6 +91,20 @@ def test_every_key(write):
         bounds={"*.placement.x": 0.01, "*.dh.*": (-0.1, 0.2)},
         prior={"*.placement.*": 0.002},
         noise={"position": 1e-4, "orientation": 5e-4, "distance": 2e-4},
+        solver=SolverSetup(
+            "hybrid",
+            {
+                "strategy": "best/1",
+                "population_size": 60,
+                "mutation": 0.7,
+                "recombination": 1,
+                "maxiter": 500,
+                "target": 1e-3,
+                "tol": 0,
+                "atol": 1e-9,
+                "init": "random",
+            },
+        ),
     )
 
 

@@ -1,0 +1,182 @@
+"""Solvers on calibration problems: search, Gauss-Newton, and both after one another."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import make_problem, nominal_problem
+from calib_pin.errors import OptionError
+from calib_pin.fit import Fit, fit
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.problem import Problem
+from calib_pin.setup import Setup, SolverSetup
+from calib_pin.solvers import Status
+
+RANGER = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
+NOISE = 1e-4
+
+
+def ranger_problem(
+    seed: int,
+    *,
+    length: float,
+    angle: float,
+    count: int = 60,
+    noise: float = NOISE,
+    setup: Setup = RANGER,
+) -> tuple[Problem, np.ndarray]:
+    """`space6` with uniform DH errors up to a length and an angle, and the truth."""
+    rng = np.random.default_rng(seed)
+    nominal = nominal_problem(calib_pin.load_chain("space6"), "plane-distance", setup)
+    parameters = nominal.parameters
+    moved = parameters.free & ~parameters.nuisance
+    largest = [length if p.unit == "m" else angle for p in parameters]
+    truth = np.where(moved, rng.uniform(-1.0, 1.0, len(parameters)) * largest, 0.0)
+    rows = calib_pin.simulate(nominal, truth, rng, count=count, noise=noise)
+    return make_problem(nominal.error.chain, rows, setup), truth
+
+
+def solved(problem: Problem, name: str, **evolution: str | float) -> Fit:
+    setup = replace(problem.setup, solver=SolverSetup(name, evolution))
+    return fit(replace(problem, setup=setup), np.random.default_rng(0))
+
+
+def test_hybrid_solves_starts_from_which_gauss_newton_alone_may_fail() -> None:
+    found = {"gauss-newton": 0, "hybrid": 0}
+    for seed in range(20):
+        problem, _ = ranger_problem(seed, length=0.05, angle=np.radians(5.0))
+        for name in found:
+            found[name] += bool(solved(problem, name).sigma0 < 1.5)
+    assert found["hybrid"] >= 19
+    assert found["gauss-newton"] < found["hybrid"]
+
+
+def test_all_solvers_agree_on_errors_of_expected_size() -> None:
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, count=100)
+    plain, search, both = (
+        solved(problem, name) for name in ("gauss-newton", "de", "hybrid")
+    )
+    assert both.result.cost == pytest.approx(plain.result.cost, rel=1e-10)
+    assert search.result.cost == pytest.approx(plain.result.cost, rel=1e-2)
+    assert search.result.cost >= plain.result.cost * (1.0 - 1e-10)
+    assert plain.rank == search.rank == both.rank == 24
+    # The search does not wander in directions that nothing sees.
+    sigma = np.sqrt(np.diag(plain.covariance))
+    assert (np.abs(search.theta - plain.theta) <= 0.5 * sigma + 1e-9).all()
+
+
+def test_what_was_done_is_in_the_fit() -> None:
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
+    plain = solved(problem, "gauss-newton")
+    assert (plain.solver, plain.evaluator, plain.evolution) == (
+        "gauss-newton",
+        "pinocchio",
+        None,
+    )
+    search = solved(problem, "de", population_size=20, maxiter=7)
+    assert (search.solver, search.evaluator) == ("de", "kernel")
+    assert search.evolution is not None
+    assert search.evolution.population.shape == (20, 24)
+    assert len(search.evolution.best_history) == 8
+    assert search.result.nfev > search.evolution.nfev  # The registration as well.
+
+
+class Unbatched(PlaneDistance):
+    """A measurement model that no kernel knows."""
+
+    batch = None  # type: ignore[assignment]
+
+
+def test_without_a_kernel_a_loop_does_the_same() -> None:
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, count=30)
+    known = problem.measurement
+    assert isinstance(known, PlaneDistance)
+    slow = replace(problem, measurement=Unbatched(known.planes))
+    options = {"population_size": 8, "maxiter": 3}
+    fast, loop = (solved(p, "de", **options) for p in (problem, slow))
+    assert (fast.evaluator, loop.evaluator) == ("kernel", "loop")
+    np.testing.assert_allclose(loop.theta, fast.theta, rtol=1e-9, atol=1e-15)
+
+
+def test_a_search_that_was_cut_short_is_not_trusted() -> None:
+    problem, _ = ranger_problem(0, length=3e-3, angle=3e-3)
+    chain, rows = problem.error.chain, problem.data
+    short = replace(RANGER, solver=SolverSetup("de", {"maxiter": 5}))
+    result = calib_pin.calibrate(chain, rows, short, validate=False)
+    assert result.status is Status.GENERATIONS
+    assert result.verdict == "untrusted" and "hybrid" in result.reason
+    assert len(result.history) == 6
+    enough = replace(RANGER, solver=SolverSetup("de", {"target": result.chi2}))
+    result = calib_pin.calibrate(chain, rows, enough, validate=False)
+    assert result.status is Status.TARGET
+    assert result.chi2 <= 2.0 * 2.0 * result.history[-1] + 1e-9
+
+
+def test_a_search_keeps_to_bounds_and_fixed_parameters() -> None:
+    setup = replace(RANGER, bounds={"joint_2.dh.a": 2e-4}, fixed=("joint_5.*",))
+    problem, truth = ranger_problem(5, length=2e-3, angle=2e-3, setup=setup)
+    k = problem.parameters.index("joint_2.dh.a")
+    assert abs(truth[k]) > 1e-3
+    fixed = [name.startswith("joint_5.") for name in problem.parameters.names]
+    for name in ("de", "hybrid"):
+        found = solved(problem, name)
+        assert found.theta[k] == np.sign(truth[k]) * 2e-4
+        assert (found.theta[fixed] == 0.0).all()
+
+
+def test_large_errors_reveal_directions_that_nominal_geometry_hides() -> None:
+    small, _ = ranger_problem(2, length=1e-3, angle=1e-3)
+    large, _ = ranger_problem(2, length=0.05, angle=np.radians(5.0))
+    assert solved(small, "gauss-newton").rank == 24
+    found = solved(large, "hybrid")
+    assert found.structure.rank == 24 < found.rank
+    assert found.sigma0 == pytest.approx(1.0, abs=0.4)
+
+
+def test_rounding_reveals_nothing() -> None:
+    """What 24 directions have explained without noise leaves no 25th to find."""
+    problem, _ = ranger_problem(1, length=1e-3, angle=1e-3)
+    found = solved(problem, "gauss-newton")
+    exact = found.problem.about(found.theta, problem.data.q, problem.data.target)
+    again = solved(exact, "gauss-newton")
+    assert again.rank == 24
+    assert np.abs(again.problem.errors(again.theta)).max() < 1e-12
+
+
+def test_progress_goes_from_stage_to_stage() -> None:
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
+    setup = replace(RANGER, solver=SolverSetup("hybrid", {"population_size": 20}))
+    seen: list[tuple[str, float]] = []
+    calib_pin.calibrate(
+        problem.error.chain,
+        problem.data,
+        setup,
+        progress=lambda stage, part: seen.append((stage, part)),
+    )
+    stages = list(dict.fromkeys(stage for stage, _ in seen))
+    assert stages == ["fit", *(f"check {k} of 5" for k in range(1, 6))]
+    parts = [part for _, part in seen]
+    assert parts == sorted(parts) and parts[0] == 0.0 and 5 / 6 < parts[-1] <= 1.0
+
+
+@pytest.mark.parametrize(
+    ("solver", "message"),
+    [
+        (SolverSetup("lm"), "unknown solver 'lm'; allowed: gauss-newton, de, hybrid"),
+        (
+            SolverSetup("de", {"recombination": 1.5}),
+            "recombination cannot be used (value 1.5); allowed: 0 to 1",
+        ),
+        (SolverSetup("gauss-newton", {"maxiter": 0}), "maxiter cannot be used"),
+    ],
+)
+def test_options_that_do_not_exist(solver: SolverSetup, message: str) -> None:
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
+    setup = replace(RANGER, solver=solver, file="lab.yaml")
+    with pytest.raises(OptionError) as caught:
+        fit(replace(problem, setup=setup), np.random.default_rng(0))
+    assert str(caught.value).startswith(f"lab.yaml: {message}")

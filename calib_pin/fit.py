@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 
@@ -21,6 +22,9 @@ from calib_pin.problem import Problem, observable_configurations
 from calib_pin.solve import Progress, Solved, Solver, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
+
+EXPLAINED = 1e-18
+"""Part of the cost of the nominal robot below which everything is explained."""
 
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
@@ -115,33 +119,14 @@ def _fit(
     if problem.held_at:
         r, J = problem.linearize(nominal)
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
-
-    def solve(directions: Directions) -> None:
-        previous = _within(solutions[-1], directions, parameters) if solutions else None
-        found = solver.solve(problem, directions, nominal, previous)
-        solutions.append(_judge(problem, directions, found))
-
-    def choose(sigma0: float | None) -> Directions:
-        return practical_directions(J, r, problem.count, parameters, visible, sigma0)
-
-    solutions: list[_Solution] = []
+    choose = partial(practical_directions, J, r, problem.count, parameters, visible)
+    stages = _Stages(problem, solver, nominal)
     # A search takes errors for which the linear prediction of sigma0 is no good.
-    directions = choose(0.0 if solver.searches else None)
-    tried: set[int] = set()
-    while directions.count not in tried:
-        tried.add(directions.count)
-        solve(directions)
-        if np.isfinite(solutions[-1].sigma0):
-            directions = choose(solutions[-1].sigma0)
-    while np.isfinite(solutions[-1].sigma0):
-        last = solutions[-1]
-        directions = pruned(last.directions, last.result.jac, parameters, last.sigma0)
-        if directions.count == last.directions.count:
-            break
-        solve(directions)
+    stages.grow(choose(0.0 if solver.searches else None), choose)
+    stages.prune()
+    stages.extend(EXPLAINED * before.cost)
 
-    if np.isfinite(solutions[-1].sigma0):
-        _extend(solutions, solve, parameters)
+    solutions = stages.solutions
     last = solutions[-1]
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
     return Fit(
@@ -168,25 +153,73 @@ def _fit(
     )
 
 
-def _extend(
-    solutions: list[_Solution],
-    solve: Callable[[Directions], None],
-    parameters: ParameterSet,
-) -> None:
-    """Move directions that large errors have made visible, if that explains a lot.
+class _Stages:
+    """Solutions in one choice of directions after the other; the last one counts.
 
-    With errors of their expected size it explains nothing, and the robot stays within
-    the directions of its nominal geometry.
+    Args:
+        problem: The registered problem.
+        solver: The solver.
+        nominal: Registered parameters of the nominal robot, shape (P,).
     """
-    last = solutions[-1]
-    more = appearing(last.directions, last.result.jac, parameters, last.sigma0)
-    if more.shape[1] == 0:
-        return
-    robot = np.column_stack([last.directions.robot, more])
-    solve(replace(last.directions, robot=robot))
-    gain = 2.0 * (last.result.cost - solutions[-1].result.cost)
-    if not gain > SURPRISE * more.shape[1] * solutions[-1].sigma0 ** 2:
-        solutions.pop()
+
+    def __init__(self, problem: Problem, solver: Solver, nominal: Floats) -> None:
+        self.solutions: list[_Solution] = []
+        self._problem, self._solver, self._nominal = problem, solver, nominal
+
+    def grow(
+        self, directions: Directions, choose: Callable[[float], Directions]
+    ) -> None:
+        """Solve and choose anew by what the fit says of sigma0, until that stands."""
+        tried: set[int] = set()
+        while directions.count not in tried:
+            tried.add(directions.count)
+            sigma0 = self._solve(directions).sigma0
+            if np.isfinite(sigma0):
+                directions = choose(sigma0)
+
+    def prune(self) -> None:
+        """Take directions back that only looked determined from afar."""
+        while np.isfinite((last := self.solutions[-1]).sigma0):
+            directions = pruned(
+                last.directions,
+                last.result.jac,
+                self._problem.parameters,
+                last.sigma0,
+            )
+            if directions.count == last.directions.count:
+                break
+            self._solve(directions)
+
+    def extend(self, negligible: float) -> None:
+        """Move directions that large errors have made visible, if that explains much.
+
+        With errors of their expected size it explains nothing, and the robot stays
+        within the directions of its nominal geometry.
+
+        Args:
+            negligible: Cost that rounding leaves of exact rows.
+        """
+        last = self.solutions[-1]
+        if not np.isfinite(last.sigma0) or last.result.cost <= negligible:
+            return
+        parameters = self._problem.parameters
+        more = appearing(last.directions, last.result.jac, parameters, last.sigma0)
+        if more.shape[1] == 0:
+            return
+        robot = np.column_stack([last.directions.robot, more])
+        found = self._solve(replace(last.directions, robot=robot))
+        gain = 2.0 * (last.result.cost - found.result.cost)
+        if not gain > SURPRISE * more.shape[1] * found.sigma0**2:
+            self.solutions.pop()
+
+    def _solve(self, directions: Directions) -> _Solution:
+        previous = None
+        if self.solutions:
+            parameters = self._problem.parameters
+            previous = _within(self.solutions[-1], directions, parameters)
+        found = self._solver.solve(self._problem, directions, self._nominal, previous)
+        self.solutions.append(_judge(self._problem, directions, found))
+        return self.solutions[-1]
 
 
 def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
@@ -310,7 +343,7 @@ def analyze_structure(
     """
     count = max(50, -(-3 * len(problem.parameters) // problem.components))
     q, target = observable_configurations(problem, theta, count, rng)
-    _, J = problem.about(theta, q, target).linearize(theta)
+    _, J = problem.about(theta, q, target).linearize_rows(theta)
     rows = count * problem.components
     return (
         structure(J[:rows], problem.parameters, count),

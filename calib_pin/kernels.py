@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from math import atan2, cos, hypot, sin, sqrt
-from typing import TypeVar, cast
+from typing import Any, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -61,9 +61,16 @@ def _compiled(function: _Function) -> _Function:
     Sums may be reordered and contracted, which vector instructions need; not-a-number
     and infinity keep their meaning.
     """
-    options = {"reassoc", "contract", "nsz", "arcp"}
-    jit = njit(cache=True, nogil=True, error_model="numpy", fastmath=options)
-    return cast(_Function, jit(function))
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"reassoc", "contract", "nsz", "arcp"},
+    }
+    try:
+        jit = njit(**options, cache=True)(function)
+    except RuntimeError:  # No folder to keep it in: a read-only installation.
+        jit = njit(**options)(function)
+    return cast(_Function, jit)
 
 
 def motions(

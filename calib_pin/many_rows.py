@@ -111,7 +111,7 @@ class ManyRows:
         """The rows reduced by orthogonal transformations.
 
         Returns:
-            Residual, shape (P + K + 1,), and Jacobian, shape (P + K + 1, P + K).
+            Residual, shape (M,), and Jacobian, shape (M, P + K), M <= P + K + 1.
         """
         parts = list(self._reduced(kernels.triangular_factor, of_robot, own))
         B = self._to_parameters(of_robot, len(own))
@@ -194,14 +194,15 @@ class _Chunk:
 
 def _square_root(K: Floats) -> tuple[Floats, Floats]:
     """A system (r, J) with `[J r]^T [J r] = K`, up to what rounding has destroyed."""
+    r, J = np.zeros(len(K)), np.zeros((len(K), len(K) - 1))
+    if not np.isfinite(K).all():
+        return r + np.nan, J
     size = np.sqrt(np.diag(K))
     size = np.where(size > 0.0, size, 1.0)
     H, g = (K / np.outer(size, size))[:-1, :-1], K[:-1, -1] / size[:-1]
     values, vectors = np.linalg.eigh(H)
     kept = values > len(H) * np.finfo(float).eps * values[-1]
     root = np.sqrt(values[kept])
-    J = np.zeros((len(K), len(H)))
-    r = np.zeros(len(K))
     J[: len(root)] = root[:, None] * vectors[:, kept].T * size[:-1]
     r[: len(root)] = vectors[:, kept].T @ g / root
     # What no parameter changes stands in a row of its own.

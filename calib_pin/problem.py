@@ -159,8 +159,21 @@ class Problem:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
         if self._many is None:
-            return self._with_priors(theta, *self._linearize_rows(theta))
+            return self.linearize_rows(theta)
         return self._with_priors(theta, *self._many.normal(*self.split(theta)))
+
+    def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The same as `linearize` row by row, however many there are."""
+        of_robot, own = self.split(theta)
+        poses = self.error.linearize(self.data.q, of_robot)
+        linear = self.measurement.linearize(poses.T, own, self.data)
+        weight = 1.0 / self.sigma[:, :, None]
+        blocks = [poses.derivative(linear.by_twist * weight)]
+        if len(own):
+            blocks.append(linear.by_own * weight)
+        J = _joined(blocks, axis=2).reshape(-1, len(theta))
+        r = (linear.residual / self.sigma).reshape(-1)
+        return self._with_priors(theta, r, J)
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` to full precision, for decisions about ranks."""
@@ -181,18 +194,6 @@ class Problem:
         from calib_pin.many_rows import ManyRows
 
         return ManyRows(self.error, self.measurement, self.data, self.sigma)
-
-    def _linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual (N d,) and Jacobian (N d, P) of the rows."""
-        of_robot, own = self.split(theta)
-        poses = self.error.linearize(self.data.q, of_robot)
-        linear = self.measurement.linearize(poses.T, own, self.data)
-        weight = 1.0 / self.sigma[:, :, None]
-        blocks = [poses.derivative(linear.by_twist * weight)]
-        if len(own):
-            blocks.append(linear.by_own * weight)
-        J = _joined(blocks, axis=2).reshape(-1, len(theta))
-        return (linear.residual / self.sigma).reshape(-1), J
 
     def _with_priors(
         self, theta: Floats, r: Floats, J: Floats

@@ -111,6 +111,44 @@ def test_split() -> None:
     assert not training.validate.any() and validation.validate.all()
 
 
+def test_few_rows_are_their_own_sample() -> None:
+    data = measurements()
+    assert data.sample(5) is data
+    assert data.sample(6) is data
+
+
+@pytest.mark.parametrize("count", [1, 2, 7, 50, 300])
+def test_a_sample_has_rows_of_every_target(count: int) -> None:
+    target = np.repeat(["wall", "floor", "post"], [240, 50, 10])
+    target = np.random.default_rng(0).permutation(target)
+    data = Measurements(
+        ("j",),
+        np.arange(300.0)[:, None],
+        "plane-distance",
+        -np.arange(300.0)[:, None],
+        target=tuple(target.tolist()),
+        lines=np.arange(2, 302),
+    )
+    part = data.sample(count)
+    rows = part.q[:, 0].astype(int)
+    assert (np.diff(rows) > 0).all()
+    for name, size in (("wall", 240), ("floor", 50), ("post", 10)):
+        assert part.target.count(name) == min(count, size)
+    # What belongs together stays together.
+    np.testing.assert_array_equal(part.values[:, 0], -rows)
+    np.testing.assert_array_equal(part.lines, rows + 2)
+    assert part.target == tuple(target[rows].tolist())
+
+
+def test_a_sample_is_spread_over_the_rows() -> None:
+    data = Measurements(
+        ("j",), np.arange(1e4)[:, None], "position", np.zeros((10**4, 3))
+    )
+    rows = data.sample(101).q[:, 0]
+    assert (rows[0], rows[-1], len(rows)) == (0, 9999, 101)
+    assert set(np.diff(rows)) <= {99, 100}
+
+
 def test_places_are_those_of_the_file() -> None:
     assert measurements().place(1) == "m.csv:3"
     assert measurements().rows(np.array([4, 0])).place(0) == "m.csv:6"

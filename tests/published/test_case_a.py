@@ -6,11 +6,22 @@ has the same structure with lengths of our own.
 
 from __future__ import annotations
 
+import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.measurement_models.plane_distance import Plane
 from calib_pin.result import Identification
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.solvers.differential_evolution import TRADEOFF
+from studies.liu2012_study import (
+    LEAST_SQUARES,
+    Case,
+    Settings,
+    aligned,
+    plane_errors,
+    study,
+)
 
 KNOWN = FrameSetup(estimate=False)
 FREE = FrameSetup(estimate=True)
@@ -64,3 +75,70 @@ def test_a_plane_across_z0_hides_four_parameters() -> None:
     }
     assert not result.groups
     assert result.identifiability.structural_rank == 20
+
+
+def test_plane_errors_are_those_of_the_publication() -> None:
+    length = np.linalg.norm(INCLINED)
+    plane = Plane("wall", np.array(INCLINED) / length, -0.69 / length)
+    normal, offset, _ = plane.turned(plane_errors(plane, 0.005, 0.01))
+    expected = np.array([0.005, 1.0, 4.61, -0.69]) / np.linalg.norm([0.005, 1.0, 4.61])
+    np.testing.assert_allclose([*normal, offset], expected, atol=1e-15)
+
+
+def test_poses_are_aligned_by_the_motions_that_no_ranger_sees() -> None:
+    def about_z(angle: float, shift: float = 0.0) -> np.ndarray:
+        T = np.eye(4)
+        T[:2, :2] = [[np.cos(angle), -np.sin(angle)], [np.sin(angle), np.cos(angle)]]
+        T[2, 3] = shift
+        return T
+
+    chain = calib_pin.load_chain("space6")
+    q = chain.random_configurations(20, np.random.default_rng(0))
+    true = chain.poses(q)
+    moved = about_z(0.3, 0.1) @ true @ about_z(-0.2)
+    np.testing.assert_allclose(aligned(moved, true), true, atol=1e-14)
+    # Anything else stays: a shift aside, here.
+    moved[:, 0, 3] += 0.01
+    assert np.linalg.norm((aligned(moved, true) - true)[:, :3, 3], axis=1).max() > 5e-3
+
+
+def rms(values: np.ndarray) -> float:
+    return float(np.sqrt(np.mean(values**2)))
+
+
+@pytest.fixture(scope="module")
+def solved() -> list[Case]:
+    """The case of 100 configurations, for three seeds."""
+    settings = Settings(counts=(100,), mutations=(TRADEOFF,))
+    return [study(settings, seed).cases[100] for seed in range(3)]
+
+
+def test_evolution_finds_the_errors(solved: list[Case]) -> None:
+    for case in solved:
+        found, before = case[TRADEOFF], case.before
+        assert np.abs(before.errors).max() > 30e-3
+        assert np.abs(found.errors).max() < 0.25e-3
+        assert found.squares < 1.01 * case[LEAST_SQUARES].squares
+        # As much as the noise of 10 readings and 100 - 25 degrees of freedom.
+        assert 0.6 < found.squares / (75 * (0.2e-3**2 / 10)) < 1.6
+        assert found.history[-1] == pytest.approx(found.squares, rel=1e-9)
+        assert found.history[0] > 1e4 * found.squares
+        assert (np.diff(found.history) <= 0.0).all()
+        for name, most in (("distance", 1e-4), ("position", 2e-4)):
+            assert rms(getattr(found.validation, name)) < most
+            assert rms(getattr(before.validation, name)) > 3e-3
+        assert rms(found.validation.orientation) < 1e-4
+        assert rms(before.validation.orientation) > 2e-3
+
+
+def test_hybrid_reaches_the_least_squares_optimum(solved: list[Case]) -> None:
+    for case in solved:
+        assert case.difference < 1e-10
+        # Both are near the optimum of all 27 parameters, chi-square of 75 there.
+        assert 25.0 < case.fits["hybrid"] < 60.0
+
+
+def test_tradeoff_is_faster_than_rand() -> None:
+    settings = Settings(counts=(35,), generations=100, mutations=("rand/1", TRADEOFF))
+    case = study(settings, 0).cases[35]
+    assert case[TRADEOFF].squares < 0.1 * case["rand/1"].squares

@@ -1,0 +1,242 @@
+"""Very many rows, chunk by chunk, against the plain rows."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import nominal_problem
+from calib_pin.chain import Chain
+from calib_pin.fit import Fit, fit
+from calib_pin.io.urdf import load_chain
+from calib_pin.kernels import BLOCK
+from calib_pin.many_rows import ManyRows
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.problem import Problem
+from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.solve import least_squares
+from calib_pin.solvers import Status
+from calib_pin.spatial import Floats
+from calib_pin.threads import Threads
+
+Measured = Callable[..., Problem]
+
+CHUNK = 2 * BLOCK
+SIZES = (1, BLOCK, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + BLOCK + 3)
+
+
+@pytest.fixture(autouse=True)
+def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Some hundred rows make several chunks."""
+    monkeypatch.setattr("calib_pin.many_rows.CHUNK", CHUNK)
+
+
+def many(problem: Problem) -> ManyRows:
+    return ManyRows(problem.error, problem.measurement, problem.data, problem.sigma)
+
+
+def parameters_of(problem: Problem) -> Floats:
+    size = len(problem.parameters)
+    return 0.02 * np.random.default_rng(1).normal(size=size)
+
+
+def assert_same_system(
+    rows: tuple[Floats, Floats], reduced: tuple[Floats, Floats], tolerance: float
+) -> None:
+    """The same normal equations in no more rows than there are columns."""
+    A, B = (np.column_stack([J, r]) for r, J in (rows, reduced))
+    assert B.shape[1] == A.shape[1] and len(B) <= B.shape[1]
+    unit = np.linalg.norm(A, axis=0)
+    unit[unit == 0.0] = 1.0
+    A, B = A / unit, B / unit
+    np.testing.assert_allclose(B.T @ B, A.T @ A, rtol=0, atol=tolerance)
+
+
+# The rows.
+
+
+@pytest.mark.parametrize("rows", SIZES)
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
+    problem = measured(load_chain("space6"), model, ["placement", "dh"], rows)
+    assert not problem.many
+    theta = parameters_of(problem)
+    split, chunked = problem.split(theta), many(problem)
+    errors = chunked.errors(*split)
+    np.testing.assert_allclose(errors, problem.errors(theta), rtol=0, atol=1e-13)
+    assert chunked.cost(*split) == pytest.approx(problem.cost(theta), rel=1e-13)
+
+    assert_same_system(problem.linearize(theta), chunked.normal(*split), 1e-11)
+    assert_same_system(problem.linearize(theta), chunked.triangular(*split), 1e-12)
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_the_number_of_threads_changes_no_bit(
+    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    problem = measured(load_chain("space6"), model, ["placement"], SIZES[-1])
+    split = problem.split(parameters_of(problem))
+
+    def computed(count: int) -> list[bytes]:
+        monkeypatch.setattr("calib_pin.many_rows.Threads", lambda: Threads(count))
+        chunked = many(problem)
+        arrays = [*chunked.normal(*split), *chunked.triangular(*split)]
+        arrays += [chunked.errors(*split), np.array(chunked.cost(*split))]
+        return [array.tobytes() for array in arrays]
+
+    assert computed(1) == computed(2) == computed(3)
+
+
+# Ranks.
+
+
+@pytest.mark.parametrize(
+    ("model", "ratio"), [("position", 1e9), ("pose", 1e9), ("plane-distance", 1e6)]
+)
+def test_triangular_resolves_what_one_noisy_row_sees(
+    model: str, ratio: float, measured: Measured
+) -> None:
+    """A joint stands still in all rows but one, which says next to nothing."""
+    problem = measured(load_chain("space6"), model, ["placement", "dh"], 700)
+    q, sigma = problem.data.q.copy(), problem.sigma.copy()
+    q[:, 2], q[350, 2] = 0.3, -0.9
+    sigma[350] *= ratio
+    problem = replace(problem, data=replace(problem.data, q=q, sigma=sigma))
+    theta = np.zeros(len(problem.parameters))
+    split, chunked = problem.split(theta), many(problem)
+
+    def singular_values(J: Floats) -> Floats:
+        s = np.linalg.svd(J * problem.parameters.scales, compute_uv=False)
+        return np.asarray(s / s[0])
+
+    _, J = problem.linearize(theta)
+    expected = singular_values(J)
+    faint = (expected > 5e-15) & (expected < 1e-12)
+    assert faint.any() and (expected < 1e-16).any()
+    found = singular_values(chunked.triangular(*split)[1])
+    np.testing.assert_allclose(found, expected, rtol=1e-8, atol=2e-15)
+    # The normal equations have lost it, and say so by zeros.
+    found = singular_values(chunked.normal(*split)[1])
+    assert found[expected < 1e-12].max() < 1e-16
+    np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
+
+
+# Dispatch.
+
+
+def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
+    """The same problem, whose rows just suffice for the kernels."""
+    entries = len(problem.data) * problem.components * len(problem.parameters)
+    monkeypatch.setattr("calib_pin.problem.MANY", entries)
+    return replace(problem)
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_problems_with_very_many_rows(
+    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    prior = {"joint_2.placement.*": 1e-3}
+    chain = load_chain("space6")
+    plain = measured(chain, model, ["placement"], 300, prior=prior)
+    assert not plain.many
+    chunked = through_kernels(plain, monkeypatch)
+    assert chunked.many
+    assert not replace(plain, data=plain.data.rows(np.arange(299))).many
+
+    theta = parameters_of(plain)
+    errors = plain.errors(theta)
+    np.testing.assert_allclose(chunked.errors(theta), errors, rtol=0, atol=1e-13)
+    assert chunked.cost(theta) == pytest.approx(plain.cost(theta), rel=1e-13)
+    np.testing.assert_allclose(
+        chunked.residual(theta), plain.residual(theta), rtol=0, atol=1e-10
+    )
+    # The priors stand behind the rest, once.
+    bare = measured(chain, model, ["placement"], 300)
+    for r, J in (chunked.linearize(theta), chunked.factorize(theta)):
+        np.testing.assert_allclose(r[-6:], plain.prior_rows(theta), rtol=1e-15)
+        np.testing.assert_array_equal(J[-6:], plain.linearize(theta)[1][-6:])
+        assert_same_system(bare.linearize(theta), (r[:-6], J[:-6]), 1e-11)
+
+
+def test_few_rows_are_not_reduced(measured: Measured) -> None:
+    problem = measured(load_chain("space6"), "position", ["placement"], 300)
+    theta = parameters_of(problem)
+    pairs = zip(problem.factorize(theta), problem.linearize(theta), strict=True)
+    for found, expected in pairs:
+        np.testing.assert_array_equal(found, expected)
+
+
+def test_a_beam_along_the_plane_is_no_start(
+    urdf_of: Callable[..., str],
+    chain_of: Callable[..., Chain],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    chain = chain_of(urdf_of({"name": "j", "parent": "a", "child": "b"}))
+    setup = Setup(planes={"wall": PlaneSetup((1.0, 0.0, 0.0), -1.0)})
+    problem = nominal_problem(chain, "plane-distance", setup)
+    rows = problem.data.rows(np.zeros(300, int))
+    problem = replace(problem, data=replace(rows, values=np.ones((300, 1))))
+    problem = through_kernels(problem, monkeypatch)
+    size = len(problem.parameters)
+    result = least_squares(problem, np.zeros(size), np.eye(size))
+    assert result.status is Status.NOT_FINITE
+
+
+RANGER, POSES = (
+    calib_pin.read_setup(calib_pin.robot_file(robot, "setup.yaml"))
+    for robot in ("space6", "space7")
+)
+CASES = {
+    "position": ("space6", "position", Setup()),
+    "pose": ("space7", "pose", POSES),
+    "plane-distance": ("space6", "plane-distance", RANGER),
+    "prior": ("space6", "position", Setup(prior={"*.placement.*": 1e-3})),
+    "bound": ("space6", "position", Setup(bounds={"*.placement.*": 5e-4})),
+    "fixed": ("space6", "pose", Setup(fixed=("joint_2.*", "base.frame.z"))),
+}
+
+
+@pytest.mark.parametrize("sample", [100, 10_000])
+@pytest.mark.parametrize("case", CASES)
+def test_a_fit_of_very_many_rows(
+    case: str, sample: int, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """With and without a first fit to a sample of the rows."""
+    monkeypatch.setattr("calib_pin.solve.SAMPLE", sample)
+    robot, model, setup = CASES[case]
+    chain = load_chain(robot, tip=setup.tip)
+    rng = np.random.default_rng(1)
+    free = nominal_problem(chain, model, replace(setup, prior={}, bounds={}, fixed=()))
+    truth = calib_pin.draw_errors(free.parameters, rng)
+    rows = calib_pin.simulate(free, truth, rng, count=700, noise=1e-4)
+    problem = replace(nominal_problem(chain, model, setup), data=rows)
+
+    plain = fit(problem, np.random.default_rng(0))
+    found = fit(through_kernels(problem, monkeypatch), np.random.default_rng(0))
+    assert (plain.evaluator, found.evaluator) == ("pinocchio", "kernel")
+    for one in (plain, found):
+        assert one.result.status is Status.CONVERGED
+        assert bool(one.problem.held_at) == (case == "bound")
+    assert found.problem.held_at == plain.problem.held_at
+    assert found.structure.rank == plain.structure.rank
+    assert counts(found) == counts(plain)
+    assert found.result.cost == pytest.approx(plain.result.cost, rel=1e-11)
+    # Ranks and covariance come from the factor that loses nothing.
+    _, J = found.problem.factorize(found.theta)
+    np.testing.assert_array_equal(found.result.jac, J)
+    # The last step may promise 1e-12 of the cost, some 5e-5 standard deviations.
+    deviations = np.sqrt(np.diag(plain.covariance))
+    assert np.all(np.abs(found.theta - plain.theta) < 1e-4 * deviations + 1e-12)
+    largest = np.abs(plain.covariance).max()
+    assert np.abs(found.covariance - plain.covariance).max() < 1e-6 * largest
+    np.testing.assert_allclose(found.singular_values, plain.singular_values, rtol=1e-8)
+
+
+def counts(found: Fit) -> tuple[int, int, int, int]:
+    """Rank, degrees of freedom, directions that moved, and those that did not."""
+    directions = found.directions
+    return found.rank, found.dof, directions.count, directions.weak.shape[1]

@@ -1,0 +1,135 @@
+"""Costs of a whole population against those of its members one by one."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calib_pin.calibration import nominal_problem
+from calib_pin.chain import Chain
+from calib_pin.io.urdf import load_chain
+from calib_pin.kernels import BLOCK
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models.position import Position
+from calib_pin.population import PopulationCost
+from calib_pin.problem import Problem
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.spatial import Floats
+
+Measured = Callable[..., Problem]
+
+
+class Unbatched(Position):
+    """A measurement model that no kernel knows."""
+
+    batch = None  # type: ignore[assignment]
+
+
+def members(problem: Problem, count: int) -> Floats:
+    """Random parameters, the nominal ones among them."""
+    shape = count, len(problem.parameters)
+    theta = 0.02 * np.random.default_rng(1).normal(size=shape)
+    theta[-1] = 0.0
+    return np.asarray(theta)
+
+
+@pytest.mark.parametrize("prior", [{}, {"joint_2.*": 1e-3, "*.dh.*": 5e-3}])
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_costs_of_members_with_priors(
+    model: str, prior: dict[str, float], measured: Measured
+) -> None:
+    chain = load_chain("space6")
+    problem = measured(chain, model, ["dh"], 300, prior=prior)
+    theta = members(problem, 5)
+    costs = PopulationCost(problem)
+    assert costs.evaluator == "kernel"
+    found = costs(theta)
+    expected = [problem.cost(member) for member in theta]
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+    # What the priors add.
+    bare = PopulationCost(measured(chain, model, ["dh"], 300))(theta)
+    rows = problem.prior_rows(theta)
+    assert rows.shape == (5, 24 if prior else 0)
+    added = 0.5 * np.sum(rows**2, axis=1)
+    np.testing.assert_allclose(found - bare, added, rtol=0, atol=1e-11 * found.max())
+
+
+def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
+    measured: Measured,
+) -> None:
+    prior = {"*.placement.*": 1e-3}
+    problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=prior)
+    theta = members(problem, 3)
+    plain = PopulationCost(replace(problem, measurement=Unbatched()))
+    assert plain.evaluator == "loop"
+    compiled = PopulationCost(problem)
+    np.testing.assert_allclose(plain(theta), compiled(theta), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_the_number_of_threads_changes_no_bit(model: str, measured: Measured) -> None:
+    problem = measured(load_chain("space6"), model, ["placement"], 301)
+    theta = members(problem, 7)
+    one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))
+    assert others == [one, one]
+
+
+def test_a_member_costs_the_same_in_any_company(measured: Measured) -> None:
+    problem = measured(load_chain("space6"), "pose", ["placement"], 50)
+    theta = members(problem, 4)
+    costs = PopulationCost(problem)
+    together = costs(theta)
+    for k in range(4):
+        assert costs(theta[k : k + 1])[0] == together[k]
+    np.testing.assert_array_equal(costs(theta[::-1]), together[::-1])
+    assert costs(theta[:0]).shape == (0,)
+
+
+def test_planes_in_any_order(measured: Measured) -> None:
+    problem = measured(load_chain("space6"), "plane-distance", ["placement"], 400)
+    names = problem.data.target
+    assert sum(a != b for a, b in pairwise(names)) > 100
+    assert names.count("wall") % BLOCK and names.count("floor") % BLOCK
+    theta = members(problem, 3)
+    expected = PopulationCost(problem)(theta)
+    order = np.random.default_rng(2).permutation(400)
+    shuffled = replace(problem, data=problem.data.rows(order))
+    sorted_ = replace(problem, data=problem.data.rows(np.argsort(names, kind="stable")))
+    for other in (shuffled, sorted_):
+        np.testing.assert_allclose(PopulationCost(other)(theta), expected, rtol=1e-12)
+
+
+def test_a_plane_that_no_row_looks_at(measured: Measured) -> None:
+    problem = measured(load_chain("space6"), "plane-distance", ["placement"], 60)
+    wall = np.flatnonzero(np.array(problem.data.target) == "wall")
+    # Both planes stay in the model, with parameters.
+    problem = replace(problem, data=problem.data.rows(wall))
+    theta = members(problem, 3)
+    expected = [problem.cost(member) for member in theta]
+    found = PopulationCost(problem)(theta)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("offset", [-1.0, 0.0])
+def test_a_beam_along_the_plane(
+    offset: float, urdf_of: Callable[..., str], chain_of: Callable[..., Chain]
+) -> None:
+    """The distance is infinite, or 0/0 in the plane: no exception, no warning."""
+    chain = chain_of(urdf_of({"name": "j", "parent": "a", "child": "b"}))
+    setup = Setup(
+        parameters=("placement",),
+        base_frame=FrameSetup(estimate=False),
+        planes={"wall": PlaneSetup((1.0, 0.0, 0.0), offset)},
+    )
+    problem = nominal_problem(chain, "plane-distance", setup)
+    rows = problem.data.rows(np.zeros(3, int))
+    problem = replace(problem, data=replace(rows, values=np.ones((3, 1))))
+    # The beam runs along z until the second member tilts it.
+    tilted = problem.parameters.vector({"tool.frame.ry": 0.5, "j.placement.x": 0.1})
+    found = PopulationCost(problem)(np.array([0.0 * tilted, tilted, 0.0 * tilted]))
+    assert not np.isfinite(found[[0, 2]]).any()
+    assert found[1] == pytest.approx(problem.cost(tilted), rel=1e-12)

@@ -128,6 +128,8 @@ def _fit(
 
     solutions = stages.solutions
     last = solutions[-1]
+    found_by = [solution.found for solution in reversed(solutions)]
+    searched = next((found for found in found_by if found.evolution), found_by[0])
     weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
     return Fit(
         problem=problem,
@@ -146,10 +148,8 @@ def _fit(
             last.directions, last.result.jac, parameters
         ),
         solver=solver.name,
-        evaluator=last.found.evaluator,
-        evolution=next(
-            (s.found.evolution for s in reversed(solutions) if s.found.evolution), None
-        ),
+        evaluator=searched.evaluator,
+        evolution=searched.evolution,
     )
 
 

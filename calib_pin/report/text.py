@@ -164,9 +164,14 @@ def _subject(result: CalibrationResult) -> Text:
     """Which robot was measured in which way."""
     model = result.model
     chain, rows = model.chain, f"{result.training} rows"
+    search = ""
+    if result.history:
+        search = (
+            f"; {result.solver}, {result.evaluations} evaluations ({result.evaluator})"
+        )
     return Text(
         f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}; {model.measurement.name}, {rows} fitted",
+        f"{chain.tip}; {model.measurement.name}, {rows} fitted{search}",
         style="dim",
     )
 
@@ -230,14 +235,13 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         ),
     ]
     if fitted:
-        lines.append(
-            (
-                "practical rank",
-                f"{ranks.rank}   ({ranks.weak} directions left at nominal)"
-                if ranks.weak
-                else f"{ranks.rank}",
-            )
-        )
+        remarks = []
+        if ranks.weak:
+            remarks.append(f"{ranks.weak} directions left at nominal")
+        if revealed := ranks.rank + ranks.weak - ranks.structural_rank:
+            remarks.append(f"{revealed} seen only because the errors are large")
+        remark = f"   ({'; '.join(remarks)})" if remarks else ""
+        lines.append(("practical rank", f"{ranks.rank}{remark}"))
     if ranks.singular_values:
         first, last = ranks.singular_values[0], ranks.singular_values[-1]
         spread = f"{_number(first)} ... {_number(last)}"

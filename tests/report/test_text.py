@@ -357,3 +357,24 @@ def test_evaluations(result):
     assert "What is unknown of base, tool and instrument was registered" in text
     text = plain_text(evaluation_report(evaluate(result.model, rows)))
     assert "Nothing was fitted to these rows." in text
+
+
+def test_a_search_and_what_it_reveals() -> None:
+    """The line under the verdict names the solver; the ranks say what is new."""
+    result = solve()
+    known = result.identifiability
+    ranks = replace(known, rank=known.structural_rank + 1, weak=0)
+    text = format_report(
+        replace(
+            result,
+            solver="hybrid",
+            evaluator="kernel",
+            evaluations=1234,
+            history=(3.0, 2.0),
+            identifiability=ranks,
+        )
+    )
+    assert "hybrid, 1234 evaluations (kernel)" in " ".join(text.split())
+    assert "(1 seen only because the errors are large)" in text
+    plain = format_report(result)
+    assert "evaluations" not in plain and "seen only" not in plain

@@ -15,6 +15,9 @@ from calib_pin.threads import Threads
 
 __all__ = ["PopulationCost"]
 
+WORTHWHILE = 40_000
+"""Evaluations of a configuration that are worth a thread: about a millisecond."""
+
 
 class PopulationCost:
     """Half the sum of squared whitened residuals and priors of every member.
@@ -68,7 +71,9 @@ class PopulationCost:
                 chains, self._motion, self._starts, own[part], costs[part]
             )
 
-        for _ in self._threads.map(evaluate, self._threads.slices(len(theta))):
+        least = -(-WORTHWHILE // max(len(self._problem.data), 1))
+        pieces = self._threads.slices(len(theta), least)
+        for _ in self._threads.map(evaluate, pieces):
             pass
         priors = self._problem.prior_rows(theta)
         return costs + 0.5 * np.asarray(np.sum(priors**2, axis=-1))

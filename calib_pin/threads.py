@@ -7,7 +7,7 @@ number of threads either.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from itertools import pairwise
 from typing import TypeVar
@@ -36,13 +36,20 @@ class Threads:
         self._pool = ThreadPoolExecutor(count) if count > 1 else None
 
     def map(
-        self, work: Callable[[_Piece], _Result], pieces: Iterable[_Piece]
+        self, work: Callable[[_Piece], _Result], pieces: Sequence[_Piece]
     ) -> Iterator[_Result]:
-        """Results of the pieces, in their order."""
-        return map(work, pieces) if self._pool is None else self._pool.map(work, pieces)
+        """Results of the pieces, in their order; a single one takes no thread."""
+        if self._pool is None or len(pieces) == 1:
+            return map(work, pieces)
+        return self._pool.map(work, pieces)
 
-    def slices(self, length: int) -> list[slice]:
-        """About equal slices of a length, one for each thread."""
-        count = max(1, min(self.count, length))
+    def slices(self, length: int, least: int = 1) -> list[slice]:
+        """About equal slices of a length, one for each thread.
+
+        Args:
+            length: What is to be sliced.
+            least: Length below which a slice is not worth a thread.
+        """
+        count = max(1, min(self.count, length // max(least, 1)))
         cuts = [length * k // count for k in range(count + 1)]
         return [slice(a, b) for a, b in pairwise(cuts)]

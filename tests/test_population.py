@@ -71,7 +71,10 @@ def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
 
 
 @pytest.mark.parametrize("model", MEASUREMENT_MODELS)
-def test_the_number_of_threads_changes_no_bit(model: str, measured: Measured) -> None:
+def test_the_number_of_threads_changes_no_bit(
+    model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("calib_pin.population.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
     theta = members(problem, 7)
     one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))

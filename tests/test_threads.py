@@ -21,7 +21,9 @@ from calib_pin.fit import fit
 from calib_pin.setup import Setup, SolverSetup
 from calib_pin.threads import Threads
 from dataclasses import replace
+import calib_pin.population
 
+calib_pin.population.WORTHWHILE = 1  # Threads even for as little work as this.
 evolution = {"maxiter": 20, "population_size": 20}
 setup = Setup(solver=SolverSetup(name="hybrid", evolution=evolution))
 problem = nominal_problem(calib_pin.load_chain("space6"), "position", setup)
@@ -56,6 +58,13 @@ def test_results_come_in_the_order_of_the_pieces(count: int) -> None:
 def test_errors_come_out_of_the_threads(count: int) -> None:
     with pytest.raises(ZeroDivisionError):
         list(Threads(count).map(lambda piece: 1 / piece, [1, 0, 2]))
+
+
+def test_slices_that_are_worth_a_thread() -> None:
+    threads = Threads(4)
+    assert len(threads.slices(150, 400)) == 1
+    assert len(threads.slices(150, 70)) == 2
+    assert len(threads.slices(150, 1)) == 4
 
 
 @pytest.mark.parametrize("count", [1, 2, 3, 8])

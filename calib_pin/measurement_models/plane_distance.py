@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -45,7 +46,7 @@ class Plane:
     offset: float = 0.0
     estimate: bool = True
 
-    @property
+    @cached_property
     def tangents(self) -> Floats:
         """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
         assert self.normal is not None
@@ -74,9 +75,14 @@ class Plane:
     def turned_many(self, own: Floats) -> Floats:
         """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
         assert self.normal is not None
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        # Element by element: a product of matrices may round by the place of a row.
         t_1, t_2 = self.tangents
-        turns = so3_exp(own[:, :1] * t_1) @ so3_exp(own[:, 1:2] * t_2)
-        return np.column_stack([turns @ self.normal, self.offset + own[:, 2]])
+        u, v = own[:, :1], own[:, 1:2]
+        normals = np.sin(v) * t_1 + np.cos(v) * (
+            np.cos(u) * self.normal - np.sin(u) * t_2
+        )
+        return np.column_stack([normals, self.offset + own[:, 2]])
 
 
 @dataclass(frozen=True)

@@ -1,8 +1,4 @@
-"""Speed of the main jobs, each beside a reference measured in the same run.
-
-The machines are shared and noisy: read the ratios, not the seconds. Every figure is the
-best of several repetitions, which is the one that noise disturbs least.
-"""
+"""The fit, the Jacobian and the commands."""
 
 from __future__ import annotations
 
@@ -10,8 +6,6 @@ import os
 import subprocess
 import sys
 import tempfile
-import time
-from collections.abc import Callable
 from pathlib import Path
 
 import numpy as np
@@ -19,30 +13,17 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 
 import calib_pin
+from benchmarks.timing import best, show
 from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.fit import fit
 from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 
+__all__ = ["commands", "fit_talos", "jacobian"]
+
 DATA = Path(
-    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
+    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[3] / "shared" / "data")
 )
-
-
-def best(job: Callable[[], object], repetitions: int = 7) -> float:
-    """Shortest time of a job [s]."""
-    times = []
-    for _ in range(repetitions):
-        start = time.perf_counter()
-        job()
-        times.append(time.perf_counter() - start)
-    return min(times)
-
-
-def show(name: str, seconds: float, reference: str, other: float) -> None:
-    """One line of the table."""
-    ratio = other / seconds
-    print(f"{name:<40}{1e3 * seconds:9.1f} ms  {ratio:6.1f} x the speed of {reference}")
 
 
 def talos_problem() -> Problem:
@@ -145,20 +126,3 @@ def _scipy() -> float:
     return best(
         lambda: least_squares(lambda x: problem.residual(x * scales), truth / scales), 1
     )
-
-
-BENCHMARKS = {"fit": fit_talos, "jacobian": jacobian, "commands": commands}
-
-
-def main() -> None:
-    """Run the benchmarks that are named, or all."""
-    chosen = sys.argv[1:] or list(BENCHMARKS)
-    unknown = [name for name in chosen if name not in BENCHMARKS]
-    if unknown:
-        sys.exit(f"unknown benchmark {unknown[0]}; there are {', '.join(BENCHMARKS)}")
-    for name in chosen:
-        BENCHMARKS[name]()
-
-
-if __name__ == "__main__":
-    main()

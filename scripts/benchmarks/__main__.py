@@ -1,0 +1,29 @@
+"""`scripts/benchmark [NAMES]`: run the benchmarks that are named, or all."""
+
+from __future__ import annotations
+
+import sys
+
+from benchmarks import basic, evolution, rows
+
+BENCHMARKS = {
+    "fit": basic.fit_talos,
+    "jacobian": basic.jacobian,
+    "commands": basic.commands,
+    "evolution": evolution.main,
+    "rows": rows.main,
+}
+
+
+def main() -> None:
+    """Run the benchmarks that are named, or all."""
+    chosen = sys.argv[1:] or list(BENCHMARKS)
+    unknown = [name for name in chosen if name not in BENCHMARKS]
+    if unknown:
+        sys.exit(f"unknown benchmark {unknown[0]}; there are {', '.join(BENCHMARKS)}")
+    for name in chosen:
+        BENCHMARKS[name]()
+
+
+if __name__ == "__main__":
+    main()

@@ -1,0 +1,1 @@
+"""Published studies, each reproduced by one file; `scripts/reproduce` runs them."""

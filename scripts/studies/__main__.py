@@ -1,0 +1,27 @@
+"""`scripts/reproduce NAME`: hand over to the study of that name."""
+
+from __future__ import annotations
+
+import sys
+from importlib import import_module
+
+from calib_pin.errors import CalibPinError
+
+STUDIES = ("liu2012",)
+"""Modules with a function `main(words)`."""
+
+
+def main() -> None:
+    """Run the study that the first argument names."""
+    name, *words = sys.argv[1:] or [""]
+    if name not in STUDIES:
+        problem = f"unknown study '{name}'" if name else "name a study"
+        sys.exit(f"reproduce: {problem}; there is {', '.join(STUDIES)}")
+    try:
+        import_module(f"studies.{name}").main(words)
+    except CalibPinError as error:
+        sys.exit(f"reproduce: {error}")
+
+
+if __name__ == "__main__":
+    main()

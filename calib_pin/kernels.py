@@ -26,7 +26,7 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from itertools import pairwise
 from math import atan2, cos, hypot, sin, sqrt
-from typing import Any, TypeVar, cast
+from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
 from numba import njit
@@ -134,13 +134,28 @@ def links(
         result[member] = constants
         for k in range(len(segment)):
             amount = theta[member, parameter[k]]
-            if amount != 0.0:
-                _times_exponential(result[member, segment[k]], twists[k], amount)
+            if amount == 0.0:
+                continue
+            link = result[member, segment[k]]
+            x, y, z, px, py, pz = _exponential(twists[k], amount)
+            (r00, r10, r20), (r01, r11, r21), (r02, r12, r22) = x, y, z
+            for i in range(0, 12, 4):
+                a, b, c = link[i], link[i + 1], link[i + 2]
+                link[i] = a * r00 + b * r10 + c * r20
+                link[i + 1] = a * r01 + b * r11 + c * r21
+                link[i + 2] = a * r02 + b * r12 + c * r22
+                link[i + 3] += a * px + b * py + c * pz
 
 
-@_compiled
-def _times_exponential(link: Floats, twist: Floats, amount: float) -> None:
-    """Multiply a link (12,) from the right by Exp(twist amount), in place."""
+_Column: TypeAlias = tuple[float, float, float]
+
+
+# Within the loop over screws a call would cost as much as the work.
+@njit(inline="always")
+def _exponential(
+    twist: Floats, amount: float
+) -> tuple[_Column, _Column, _Column, float, float, float]:
+    """Exp(twist amount): the columns of its rotation, and its translation."""
     vx, vy, vz = twist[0], twist[1], twist[2]
     x, y, z = twist[3], twist[4], twist[5]
     square = x * x + y * y + z * z
@@ -156,22 +171,27 @@ def _times_exponential(link: Floats, twist: Floats, amount: float) -> None:
         second = 2.0 * (sin(0.5 * angle) / angle * amount) ** 2
         third = (amount - first) / square
     # R = I + first W + second W^2, p = (amount + second W + third W^2) v.
-    r00, r01 = 1.0 + second * (x * x - square), second * x * y - first * z
-    r02, r10 = second * x * z + first * y, second * x * y + first * z
-    r11, r12 = 1.0 + second * (y * y - square), second * y * z - first * x
-    r20, r21 = second * x * z - first * y, second * y * z + first * x
-    r22 = 1.0 + second * (z * z - square)
     cx, cy, cz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
-    px = amount * vx + second * cx + third * (y * cz - z * cy)
-    py = amount * vy + second * cy + third * (z * cx - x * cz)
-    pz = amount * vz + second * cz + third * (x * cy - y * cx)
-    for row in range(3):
-        i = 4 * row
-        a, b, c = link[i], link[i + 1], link[i + 2]
-        link[i] = a * r00 + b * r10 + c * r20
-        link[i + 1] = a * r01 + b * r11 + c * r21
-        link[i + 2] = a * r02 + b * r12 + c * r22
-        link[i + 3] += a * px + b * py + c * pz
+    return (
+        (
+            1.0 + second * (x * x - square),
+            second * x * y + first * z,
+            second * x * z - first * y,
+        ),
+        (
+            second * x * y - first * z,
+            1.0 + second * (y * y - square),
+            second * y * z + first * x,
+        ),
+        (
+            second * x * z + first * y,
+            second * y * z - first * x,
+            1.0 + second * (z * z - square),
+        ),
+        amount * vx + second * cx + third * (y * cz - z * cy),
+        amount * vy + second * cy + third * (z * cx - x * cz),
+        amount * vz + second * cz + third * (x * cy - y * cx),
+    )
 
 
 @_compiled
@@ -196,28 +216,53 @@ def _carry(
             for k in range(size):
                 work[(3 * (axis + 1) + i) * BLOCK + k] = last[4 * i + 2 - axis]
     for joint in range(len(chain) - 2, -1, -1):
-        _step(chain[joint], motion[joint], size, work[: 3 * BLOCK], 1.0)
-        for axis in range(1, directions + 1):
-            part = work[3 * axis * BLOCK : 3 * (axis + 1) * BLOCK]
-            _step(chain[joint], motion[joint], size, part, 0.0)
+        if directions == 0:
+            _step(chain[joint], motion[joint], size, work)
+            continue
+        # In pairs: a pair reads the motions and runs its loop once.
+        for first in range(0, directions, 2):
+            pair = work[3 * first * BLOCK : 3 * (first + 2) * BLOCK]
+            weight = 1.0 if first == 0 else 0.0
+            _step_pair(chain[joint], motion[joint], size, pair, weight)
 
 
 @_compiled
-def _step(
-    link: Floats, motion: Floats, size: int, vectors: Floats, weight: float
+def _step(link: Floats, motion: Floats, size: int, point: Floats) -> None:
+    """Carry a point through one joint and the link before it."""
+    r00, r01, r02, px = link[0], link[1], link[2], link[3]
+    r10, r11, r12, py = link[4], link[5], link[6], link[7]
+    r20, r21, r22, pz = link[8], link[9], link[10], link[11]
+    for k in range(size):
+        cosine, sine = motion[k], motion[k + BLOCK]
+        u, v = point[k], point[k + BLOCK]
+        x, y = cosine * u - sine * v, sine * u + cosine * v
+        z = point[k + 2 * BLOCK] + motion[k + 2 * BLOCK]
+        point[k] = r00 * x + r01 * y + r02 * z + px
+        point[k + BLOCK] = r10 * x + r11 * y + r12 * z + py
+        point[k + 2 * BLOCK] = r20 * x + r21 * y + r22 * z + pz
+
+
+@_compiled
+def _step_pair(
+    link: Floats, motion: Floats, size: int, pair: Floats, weight: float
 ) -> None:
-    """Through one joint and the link before it, with weight 0 for directions."""
+    """The same for two vectors: a point or, with weight 0, a direction; a direction."""
     r00, r01, r02, px = link[0], link[1], link[2], weight * link[3]
     r10, r11, r12, py = link[4], link[5], link[6], weight * link[7]
     r20, r21, r22, pz = link[8], link[9], link[10], weight * link[11]
     for k in range(size):
         cosine, sine = motion[k], motion[k + BLOCK]
-        u, v = vectors[k], vectors[k + BLOCK]
+        u, v = pair[k], pair[k + BLOCK]
         x, y = cosine * u - sine * v, sine * u + cosine * v
-        z = vectors[k + 2 * BLOCK] + weight * motion[k + 2 * BLOCK]
-        vectors[k] = r00 * x + r01 * y + r02 * z + px
-        vectors[k + BLOCK] = r10 * x + r11 * y + r12 * z + py
-        vectors[k + 2 * BLOCK] = r20 * x + r21 * y + r22 * z + pz
+        z = pair[k + 2 * BLOCK] + weight * motion[k + 2 * BLOCK]
+        u, v, bz = pair[k + 3 * BLOCK], pair[k + 4 * BLOCK], pair[k + 5 * BLOCK]
+        bx, by = cosine * u - sine * v, sine * u + cosine * v
+        pair[k] = r00 * x + r01 * y + r02 * z + px
+        pair[k + BLOCK] = r10 * x + r11 * y + r12 * z + py
+        pair[k + 2 * BLOCK] = r20 * x + r21 * y + r22 * z + pz
+        pair[k + 3 * BLOCK] = r00 * bx + r01 * by + r02 * bz
+        pair[k + 4 * BLOCK] = r10 * bx + r11 * by + r12 * bz
+        pair[k + 5 * BLOCK] = r20 * bx + r21 * by + r22 * bz
 
 
 @_compiled

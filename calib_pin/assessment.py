@@ -146,7 +146,9 @@ def estimates(
         if not parameters[k].free:
             return "fixed"
         if k in structure.unidentifiable:
-            return "unidentifiable"
+            # Hidden at nominal; large errors may have let it move all the same.
+            moved = fitted is not None and fitted.revealed[k].any()
+            return "weak" if moved else "unidentifiable"
         if k in alone:
             return "identifiable" if alone[k] else "weak"
         return "weak" if weak.issuperset(member[k]) else "coupled"
@@ -187,6 +189,7 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         ),
         rank=fitted.rank,
         weak=fitted.directions.weak.shape[1],
+        revealed=fitted.revealed.shape[1],
         correlated=tuple(_correlated(fitted)),
     )
 
@@ -209,6 +212,7 @@ def _ranks(
         singular_values=tuple(float(value) for value in s),
         observability=observability(s, configurations),
         weak=0,
+        revealed=0,
         correlated=(),
     )
 

@@ -117,10 +117,15 @@ def calibrate(
     stages = 1 if unseen is not None or not validate else 1 + FOLDS
 
     def run(rows: Measurements, stage: int) -> Fit:
+        furthest = 0.0
+
         def report(part: float) -> None:
+            # A solver may search several times.
+            nonlocal furthest
+            furthest = max(furthest, part)
             if progress is not None:
                 name = f"check {stage} of {FOLDS}" if stage else "fit"
-                progress(name, (stage + part) / stages)
+                progress(name, (stage + furthest) / stages)
 
         report(0.0)
         problem = make_problem(chain, rows, setup)

@@ -143,7 +143,7 @@ def pruned(
 def appearing(
     directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
 ) -> Floats:
-    """Robot directions that only large errors have made visible.
+    """Robot directions that the errors themselves have made visible.
 
     Special geometry hides them at nominal: parallel or intersecting axes. Away from it
     they show, the more the larger the errors are.
@@ -164,7 +164,9 @@ def appearing(
     moved = _range(A @ directions.basis)
     columns = A @ hidden
     _, s, Vt = np.linalg.svd(columns - moved @ (moved.T @ columns), full_matrices=False)
-    return np.asarray(hidden @ Vt[s * WEAK > sigma0].T)
+    result = hidden @ Vt[s * WEAK > sigma0].T
+    # Rounding must not move, by 1e-20, parameters that nothing moves.
+    return np.where(np.abs(result) < 1e-13, 0.0, result)
 
 
 def robot_singular_values(

@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 
@@ -19,17 +18,17 @@ from calib_pin.directions import (
 from calib_pin.identifiability import Structure, structure
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem, observable_configurations
-from calib_pin.solve import Progress, Solved, Solver, least_squares
+from calib_pin.solve import Progress, Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
+
+__all__ = ["Fit", "analyze_structure", "fit", "register"]
 
 EXPLAINED = 1e-18
 """Part of the cost of the nominal robot below which everything is explained."""
 
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
-
-__all__ = ["Fit", "analyze_structure", "fit", "register"]
 
 
 @dataclass(frozen=True)
@@ -48,6 +47,8 @@ class Fit:
             the data have them, else scaled by sigma0.
         singular_values: Of the whitened, scaled Jacobian of the estimated robot
             directions at the solution with the nuisances projected out, descending.
+        revealed: Robot directions that nominal geometry hides and that were moved all
+            the same, shape (P, k); k is 0 for errors of the expected size.
         solver: Name of the solver.
         evaluator: What evaluated the rows, see `solve.Solved`.
         evolution: The last evolution, if there was one.
@@ -62,6 +63,7 @@ class Fit:
     sigma0: float
     covariance: Floats
     singular_values: Floats
+    revealed: Floats
     solver: str
     evaluator: str
     evolution: EvolutionResult | None
@@ -119,8 +121,15 @@ def _fit(
     if problem.held_at:
         r, J = problem.linearize(nominal)
     found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
-    choose = partial(practical_directions, J, r, problem.count, parameters, visible)
     stages = _Stages(problem, solver, nominal)
+
+    def choose(sigma0: float | None) -> Directions:
+        known = (J, r)
+        if problem.many and stages.solutions:
+            # The start had half the digits; at the solution there are all of them.
+            known = (stages.solutions[-1].result.jac, stages.solutions[-1].result.fun)
+        return practical_directions(*known, problem.count, parameters, visible, sigma0)
+
     # A search takes errors for which the linear prediction of sigma0 is no good.
     stages.grow(choose(0.0 if solver.searches else None), choose)
     stages.prune()
@@ -138,8 +147,8 @@ def _fit(
         directions=last.directions,
         result=replace(
             last.result,
-            nit=before.nit + sum(solution.result.nit for solution in solutions),
-            nfev=before.nfev + sum(solution.result.nfev for solution in solutions),
+            nit=before.nit + stages.nit,
+            nfev=before.nfev + stages.nfev,
         ),
         rank=last.rank,
         sigma0=last.sigma0,
@@ -147,6 +156,7 @@ def _fit(
         singular_values=robot_singular_values(
             last.directions, last.result.jac, parameters
         ),
+        revealed=stages.revealed,
         solver=solver.name,
         evaluator=searched.evaluator,
         evolution=searched.evolution,
@@ -164,6 +174,8 @@ class _Stages:
 
     def __init__(self, problem: Problem, solver: Solver, nominal: Floats) -> None:
         self.solutions: list[_Solution] = []
+        self.revealed = np.zeros((len(nominal), 0))
+        self.nit = self.nfev = 0
         self._problem, self._solver, self._nominal = problem, solver, nominal
 
     def grow(
@@ -191,26 +203,33 @@ class _Stages:
             self._solve(directions)
 
     def extend(self, negligible: float) -> None:
-        """Move directions that large errors have made visible, if that explains much.
+        """Move directions that the errors have made visible, if that explains much.
 
-        With errors of their expected size it explains nothing, and the robot stays
+        With noise, errors of their expected size explain nothing, and the robot stays
         within the directions of its nominal geometry.
 
         Args:
             negligible: Cost that rounding leaves of exact rows.
         """
-        last = self.solutions[-1]
+        last, problem = self.solutions[-1], self._problem
         if not np.isfinite(last.sigma0) or last.result.cost <= negligible:
             return
-        parameters = self._problem.parameters
-        more = appearing(last.directions, last.result.jac, parameters, last.sigma0)
+        more = appearing(
+            last.directions, last.result.jac, problem.parameters, last.sigma0
+        )
         if more.shape[1] == 0:
             return
         robot = np.column_stack([last.directions.robot, more])
-        found = self._solve(replace(last.directions, robot=robot))
+        directions = replace(last.directions, robot=robot)
+        # Here Gauss-Newton tells what there is to gain, whatever the solver.
+        found = self._judged(directions, descend(problem, directions, last.result.x))
         gain = 2.0 * (last.result.cost - found.result.cost)
-        if not gain > SURPRISE * more.shape[1] * found.sigma0**2:
-            self.solutions.pop()
+        if gain > SURPRISE * more.shape[1] * found.sigma0**2:
+            self.revealed = more
+            if self._solver.name == "de":
+                self._solve(directions)
+            else:
+                self.solutions.append(found)
 
     def _solve(self, directions: Directions) -> _Solution:
         previous = None
@@ -218,8 +237,13 @@ class _Stages:
             parameters = self._problem.parameters
             previous = _within(self.solutions[-1], directions, parameters)
         found = self._solver.solve(self._problem, directions, self._nominal, previous)
-        self.solutions.append(_judge(self._problem, directions, found))
+        self.solutions.append(self._judged(directions, found))
         return self.solutions[-1]
+
+    def _judged(self, directions: Directions, found: Solved) -> _Solution:
+        self.nit += found.result.nit
+        self.nfev += found.result.nfev
+        return _judge(self._problem, directions, found)
 
 
 def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:

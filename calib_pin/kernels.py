@@ -17,8 +17,8 @@ vector instructions.
 
 All functions release the interpreter and take one thread; callers split members or
 rows into pieces. Sums run in a fixed order within a member or a block, so that results
-do not depend on the number of threads. They stand in one file because numba, which
-keeps machine code on disk, notices a change only in a function's own file.
+do not depend on the number of threads. They stand in one file, long as it is, because
+numba, which keeps machine code, notices a change only in a function's own file.
 """
 
 from __future__ import annotations

@@ -103,18 +103,26 @@ class Measurements:
         )
 
     def sample(self, count: int) -> Measurements:
-        """At most `count` rows of every target, evenly spread over the rows."""
+        """About `count` rows, spread evenly over the rows of every target.
+
+        A target with few rows keeps up to twenty, unless there are too many of them.
+        """
         if len(self) <= count:
             return self
         names = {name: k for k, name in enumerate(dict.fromkeys(self.target))}
         label = np.zeros(len(self), np.int64)
-        if len(names) > 1:
+        if 1 < len(names) <= count // 20:
             label[:] = [names[name] for name in self.target]
-        chosen = []
-        for k in range(len(names)):
-            rows = np.flatnonzero(label == k)
-            step = np.linspace(0, len(rows) - 1, min(count, len(rows)))
-            chosen.append(rows[step.astype(np.int64)])
+        order = np.argsort(label, kind="stable")
+        sizes = np.bincount(label)
+        few = np.minimum(sizes, min(20, count))
+        shares = np.maximum(sizes * count // len(self), few)
+        chosen = [
+            rows[np.linspace(0, len(rows) - 1, share).astype(np.int64)]
+            for rows, share in zip(
+                np.split(order, np.cumsum(sizes)[:-1]), shares, strict=True
+            )
+        ]
         return self.rows(np.sort(np.concatenate(chosen)))
 
     def split(self) -> tuple[Measurements, Measurements]:
@@ -133,11 +141,11 @@ class Measurements:
         # all others as they are, and a row that stands alone is done with.
         label = np.zeros(len(self), np.int64)
         shared = np.arange(len(self))
-        found = -1
         # Split by one joint after the other at gaps in the sorted positions, until
         # nothing splits: rounding to a grid would part neighbors across its edges.
-        while len(shared) and len(shared) != found:
-            found = len(shared)
+        before = label - 1
+        while not np.array_equal(label, before):
+            before = label.copy()
             for position in self.q.T:
                 shared = _split_groups(label, shared, position)
         used = np.zeros(len(self) + 1, np.int64)

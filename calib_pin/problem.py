@@ -28,7 +28,7 @@ DRAWS = 200
 """Random configurations tried for each one that is wanted."""
 
 SAMPLE = 10_000
-"""Rows of every target that a closed-form start is made from; more do not help it."""
+"""Rows that a closed-form start is made from; more do not help it."""
 
 MANY = 1_000_000
 """Entries of a Jacobian from which rows go through the compiled kernels, in chunks.

@@ -120,6 +120,8 @@ class Identifiability:
         singular_values: Of the whitened, scaled Jacobian of those directions.
         observability: O1 to O5 of these singular values.
         weak: Number of structural directions that these rows cannot tell.
+        revealed: Number of directions that nominal geometry hides, estimated because
+            the errors are so large that they show.
         correlated: Pairs of estimates with a correlation above 0.95.
     """
 
@@ -132,6 +134,7 @@ class Identifiability:
     singular_values: tuple[float, ...]
     observability: dict[str, float]
     weak: int
+    revealed: int
     correlated: tuple[tuple[str, str, float], ...]
 
 
@@ -247,7 +250,8 @@ class CalibrationResult(Identification):
         solver: Name of the solver.
         evaluator: What evaluated the rows, see `solve.Solved`.
         history: Best cost of every generation, if it searched by evolution: half the
-            sum of squared whitened residuals.
+            sum of squared whitened residuals of the rows that the search looks at, a
+            sample with `hybrid` and thousands of rows.
         status: How the solver ended.
         at_bounds: Names of the parameters that stand at a bound.
         iterations: Steps of the solver.

@@ -8,7 +8,7 @@ solution suggests, with the compiled kernels, and needs no derivative.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
@@ -31,6 +31,7 @@ __all__ = [
     "Solved",
     "Solver",
     "check_solver",
+    "descend",
     "least_squares",
 ]
 
@@ -53,7 +54,7 @@ NUISANCE_BOX = (0.02, 1.0)
 """The same in the directions of frames and instrument [m, rad]."""
 
 ROWS = 1000
-"""Rows of every target that an evolution looks at when Gauss-Newton follows."""
+"""Rows that an evolution looks at when Gauss-Newton follows."""
 
 EXACT = 1e-14
 """Part of the cost that a step must promise: all that rounding leaves."""
@@ -118,6 +119,13 @@ class Solver:
         self.name = stated.name
         try:
             check_solver(self.name)
+            known = [option.name for option in fields(DifferentialEvolution)]
+            for name in stated.evolution:
+                if name not in known:
+                    raise OptionError(
+                        f"there is no option '{name}'{nearest(name, known)}",
+                        allowed=", ".join(known),
+                    )
             self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
         except OptionError as error:
             raise error.within(problem.setup.file) from None
@@ -143,13 +151,13 @@ class Solver:
             previous: The solution in other directions, within these, shape (P,).
         """
         start = nominal if previous is None else previous
-        if self.name == "de":
+        searches = self.searches and directions.count > 0
+        if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
-        basis = problem.parameters.scales[:, None] * directions.basis
         # What other directions have led to needs no search again.
-        if self.name == "gauss-newton" or previous is not None:
-            result = least_squares(problem, start, basis)
-            return Solved(result, "kernel" if problem.many else "pinocchio")
+        if not searches or previous is not None:
+            return descend(problem, directions, start)
+        basis = problem.parameters.scales[:, None] * directions.basis
         few = replace(problem, data=problem.data.sample(ROWS))
         found = self._evolve(few, directions, nominal, start)
         result = least_squares(problem, found.result.x, basis)
@@ -171,25 +179,36 @@ class Solver:
         costs = PopulationCost(problem)
         bounds = _box(problem, directions, nominal)
         first = directions.basis.T @ ((start - nominal) / scales)
+        done = 0
+
+        def evaluate(members: Floats) -> Floats:
+            nonlocal done
+            done += len(members)
+            if self._progress is not None:
+                self._progress(done / self._options.budget)
+            return costs(nominal + members @ basis.T)
+
         found = differential_evolution(
-            lambda members: costs(nominal + members @ basis.T),
+            evaluate,
             bounds,
             self._rng,
             self._options,
             x0=np.clip(first, *bounds.T),
-            callback=self._report,
         )
         x = nominal + basis @ found.x
         fun, jac = problem.linearize(x)
-        status = _judged(found, fun, jac @ basis)
+        status = _judged(problem, found, fun, jac @ basis)
         result = LeastSquaresResult(
             x, fun, jac, found.fun, found.nit, found.nfev, status
         )
         return Solved(result, costs.evaluator, found)
 
-    def _report(self, generation: int, best: Floats, cost: float) -> None:
-        if self._progress is not None:
-            self._progress(min(1.0, generation / self._options.maxiter))
+
+def descend(problem: Problem, directions: Directions, start: Floats) -> Solved:
+    """Gauss-Newton in some directions from a start, shape (P,)."""
+    basis = problem.parameters.scales[:, None] * directions.basis
+    result = least_squares(problem, start, basis)
+    return Solved(result, "kernel" if problem.many else "pinocchio")
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
@@ -230,16 +249,25 @@ def _box(problem: Problem, directions: Directions, nominal: Floats) -> Floats:
     return np.column_stack([-half, half])
 
 
-def _judged(found: EvolutionResult, fun: Floats, A: Floats) -> Status:
-    """An evolution at its limit has converged if next to nothing is left to gain.
+def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) -> Status:
+    """An evolution has converged where next to nothing is left to gain.
+
+    A population can meet anywhere, and a limit of generations can come at a minimum.
 
     Args:
+        problem: What it minimized.
         found: The evolution.
         fun: Residual at its best member, shape (M,).
         A: Jacobian by its directions there, shape (M, k).
     """
-    if found.status is not Status.GENERATIONS:
+    if found.status not in (Status.GENERATIONS, Status.CONVERGED):
         return found.status
     step = np.linalg.lstsq(A, fun, rcond=None)[0]
     promised = float(fun @ (A @ step)) / 2.0
-    return Status.CONVERGED if promised <= NEGLIGIBLE * found.fun else found.status
+    # Where the noise is stated, what lies far below it is nothing to gain either.
+    noise = 0.0 if problem.data.sigma is None else 0.5 * problem.count
+    if promised <= NEGLIGIBLE * max(found.fun, noise):
+        return Status.CONVERGED
+    if found.status is Status.CONVERGED:
+        return Status.COLLAPSED
+    return found.status

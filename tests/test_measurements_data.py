@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import FrozenInstanceError, replace
+from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -117,8 +118,11 @@ def test_few_rows_are_their_own_sample() -> None:
     assert data.sample(6) is data
 
 
-@pytest.mark.parametrize("count", [1, 2, 7, 50, 300])
-def test_a_sample_has_rows_of_every_target(count: int) -> None:
+@pytest.mark.parametrize(
+    ("count", "kept"),
+    [(1, []), (7, []), (60, [48, 20, 10]), (150, [120, 25, 10]), (300, [240, 50, 10])],
+)
+def test_a_sample_has_rows_of_every_target(count: int, kept: list[int]) -> None:
     target = np.repeat(["wall", "floor", "post"], [240, 50, 10])
     target = np.random.default_rng(0).permutation(target)
     data = Measurements(
@@ -132,8 +136,10 @@ def test_a_sample_has_rows_of_every_target(count: int) -> None:
     part = data.sample(count)
     rows = part.q[:, 0].astype(int)
     assert (np.diff(rows) > 0).all()
-    for name, size in (("wall", 240), ("floor", 50), ("post", 10)):
-        assert part.target.count(name) == min(count, size)
+    found = [part.target.count(name) for name in ("wall", "floor", "post")]
+    # Shares of the rows, but twenty of a target where that is not too much.
+    assert count < 60 or found == kept
+    assert len(part) == count or count >= 60
     # What belongs together stays together.
     np.testing.assert_array_equal(part.values[:, 0], -rows)
     np.testing.assert_array_equal(part.lines, rows + 2)
@@ -170,6 +176,42 @@ def test_groups_are_equal_configurations() -> None:
     expected = np.eye(6, dtype=bool)
     expected[0, 2] = expected[2, 0] = expected[4, 5] = expected[5, 4] = True
     np.testing.assert_array_equal(same, expected)
+
+
+def test_groups_are_what_gaps_leave() -> None:
+    """Close positions in chains: what splits by one joint may split by another."""
+    rng = np.random.default_rng(0)
+    steps = np.array([0.0, 0.9e-6, 1.8e-6, 2.7e-6, 1.0])
+    for _ in range(200):
+        q = rng.choice(steps, size=(6, 2))
+        data = Measurements(("a", "b"), q, "position", np.zeros((6, 3)))
+        label = data.groups()
+        assert sorted(set(label)) == list(range(data.configurations))
+        parts = [list(range(6))]
+        while True:
+            split = [piece for part in parts for piece in _cut(q, part)]
+            if split == parts:
+                break
+            parts = split
+        assert {frozenset(np.flatnonzero(label == k)) for k in set(label)} == {
+            frozenset(part) for part in parts
+        }
+
+
+def _cut(q: np.ndarray, rows: list[int]) -> list[list[int]]:
+    """Cut rows at gaps of more than a micrometer, joint by joint."""
+    parts = [rows]
+    for joint in range(q.shape[1]):
+        cut = []
+        for part in parts:
+            order = sorted(part, key=lambda row: q[row, joint])
+            cut.append([order[0]])
+            for before, row in pairwise(order):
+                if q[row, joint] - q[before, joint] > 1e-6:
+                    cut.append([])
+                cut[-1].append(row)
+        parts = cut
+    return sorted(sorted(part) for part in parts)
 
 
 def test_concatenate() -> None:

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.assessment import estimates, fitted_ranks
 from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.errors import OptionError
 from calib_pin.fit import Fit, fit
@@ -110,10 +111,41 @@ def test_a_search_that_was_cut_short_is_not_trusted() -> None:
     assert result.status is Status.GENERATIONS
     assert result.verdict == "untrusted" and "hybrid" in result.reason
     assert len(result.history) == 6
-    enough = replace(RANGER, solver=SolverSetup("de", {"target": result.chi2}))
-    result = calib_pin.calibrate(chain, rows, enough, validate=False)
-    assert result.status is Status.TARGET
-    assert result.chi2 <= 2.0 * 2.0 * result.history[-1] + 1e-9
+
+
+def test_a_target_ends_a_search_early() -> None:
+    problem, _ = ranger_problem(0, length=3e-3, angle=3e-3)
+    least = solved(problem, "gauss-newton").result.cost
+    found = solved(problem, "de", target=10.0 * least)
+    assert found.result.status is Status.TARGET
+    assert found.evolution is not None
+    history = found.evolution.best_history
+    assert least < history[-1] <= 10.0 * least < history[-2] < history[0]
+
+
+@pytest.mark.parametrize(
+    "options",
+    [{"population_size": 12, "mutation": 0.4, "strategy": "best/1"}, {"tol": 1.0}],
+)
+def test_a_population_that_met_far_from_a_minimum_is_not_trusted(
+    options: dict[str, str | float],
+) -> None:
+    problem, _ = ranger_problem(0, length=3e-3, angle=3e-3)
+    setup = replace(RANGER, solver=SolverSetup("de", options))
+    result = calib_pin.calibrate(
+        problem.error.chain, problem.data, setup, validate=False
+    )
+    assert result.status is Status.COLLAPSED
+    assert result.verdict == "untrusted" and "hybrid" in result.reason
+
+
+@pytest.mark.parametrize("name", ["gauss-newton", "de", "hybrid"])
+def test_nothing_to_search(name: str) -> None:
+    setup = replace(RANGER, fixed=("*",))
+    problem, _ = ranger_problem(0, length=0.0, angle=0.0, setup=setup)
+    found = solved(problem, name)
+    assert (found.theta == 0.0).all()
+    assert (found.rank, found.result.status) == (0, Status.CONVERGED)
 
 
 def test_a_search_keeps_to_bounds_and_fixed_parameters() -> None:
@@ -133,8 +165,25 @@ def test_large_errors_reveal_directions_that_nominal_geometry_hides() -> None:
     large, _ = ranger_problem(2, length=0.05, angle=np.radians(5.0))
     assert solved(small, "gauss-newton").rank == 24
     found = solved(large, "hybrid")
-    assert found.structure.rank == 24 < found.rank
+    assert found.structure.rank == 24
+    assert found.rank == 24 + found.revealed.shape[1] > 24
     assert found.sigma0 == pytest.approx(1.0, abs=0.4)
+    # Fixed parameters stay exactly, and what moved is not called without effect.
+    fixed = ~found.problem.parameters.free
+    assert fixed.any() and (found.theta[fixed] == 0.0).all()
+    values, _ = estimates(found.problem.parameters, found.structure, found)
+    hidden = [p for p in values if p.status == "unidentifiable"]
+    assert all(p.value == 0.0 for p in hidden)
+    assert fitted_ranks(found).revealed == found.revealed.shape[1]
+
+
+def test_priors_and_few_rows_reveal_nothing() -> None:
+    prior = replace(RANGER, prior={"*.dh.*": 2e-3})
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, setup=prior)
+    found = solved(problem, "gauss-newton")
+    assert found.rank > 24 and fitted_ranks(found).revealed == 0
+    problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, count=3)
+    assert fitted_ranks(solved(problem, "gauss-newton")).revealed == 0
 
 
 def test_rounding_reveals_nothing() -> None:
@@ -172,6 +221,10 @@ def test_progress_goes_from_stage_to_stage() -> None:
             "recombination cannot be used (value 1.5); allowed: 0 to 1",
         ),
         (SolverSetup("gauss-newton", {"maxiter": 0}), "maxiter cannot be used"),
+        (
+            SolverSetup("de", {"popsize": 15}),
+            "there is no option 'popsize' (did you mean 'population_size'?)",
+        ),
     ],
 )
 def test_options_that_do_not_exist(solver: SolverSetup, message: str) -> None:

@@ -110,6 +110,8 @@ def calibrate(
     stated = open_setup(
         setup, base=base, tip=tip, model=model, parameters=parameters, solver=solver
     )
+    if stated.solver.evolution and stated.solver.name == "gauss-newton":
+        notice("gauss-newton does not use the options of the evolution in 'solver'")
     chain = open_chain(robot, stated)
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else _outputs(output, chain.robot.name)

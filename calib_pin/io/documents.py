@@ -86,6 +86,7 @@ def identification_document(found: Identification) -> Json:
             "structural_gap": ranks.gap,
             "everett": ranks.everett,
             "weak": ranks.weak,
+            "revealed": ranks.revealed,
             "condition": ranks.condition,
             "singular_values": list(ranks.singular_values),
             "observability": ranks.observability,

@@ -88,6 +88,8 @@ def _evolution(option: str) -> Callable[[object], Any]:
         plain: Any = value if number is None else number
         if isinstance(plain, float) and plain.is_integer() and option in WHOLE:
             plain = int(plain)
+        if isinstance(plain, float) and not math.isfinite(plain):
+            raise ValueError("a finite number")
         try:
             DifferentialEvolution(**{option: plain})
         except OptionError as error:

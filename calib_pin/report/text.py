@@ -24,6 +24,7 @@ from calib_pin.result import (
     ParameterEstimate,
     QuantityErrors,
 )
+from calib_pin.solvers import Status
 
 __all__ = [
     "WIDTH",
@@ -146,13 +147,14 @@ def untrusted(reason: str) -> Text:
 def _verdict(result: CalibrationResult) -> Text:
     if result.verdict != "good":
         return untrusted(result.reason)
+    ended = "reached its target" if result.status is Status.TARGET else "converged"
     if result.validation == "none":
-        text = "GOOD: the fit converged; too few rows to check it on unseen ones."
+        checked = "; too few rows to check it on unseen ones."
     elif all(_better(error) for error in result.errors):
-        text = "GOOD: the fit converged and is better on rows it has not seen."
+        checked = " and is better on rows it has not seen."
     else:
-        text = "GOOD: the fit converged and is no worse on rows it has not seen."
-    return Text(text, style="bold green")
+        checked = " and is no worse on rows it has not seen."
+    return Text(f"GOOD: the fit {ended}{checked}", style="bold green")
 
 
 def _better(error: QuantityErrors) -> bool:
@@ -238,8 +240,8 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         remarks = []
         if ranks.weak:
             remarks.append(f"{ranks.weak} directions left at nominal")
-        if revealed := ranks.rank + ranks.weak - ranks.structural_rank:
-            remarks.append(f"{revealed} seen only because the errors are large")
+        if ranks.revealed:
+            remarks.append(f"{ranks.revealed} seen only because the errors are large")
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
         lines.append(("practical rank", f"{ranks.rank}{remark}"))
     if ranks.singular_values:

@@ -106,11 +106,11 @@ INITS = ("latinhypercube", "random")
 """Names of the ways to choose the first population."""
 
 NUMBERS: dict[str, tuple[type, float, float, str]] = {
-    "population_size": (Integral, 4, np.inf, "a whole number, 4 or more"),
+    "population_size": (Integral, 4, 100_000, "a whole number, 4 to 100000"),
     "mutation": (Real, np.nextafter(0.0, 1.0), 2, "more than 0, up to 2"),
     "recombination": (Real, 0, 1, "0 to 1"),
     "maxiter": (Integral, 1, np.inf, "a whole number, 1 or more"),
-    "target": (Real, -np.inf, np.inf, "any number"),
+    "target": (Real, -np.inf, np.finfo(float).max, "a number"),
     "tol": (Real, 0, np.inf, "0 or more"),
     "atol": (Real, 0, np.inf, "0 or more"),
 }
@@ -133,7 +133,7 @@ class DifferentialEvolution:
     Attributes:
         strategy: `rand/1`, `best/1`, `rand-to-best/1`, `midpoint`, `tradeoff` (here
             the same as `rand-to-best/1`, a reconstruction) or `l-shade`.
-        population_size: Number of members Np, 4 or more. (The popsize of scipy is a
+        population_size: Number of members Np, 4 to 100 000. (The popsize of scipy is a
             multiple of the number of components instead.)
         mutation: Factor F of the differences, in (0, 2]. l-shade adapts its own.
         recombination: CR, in [0, 1]: part of the components that a trial takes from
@@ -172,6 +172,11 @@ class DifferentialEvolution:
                 raise OptionError(
                     f"{name} cannot be used", value=value, allowed=allowed
                 )
+
+    @property
+    def budget(self) -> int:
+        """Evaluations of members at most: the first population and the generations."""
+        return int(self.population_size) * (int(self.maxiter) + 1)
 
 
 class _Classic:
@@ -250,10 +255,9 @@ def differential_evolution(
         ('cost target reached', [1.0, 1.0])
     """
     box, size = Box.of(bounds), int(options.population_size)
-    budget = size * (int(options.maxiter) + 1)
     variant: Variant
     if options.strategy == "l-shade":
-        variant = LShade(size, len(box.lower), budget, rng)
+        variant = LShade(size, len(box.lower), options.budget, rng)
     else:
         variant = _Classic(options, len(box.lower), rng)
     return evolve(
@@ -261,7 +265,7 @@ def differential_evolution(
         box,
         box.populate(size, options.init, x0, rng),
         variant,
-        Stops(options.target, options.tol, options.atol, budget),
+        Stops(options.target, options.tol, options.atol, options.budget),
         rng,
         callback,
     )

@@ -14,6 +14,7 @@ class Status(Enum):
     TARGET = "cost target reached"
     ITERATIONS = "iteration limit"
     GENERATIONS = "generation limit"
+    COLLAPSED = "collapsed"
     STALLED = "stalled"
     STOPPED = "stopped"
     NOT_FINITE = "not finite"
@@ -37,6 +38,11 @@ class Status(Enum):
                 "The evolution ended at its generation limit before it reached a "
                 "minimum; allow more generations or let Gauss-Newton finish it with "
                 "the solver 'hybrid'."
+            ),
+            Status.COLLAPSED: (
+                "The population collapsed before it reached a minimum; take more "
+                "members or a larger mutation factor, or let Gauss-Newton finish it "
+                "with the solver 'hybrid'."
             ),
             Status.STALLED: (
                 "No step improves the fit although it is not at a minimum; check for "

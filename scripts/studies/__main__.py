@@ -14,6 +14,9 @@ STUDIES = ("liu2012",)
 def main() -> None:
     """Run the study that the first argument names."""
     name, *words = sys.argv[1:] or [""]
+    if name in ("-h", "--help"):
+        print(f"usage: reproduce NAME [options]; NAME is {', '.join(STUDIES)}")
+        return
     if name not in STUDIES:
         problem = f"unknown study '{name}'" if name else "name a study"
         sys.exit(f"reproduce: {problem}; there is {', '.join(STUDIES)}")

@@ -129,7 +129,7 @@ def options(name: str, description: str, seeds: int) -> argparse.ArgumentParser:
         type=folder,
         default=Path("out") / name,
         metavar="DIR",
-        help="folder of the results, replaced (default: %(default)s)",
+        help="folder of the results (default: %(default)s)",
     )
     return parser
 

@@ -135,7 +135,7 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     "population too small": (
         SETUP,
         {"bad.yaml": "solver:\n  name: de\n  population_size: 3\n"},
-        "bad.yaml:3|solver.population_size|'3'|a whole number, 4 or more",
+        "bad.yaml:3|solver.population_size|'3'|a whole number, 4 to 100000",
     ),
     "recombination out of range": (
         SETUP,
@@ -151,6 +151,16 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         SETUP,
         {"bad.yaml": "solver: {mutation: 0}\n"},
         "bad.yaml:1|solver.mutation|'0'|more than 0, up to 2",
+    ),
+    "infinite target": (
+        SETUP,
+        {"bad.yaml": "solver: {name: de, target: .inf}\n"},
+        "bad.yaml:1|solver.target|'.inf'|a finite number",
+    ),
+    "population for no memory": (
+        SETUP,
+        {"bad.yaml": "solver: {population_size: 1000000000000}\n"},
+        "bad.yaml:1|solver.population_size|a whole number, 4 to 100000",
     ),
     "half a generation": (
         SETUP,

@@ -362,8 +362,7 @@ def test_evaluations(result):
 def test_a_search_and_what_it_reveals() -> None:
     """The line under the verdict names the solver; the ranks say what is new."""
     result = solve()
-    known = result.identifiability
-    ranks = replace(known, rank=known.structural_rank + 1, weak=0)
+    ranks = replace(result.identifiability, revealed=1)
     text = format_report(
         replace(
             result,

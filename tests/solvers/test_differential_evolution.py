@@ -288,10 +288,10 @@ BAD_OPTIONS = [
         "unknown init 'latinhypercub' (did you mean 'latinhypercube'?); allowed: "
         "latinhypercube, random",
     ),
-    ({"population_size": 3}, "(value 3); allowed: a whole number, 4 or more"),
-    ({"population_size": 10.0}, "(value 10.0); allowed: a whole number, 4 or more"),
-    ({"population_size": True}, "(value True); allowed: a whole number, 4 or more"),
-    ({"population_size": np.nan}, "(value nan); allowed: a whole number, 4 or more"),
+    ({"population_size": 3}, "(value 3); allowed: a whole number, 4 to 100000"),
+    ({"population_size": 10.0}, "(value 10.0); allowed: a whole number, 4 to 100000"),
+    ({"population_size": True}, "(value True); allowed: a whole number, 4 to 100000"),
+    ({"population_size": np.nan}, "(value nan); allowed: a whole number, 4 to 100000"),
     ({"maxiter": 0}, "maxiter cannot be used (value 0); allowed: a whole number, 1 or"),
     ({"maxiter": 1.5}, "(value 1.5); allowed: a whole number, 1 or more"),
     ({"mutation": 0.0}, "mutation cannot be used (value 0.0); allowed: more than 0"),
@@ -305,7 +305,8 @@ BAD_OPTIONS = [
     ),
     ({"recombination": 1.1}, "(value 1.1); allowed: 0 to 1"),
     ({"recombination": "0.5"}, "(value '0.5'); allowed: 0 to 1"),
-    ({"target": np.nan}, "target cannot be used (value nan); allowed: any number"),
+    ({"target": np.nan}, "target cannot be used (value nan); allowed: a number"),
+    ({"target": np.inf}, "target cannot be used (value inf); allowed: a number"),
     ({"tol": -1e-9}, "tol cannot be used (value -1e-09); allowed: 0 or more"),
     ({"tol": np.nan}, "tol cannot be used (value nan); allowed: 0 or more"),
     ({"atol": -1.0}, "atol cannot be used (value -1.0); allowed: 0 or more"),
@@ -321,5 +322,5 @@ def test_options_that_cannot_be_used(options: dict[str, object], message: str) -
 
 
 def test_options_at_their_limits() -> None:
-    DifferentialEvolution("l-shade", np.int64(4), 2, 0, 1, np.inf, 0, 0, "random")  # type: ignore[arg-type]
+    DifferentialEvolution("l-shade", np.int64(4), 2, 0, 1, -np.inf, 0, 0, "random")  # type: ignore[arg-type]
     DifferentialEvolution(mutation=1e-300, recombination=np.float32(1))  # type: ignore[arg-type]

@@ -141,8 +141,12 @@ def pruned(
 
 
 def appearing(
-    directions: Directions, J: Floats, parameters: ParameterSet, sigma0: float
-) -> Floats:
+    directions: Directions,
+    J: Floats,
+    r: Floats,
+    parameters: ParameterSet,
+    sigma0: float,
+) -> tuple[Floats, float]:
     """Robot directions that the errors themselves have made visible.
 
     Special geometry hides them at nominal: parallel or intersecting axes. Away from it
@@ -151,11 +155,13 @@ def appearing(
     Args:
         directions: What the fit moved, and what it left at nominal.
         J: Whitened Jacobian at its solution, shape (M, P).
+        r: Whitened residual there, shape (M,).
         parameters: The parameters.
         sigma0: Standard deviation of unit weight of the fit.
 
     Returns:
-        Directions that these measurements can estimate beside those, shape (P, k).
+        Directions that these measurements can estimate beside those, shape (P, k), and
+        the part of the sum of squares that they explain to first order.
     """
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     known = np.column_stack([directions.robot, directions.weak])
@@ -163,10 +169,13 @@ def appearing(
     A = J * parameters.scales
     moved = _range(A @ directions.basis)
     columns = A @ hidden
-    _, s, Vt = np.linalg.svd(columns - moved @ (moved.T @ columns), full_matrices=False)
-    result = hidden @ Vt[s * WEAK > sigma0].T
+    projected = columns - moved @ (moved.T @ columns)
+    U, s, Vt = np.linalg.svd(projected, full_matrices=False)
+    shown = s * WEAK > sigma0
+    result = hidden @ Vt[shown].T
     # Rounding must not move, by 1e-20, parameters that nothing moves.
-    return np.where(np.abs(result) < 1e-13, 0.0, result)
+    result[np.abs(result) < 1e-13] = 0.0
+    return result, float(np.sum((U[:, shown].T @ r) ** 2))
 
 
 def robot_singular_values(

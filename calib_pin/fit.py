@@ -214,17 +214,24 @@ class _Stages:
         last, problem = self.solutions[-1], self._problem
         if not np.isfinite(last.sigma0) or last.result.cost <= negligible:
             return
-        more = appearing(
-            last.directions, last.result.jac, problem.parameters, last.sigma0
+        more, promised = appearing(
+            last.directions,
+            last.result.jac,
+            last.result.fun,
+            problem.parameters,
+            last.sigma0,
         )
-        if more.shape[1] == 0:
+        surprise = SURPRISE * more.shape[1]
+        # What they explain no longer counts as noise.
+        rest = 2.0 * last.result.cost - promised
+        if promised * (problem.count - last.rank) <= surprise * rest:
             return
         robot = np.column_stack([last.directions.robot, more])
         directions = replace(last.directions, robot=robot)
         # Here Gauss-Newton tells what there is to gain, whatever the solver.
         found = self._judged(directions, descend(problem, directions, last.result.x))
         gain = 2.0 * (last.result.cost - found.result.cost)
-        if gain > SURPRISE * more.shape[1] * found.sigma0**2:
+        if gain > surprise * found.sigma0**2:
             self.revealed = more
             if self._solver.name == "de":
                 self._solve(directions)

@@ -19,6 +19,7 @@ __all__ = [
     "OutputError",
     "RobotError",
     "nearest",
+    "require_known",
 ]
 
 
@@ -113,3 +114,22 @@ def nearest(name: str, candidates: Iterable[str]) -> str:
     """
     match = difflib.get_close_matches(name, list(candidates), n=1, cutoff=0.6)
     return f" (did you mean '{match[0]}'?)" if match else ""
+
+
+def require_known(what: str, name: object, known: Iterable[str]) -> None:
+    """Refuse a name that does not exist.
+
+    Args:
+        what: What it is the name of, such as `solver`.
+        name: The name.
+        known: The names that exist.
+
+    Raises:
+        OptionError: With the nearest name and all that exist.
+    """
+    names = list(known)
+    if name not in names:
+        raise OptionError(
+            f"unknown {what} '{name}'{nearest(str(name), names)}",
+            allowed=", ".join(names),
+        )

@@ -13,7 +13,7 @@ from dataclasses import dataclass, fields, replace
 import numpy as np
 
 from calib_pin.directions import Directions
-from calib_pin.errors import OptionError, nearest
+from calib_pin.errors import OptionError, require_known
 from calib_pin.problem import SAMPLE, Problem
 from calib_pin.solvers import (
     DifferentialEvolution,
@@ -30,7 +30,6 @@ __all__ = [
     "Progress",
     "Solved",
     "Solver",
-    "check_solver",
     "descend",
     "least_squares",
 ]
@@ -64,19 +63,6 @@ ENOUGH = 1e-12
 
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""
-
-
-def check_solver(name: str) -> None:
-    """Refuse what is not the name of a solver.
-
-    Raises:
-        OptionError: If there is no such solver.
-    """
-    if name not in SOLVERS:
-        raise OptionError(
-            f"unknown solver '{name}'{nearest(name, SOLVERS)}",
-            allowed=", ".join(SOLVERS),
-        )
 
 
 @dataclass(frozen=True)
@@ -118,14 +104,10 @@ class Solver:
         self._rng, self._progress = rng, progress
         self.name = stated.name
         try:
-            check_solver(self.name)
+            require_known("solver", self.name, SOLVERS)
             known = [option.name for option in fields(DifferentialEvolution)]
             for name in stated.evolution:
-                if name not in known:
-                    raise OptionError(
-                        f"there is no option '{name}'{nearest(name, known)}",
-                        allowed=", ".join(known),
-                    )
+                require_known("option of the solver", name, known)
             self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
         except OptionError as error:
             raise error.within(problem.setup.file) from None

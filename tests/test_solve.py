@@ -223,7 +223,7 @@ def test_progress_goes_from_stage_to_stage() -> None:
         (SolverSetup("gauss-newton", {"maxiter": 0}), "maxiter cannot be used"),
         (
             SolverSetup("de", {"popsize": 15}),
-            "there is no option 'popsize' (did you mean 'population_size'?)",
+            "unknown option of the solver 'popsize' (did you mean 'population_size'?)",
         ),
     ],
 )

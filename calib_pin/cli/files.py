@@ -41,12 +41,12 @@ def open_setup(
     """
     from dataclasses import replace
 
-    from calib_pin.errors import OptionError
+    from calib_pin.errors import OptionError, require_known
     from calib_pin.io.measured_columns import check_model
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import parameterization
     from calib_pin.setup import Setup
-    from calib_pin.solve import check_solver
+    from calib_pin.solve import SOLVERS
 
     for option, value in (("--base", base), ("--tip", tip)):
         if value is not None and not value.strip():
@@ -60,7 +60,7 @@ def open_setup(
             raise OptionError("a parameterization is named twice", value=parameters)
         setup = replace(setup, parameters=names)
     if solver is not None:
-        check_solver(solver)
+        require_known("solver", solver, SOLVERS)
         setup = replace(setup, solver=replace(setup.solver, name=solver))
     if model is not None:
         check_model(model)

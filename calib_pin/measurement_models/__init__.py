@@ -6,7 +6,7 @@ from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
+from calib_pin.errors import OptionError, require_known
 from calib_pin.measurement_models.base import (
     BatchedModel,
     Linearization,
@@ -68,9 +68,5 @@ def measurement_model(
     Raises:
         OptionError: If there is no such model, or a plane has no normal.
     """
-    if name not in MEASUREMENT_MODELS:
-        raise OptionError(
-            f"unknown measurement model '{name}'{nearest(name, MEASUREMENT_MODELS)}",
-            allowed=", ".join(MEASUREMENT_MODELS),
-        )
+    require_known("measurement model", name, MEASUREMENT_MODELS)
     return MEASUREMENT_MODELS[name](setup, targets)

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
-from calib_pin.errors import OptionError, nearest
+from calib_pin.errors import require_known
 from calib_pin.parameterizations.base import Parameterization, Screw
 from calib_pin.parameterizations.dh import DenavitHartenberg
 from calib_pin.parameterizations.frames import frame_screws
@@ -38,9 +38,5 @@ def parameterization(name: str) -> Parameterization:
     Raises:
         OptionError: If there is none; names the nearest.
     """
-    if name not in PARAMETERIZATIONS:
-        raise OptionError(
-            f"unknown parameterization '{name}'{nearest(name, PARAMETERIZATIONS)}",
-            allowed=", ".join(PARAMETERIZATIONS),
-        )
+    require_known("parameterization", name, PARAMETERIZATIONS)
     return PARAMETERIZATIONS[name]

@@ -31,7 +31,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from calib_pin.errors import OptionError, nearest
+from calib_pin.errors import OptionError, require_known
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
     Booleans,
@@ -117,15 +117,6 @@ NUMBERS: dict[str, tuple[type, float, float, str]] = {
 """Kind, least and largest value of the options that are numbers, and this in words."""
 
 
-def _check_name(what: str, name: object, allowed: tuple[str, ...]) -> None:
-    """Refuse a name that is not among those allowed."""
-    if name not in allowed:
-        raise OptionError(
-            f"unknown {what} '{name}'{nearest(str(name), allowed)}",
-            allowed=", ".join(allowed),
-        )
-
-
 @dataclass(frozen=True)
 class DifferentialEvolution:
     """Options of differential evolution; the defaults are those of Liu et al. (2012).
@@ -162,8 +153,8 @@ class DifferentialEvolution:
 
     def __post_init__(self) -> None:
         """Refuse what is not allowed."""
-        _check_name("mutation strategy", self.strategy, STRATEGIES)
-        _check_name("init", self.init, INITS)
+        require_known("mutation strategy", self.strategy, STRATEGIES)
+        require_known("init", self.init, INITS)
         for name, (kind, least, most, allowed) in NUMBERS.items():
             value = getattr(self, name)
             # Here True is no number, and NaN is within no limits.

@@ -301,3 +301,19 @@ def test_householder_agrees_with_numpy() -> None:
     independent = [0, 1, 2, 3, 4, 5]
     expected = np.abs(np.linalg.qr(A[:, independent], mode="r"))
     np.testing.assert_allclose(np.abs(R[:6, :6]), expected, rtol=0, atol=1e-12)
+
+
+def test_without_a_folder_for_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
+    """A read-only installation compiles anew in every process."""
+    njit = kernels.njit
+
+    def refuse(**options: object) -> object:
+        if options.get("cache"):
+            raise RuntimeError("cannot cache function: no locator available")
+        return njit(**options)
+
+    def double(x: float) -> float:
+        return 2.0 * x
+
+    monkeypatch.setattr(kernels, "njit", refuse)
+    assert kernels._compiled(double)(2.0) == 4.0

@@ -5,6 +5,8 @@ of the plane, 100 distances. All but Gauss-Newton may evaluate 150 members in 50
 generations; evolutions of scipy take one first population.
 
 Gauss-Newton knows no box and may leave it: its reach, in half widths, is printed.
+Times are the shortest of up to five runs; the loop, which takes most of a minute and so
+evens out the noise by itself, runs once.
 """
 
 from __future__ import annotations

@@ -329,9 +329,8 @@ def _shuffled_groups(
     rows: Measurements, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Group of each row, (N,), and the groups of repetitions in random order."""
-    labels = rows.groups()
-    count = int(labels.max(initial=-1)) + 1
-    return labels, np.random.default_rng(seed).permutation(count)
+    order = np.random.default_rng(seed).permutation(rows.configurations)
+    return rows.groups(), order
 
 
 def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:

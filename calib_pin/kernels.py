@@ -1,4 +1,4 @@
-"""The compiled kernels: one chain at many configurations, for many parameter values.
+"""Compiled kernels: a chain at many configurations, for many parameter values.
 
 They work on the chain as a product of constant links and joint motions,
 
@@ -10,22 +10,24 @@ holds cosine, sine and shift of every joint position.
 
 No pose is multiplied out. A point or a direction of the tool is carried from the tip
 to the base, which takes half the operations of a matrix product for a beam and a
-quarter for a point; a row of a Jacobian is carried the same way as a wrench. The
-innermost loops run over a block of configurations in one array whose parts lie a
-constant distance apart, so that the compiler sees that they do not overlap and uses
-vector instructions.
+quarter for a point. The innermost loops run over a block of configurations in one array
+whose parts lie a constant distance apart, so that the compiler sees that they do not
+overlap and uses vector instructions.
 
 All functions release the interpreter and take one thread; callers split members or
 rows into pieces. Sums run in a fixed order within a member or a block, so that results
-do not depend on the number of threads. They stand in one file, long as it is, because
-numba, which keeps machine code, notices a change only in a function's own file.
+do not depend on the number of threads.
+
+numba keeps machine code on disk and notices a change only in a function's own file. So
+compiled functions call none of another file: `row_kernels` shares no more than the
+layout of blocks.
 """
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from itertools import pairwise
-from math import atan2, cos, hypot, sin, sqrt
+from math import atan2, cos, sin, sqrt
 from typing import Any, TypeAlias, TypeVar, cast
 
 import numpy as np
@@ -36,26 +38,28 @@ from calib_pin.spatial import Floats
 
 __all__ = [
     "BLOCK",
+    "compiled",
     "links",
     "motions",
-    "normal_equations",
     "plane_distance_costs",
     "pose_costs",
     "poses",
     "position_costs",
-    "triangular_factor",
 ]
 
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 
 BLOCK = 128
-"""Configurations in a block; a constant, for the distances within work arrays."""
+"""Configurations in a block; a constant, for the distances within work arrays.
+
+It is compiled in: clear the machine code (`__pycache__`) after a change.
+"""
 
 _Function = TypeVar("_Function", bound=Callable[..., object])
 
 
-def _compiled(function: _Function) -> _Function:
+def compiled(function: _Function) -> _Function:
     """Compile at the first call and keep the machine code on disk.
 
     Sums may be reordered and contracted, which vector instructions need; not-a-number
@@ -96,7 +100,7 @@ def motions(
     return result, starts
 
 
-@_compiled
+@compiled
 def _fill_motions(
     q: Floats, revolute: Booleans, starts: Indices, result: Floats
 ) -> None:
@@ -111,7 +115,7 @@ def _fill_motions(
                     motion[k], motion[2 * BLOCK + k] = 1.0, position
 
 
-@_compiled
+@compiled
 def links(
     constants: Floats,
     segment: Indices,
@@ -194,7 +198,7 @@ def _exponential(
     )
 
 
-@_compiled
+@compiled
 def _carry(
     chain: Floats, motion: Floats, size: int, work: Floats, directions: int
 ) -> None:
@@ -226,7 +230,7 @@ def _carry(
             _step_pair(chain[joint], motion[joint], size, pair, weight)
 
 
-@_compiled
+@compiled
 def _step(link: Floats, motion: Floats, size: int, point: Floats) -> None:
     """Carry a point through one joint and the link before it."""
     r00, r01, r02, px = link[0], link[1], link[2], link[3]
@@ -242,7 +246,7 @@ def _step(link: Floats, motion: Floats, size: int, point: Floats) -> None:
         point[k + 2 * BLOCK] = r20 * x + r21 * y + r22 * z + pz
 
 
-@_compiled
+@compiled
 def _step_pair(
     link: Floats, motion: Floats, size: int, pair: Floats, weight: float
 ) -> None:
@@ -265,7 +269,7 @@ def _step_pair(
         pair[k + 5 * BLOCK] = r20 * bx + r21 * by + r22 * bz
 
 
-@_compiled
+@compiled
 def position_costs(
     chains: Floats,
     motion: Floats,
@@ -298,7 +302,7 @@ def position_costs(
         costs[member] = 0.5 * total
 
 
-@_compiled
+@compiled
 def plane_distance_costs(
     chains: Floats,
     motion: Floats,
@@ -340,7 +344,7 @@ def plane_distance_costs(
         costs[member] = 0.5 * total
 
 
-@_compiled
+@compiled
 def pose_costs(
     chains: Floats,
     motion: Floats,
@@ -385,7 +389,7 @@ def pose_costs(
         costs[member] = 0.5 * total
 
 
-@_compiled
+@compiled
 def _rotation_vector(R: Floats) -> tuple[float, float, float]:
     """Logarithm of a rotation matrix, by its quaternion as in `spatial.so3_log`."""
     trace = R[0, 0] + R[1, 1] + R[2, 2]
@@ -409,7 +413,7 @@ def _rotation_vector(R: Floats) -> tuple[float, float, float]:
     return factor * x, factor * y, factor * z
 
 
-@_compiled
+@compiled
 def poses(chain: Floats, motion: Floats, starts: Indices, result: Floats) -> None:
     """Tool poses of one chain.
 
@@ -431,215 +435,3 @@ def poses(chain: Floats, motion: Floats, starts: Indices, result: Floats) -> Non
                 for axis in range(3):
                     T[i, axis] = work[(3 * (3 - axis) + i) * BLOCK + k]
             T[3, 3] = 1.0
-
-
-@_compiled
-def normal_equations(
-    chain: Floats,
-    motion: Floats,
-    starts: Indices,
-    by_twist: Floats,
-    others: Floats,
-    weights: Floats,
-    result: Floats,
-) -> None:
-    """Products of all pairs of columns of a Jacobian by the twists of every link.
-
-    Args:
-        chain: Links, shape (n + 1, 12).
-        motion: Joint motions, shape (blocks, n, 3 BLOCK).
-        starts: First row of every block, shape (blocks + 1,).
-        by_twist: Derivatives by the tool's body twist, shape (N, d, 6).
-        others: Further columns of the same rows, shape (N, d, K).
-        weights: Factors of the rows' components, shape (N, d).
-        result: Filled, lower half, shape (M, M), M >= 6 (n + 1) + K a multiple of 4:
-            the twists at the ends of the links from base to tool, then the others.
-    """
-    panel = np.zeros((weights.shape[1], len(result), BLOCK))
-    result[:] = 0.0
-    for block in range(len(motion)):
-        rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
-        _gram(panel, starts[block + 1] - starts[block], result)
-
-
-@_compiled
-def triangular_factor(
-    chain: Floats,
-    motion: Floats,
-    starts: Indices,
-    by_twist: Floats,
-    others: Floats,
-    weights: Floats,
-    result: Floats,
-) -> None:
-    """Factor R of the same columns `A = Q R`, by Householder reflections.
-
-    Takes what `normal_equations` takes; fills the upper half of result, (M, M).
-    """
-    panel = np.zeros((weights.shape[1], len(result), BLOCK))
-    result[:] = 0.0
-    for block in range(len(motion)):
-        rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
-        # One column after the other: the loops over them are many and short.
-        size = starts[block + 1] - starts[block]
-        columns = panel[:, :, :size].transpose(1, 0, 2).copy()
-        _eliminate(columns.reshape(len(result), -1), result)
-
-
-@_compiled
-def _fill(
-    chain: Floats,
-    motion: Floats,
-    by_twist: Floats,
-    others: Floats,
-    weights: Floats,
-    panel: Floats,
-) -> None:
-    """Columns of one block by components, shape (d, M, BLOCK)."""
-    size, components = weights.shape
-    joints, first = len(motion), 6 * len(chain)
-    for c in range(components):
-        for k in range(size):
-            weight = weights[k, c]
-            for i in range(6):
-                panel[c, 6 * joints + i, k] = weight * by_twist[k, c, i]
-            for i in range(others.shape[2]):
-                panel[c, first + i, k] = weight * others[k, c, i]
-        flat = panel[c].reshape(-1)
-        for joint in range(joints, 0, -1):
-            middle = 6 * joint * BLOCK
-            source = flat[middle : middle + 6 * BLOCK]
-            target = flat[middle - 6 * BLOCK : middle]
-            _carry_wrench(chain[joint], motion[joint - 1], size, source, target)
-
-
-@_compiled
-def _carry_wrench(
-    link: Floats, motion: Floats, size: int, source: Floats, target: Floats
-) -> None:
-    """Carry covectors of a body twist from the end of a link to that of the one before.
-
-    A covector acts on twists as a wrench does: force f and moment m move through a
-    transform (R, p) as `R f` and `R m + p x R f`.
-    """
-    r00, r01, r02, px = link[0], link[1], link[2], link[3]
-    r10, r11, r12, py = link[4], link[5], link[6], link[7]
-    r20, r21, r22, pz = link[8], link[9], link[10], link[11]
-    for k in range(size):
-        u, v, w = source[k], source[k + BLOCK], source[k + 2 * BLOCK]
-        x = r00 * u + r01 * v + r02 * w
-        y = r10 * u + r11 * v + r12 * w
-        z = r20 * u + r21 * v + r22 * w
-        u, v, w = source[k + 3 * BLOCK], source[k + 4 * BLOCK], source[k + 5 * BLOCK]
-        mx = r00 * u + r01 * v + r02 * w + py * z - pz * y
-        my = r10 * u + r11 * v + r12 * w + pz * x - px * z
-        mz = r20 * u + r21 * v + r22 * w + px * y - py * x
-        cosine, sine, shift = motion[k], motion[k + BLOCK], motion[k + 2 * BLOCK]
-        fx, fy = cosine * x - sine * y, sine * x + cosine * y
-        target[k] = fx
-        target[k + BLOCK] = fy
-        target[k + 2 * BLOCK] = z
-        target[k + 3 * BLOCK] = cosine * mx - sine * my - shift * fy
-        target[k + 4 * BLOCK] = sine * mx + cosine * my + shift * fx
-        target[k + 5 * BLOCK] = mz
-
-
-@_compiled
-def _gram(panel: Floats, size: int, result: Floats) -> None:
-    """Add the products of all pairs of a panel's rows, `A A^T` in its lower half.
-
-    Four rows by four at a time: sixteen sums stay in registers while eight rows are
-    read.
-
-    Args:
-        panel: Rows in components, shape (d, M, BLOCK), M a multiple of 4.
-        size: Columns that count.
-        result: Added to, shape (M, M).
-    """
-    components, rows = panel.shape[:2]
-    for c in range(components):
-        for i in range(0, rows, 4):
-            a0, a1 = panel[c, i], panel[c, i + 1]
-            a2, a3 = panel[c, i + 2], panel[c, i + 3]
-            for j in range(0, i + 1, 4):
-                b0, b1 = panel[c, j], panel[c, j + 1]
-                b2, b3 = panel[c, j + 2], panel[c, j + 3]
-                s00 = s01 = s02 = s03 = s10 = s11 = s12 = s13 = 0.0
-                s20 = s21 = s22 = s23 = s30 = s31 = s32 = s33 = 0.0
-                for k in range(size):
-                    s00 += a0[k] * b0[k]
-                    s01 += a0[k] * b1[k]
-                    s02 += a0[k] * b2[k]
-                    s03 += a0[k] * b3[k]
-                    s10 += a1[k] * b0[k]
-                    s11 += a1[k] * b1[k]
-                    s12 += a1[k] * b2[k]
-                    s13 += a1[k] * b3[k]
-                    s20 += a2[k] * b0[k]
-                    s21 += a2[k] * b1[k]
-                    s22 += a2[k] * b2[k]
-                    s23 += a2[k] * b3[k]
-                    s30 += a3[k] * b0[k]
-                    s31 += a3[k] * b1[k]
-                    s32 += a3[k] * b2[k]
-                    s33 += a3[k] * b3[k]
-                result[i, j] += s00
-                result[i, j + 1] += s01
-                result[i, j + 2] += s02
-                result[i, j + 3] += s03
-                result[i + 1, j] += s10
-                result[i + 1, j + 1] += s11
-                result[i + 1, j + 2] += s12
-                result[i + 1, j + 3] += s13
-                result[i + 2, j] += s20
-                result[i + 2, j + 1] += s21
-                result[i + 2, j + 2] += s22
-                result[i + 2, j + 3] += s23
-                result[i + 3, j] += s30
-                result[i + 3, j + 1] += s31
-                result[i + 3, j + 2] += s32
-                result[i + 3, j + 3] += s33
-
-
-@_compiled
-def _eliminate(columns: Floats, R: Floats) -> None:
-    """Reflect rows into the triangular factor above them.
-
-    The vector of the j-th reflection is (R_jj + sign(R_jj) |.|, a_j), zero between.
-
-    Args:
-        columns: Columns of the rows, shape (M, W); destroyed.
-        R: Upper triangular factor so far, shape (M, M); replaced.
-    """
-    for j in range(len(R)):
-        a = columns[j]
-        square = _dot(a, a)
-        # With fewer rows than columns rounding of rounding is left, down to underflow.
-        if square < 1e-290:
-            continue
-        head = R[j, j]
-        length = hypot(head, sqrt(square))
-        top = head + length if head > 0.0 else head - length
-        R[j, j] = -length if head > 0.0 else length
-        scale = 2.0 / (top * top + square)
-        for i in range(j + 1, len(R)):
-            along = scale * (R[j, i] * top + _dot(a, columns[i]))
-            R[j, i] -= along * top
-            _subtract(along, a, columns[i])
-
-
-@_compiled
-def _dot(a: Floats, b: Floats) -> float:
-    total = 0.0
-    for k in range(len(a)):
-        total += a[k] * b[k]
-    return total
-
-
-@_compiled
-def _subtract(factor: float, a: Floats, b: Floats) -> None:
-    """Subtract a multiple of a from b, in place."""
-    for k in range(len(a)):
-        b[k] -= factor * a[k]

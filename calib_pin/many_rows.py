@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin import kernels
+from calib_pin import kernels, row_kernels
 from calib_pin.error_model import ErrorModel
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
@@ -101,7 +101,7 @@ class ManyRows:
             Residual, shape (P + K + 1,), and Jacobian, shape (P + K + 1, P + K).
         """
         total = np.zeros((size := self._padded(len(own)), size))
-        for part in self._reduced(kernels.normal_equations, of_robot, own):
+        for part in self._reduced(row_kernels.normal_equations, of_robot, own):
             total += part
         symmetric = np.tril(total) + np.tril(total, -1).T
         B = self._to_parameters(of_robot, len(own))
@@ -113,7 +113,7 @@ class ManyRows:
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P + K), M <= P + K + 1.
         """
-        parts = list(self._reduced(kernels.triangular_factor, of_robot, own))
+        parts = list(self._reduced(row_kernels.triangular_factor, of_robot, own))
         B = self._to_parameters(of_robot, len(own))
         R = np.asarray(np.linalg.qr(np.concatenate(parts) @ B, mode="r"))
         return R[:, -1], R[:, :-1]

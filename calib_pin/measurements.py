@@ -135,8 +135,12 @@ class Measurements:
         """Label rows that must stay together when data are split, shape (N,).
 
         Rows of one configuration are repetitions: with one of them fitted the others
-        are no longer unseen.
+        are no longer unseen. Labels count from 0 and are read-only.
         """
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> NDArray[np.int64]:
         # A label is the number of rows in the groups before: to split a group leaves
         # all others as they are, and a row that stands alone is done with.
         label = np.zeros(len(self), np.int64)
@@ -150,9 +154,11 @@ class Measurements:
                 shared = _split_groups(label, shared, position)
         used = np.zeros(len(self) + 1, np.int64)
         used[label] = 1
-        return np.asarray((np.cumsum(used) - 1)[label])
+        result: NDArray[np.int64] = (np.cumsum(used) - 1)[label]
+        result.setflags(write=False)
+        return result
 
-    @cached_property
+    @property
     def configurations(self) -> int:
         """Number of different configurations; repetitions show nothing new."""
         return int(self.groups().max(initial=-1)) + 1

@@ -144,10 +144,7 @@ def _applied(screws: list[int]) -> list[Factor]:
 
 def _to_axis(axis: Floats) -> pin.SE3:
     """A rotation that takes z to a unit axis."""
-    z = np.array([0.0, 0.0, 1.0])
-    turn = np.cross(z, axis)
+    turn = np.cross([0.0, 0.0, 1.0], axis)
     sine = float(np.linalg.norm(turn))
-    if sine < 1e-12:
-        turn, sine = np.array([1.0, 0.0, 0.0]), 1.0
-    angle = np.arctan2(np.linalg.norm(np.cross(z, axis)), axis[2])
-    return pin.SE3(pin.exp3(turn / sine * angle), np.zeros(3))
+    direction = turn / sine if sine > 1e-12 else np.array([1.0, 0.0, 0.0])
+    return pin.SE3(pin.exp3(direction * np.arctan2(sine, axis[2])), np.zeros(3))

@@ -12,7 +12,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 # Modules and families by layer; a new one is added here.
 LAYERS = (
     ("errors", "parameters", "setup", "spatial"),
-    ("chain", "kernels", "measurements", "registration", "threads"),
+    ("chain", "kernels", "measurements", "registration", "row_kernels", "threads"),
     ("parameterizations", "measurement_models", "error_model", "segments", "many_rows"),
     ("problem", "population", "directions", "identifiability", "solvers"),
     ("fit", "solve", "result", "assessment", "calibration", "simulation"),

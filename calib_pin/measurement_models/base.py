@@ -21,6 +21,7 @@ __all__ = [
     "Linearization",
     "MeasurementModel",
     "Quantity",
+    "plain_batch",
 ]
 
 
@@ -163,6 +164,28 @@ class Batch:
     order: NDArray[np.int64]
     groups: Sequence[int]
     costs: Callable[[Floats, Floats, NDArray[np.int64], Floats, Floats], None]
+
+
+def plain_batch(
+    kernel: Callable[[Floats, Floats, NDArray[np.int64], Floats, Floats, Floats], None],
+    values: Floats,
+    weights: Floats,
+) -> Batch:
+    """The batch form of rows in their own order, of an instrument without parameters.
+
+    Args:
+        kernel: One of the costs in `kernels`.
+        values: What it compares with, shape (N, D).
+        weights: Reciprocal standard deviations of the residual, shape (N, d).
+    """
+    by_component, weight = values.T.copy(), weights.T.copy()
+    return Batch(
+        order=np.arange(len(values)),
+        groups=(len(values),),
+        costs=lambda chains, motion, starts, own, costs: kernel(
+            chains, motion, starts, by_component, weight, costs
+        ),
+    )
 
 
 @runtime_checkable

@@ -13,6 +13,7 @@ from calib_pin.measurement_models.base import (
     FreeInstrument,
     Linearization,
     Quantity,
+    plain_batch,
 )
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_poses
@@ -73,15 +74,8 @@ class Pose(FreeInstrument):
         from calib_pin import kernels
 
         R_y = from_quaternion(data.values[:, 3:]).reshape(-1, 9)
-        values = np.concatenate([data.values[:, :3], R_y], axis=1).T.copy()
-        weights = weights.T.copy()
-        return Batch(
-            order=np.arange(len(data)),
-            groups=(len(data),),
-            costs=lambda chains, motion, starts, own, costs: kernels.pose_costs(
-                chains, motion, starts, values, weights, costs
-            ),
-        )
+        values = np.concatenate([data.values[:, :3], R_y], axis=1)
+        return plain_batch(kernels.pose_costs, values, weights)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -13,6 +13,7 @@ from calib_pin.measurement_models.base import (
     FreeInstrument,
     Linearization,
     Quantity,
+    plain_batch,
 )
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_points
@@ -59,14 +60,7 @@ class Position(FreeInstrument):
         """Carries the origin of the tool to the base."""
         from calib_pin import kernels
 
-        values, weights = data.values.T.copy(), weights.T.copy()
-        return Batch(
-            order=np.arange(len(data)),
-            groups=(len(data),),
-            costs=lambda chains, motion, starts, own, costs: kernels.position_costs(
-                chains, motion, starts, values, weights, costs
-            ),
-        )
+        return plain_batch(kernels.position_costs, data.values, weights)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -2,10 +2,25 @@
 
 from __future__ import annotations
 
+import math
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from typing import Literal
 
-__all__ = ["FrameSetup", "JointMap", "PlaneSetup", "Setup", "SolverSetup"]
+import numpy as np
+from numpy.typing import NDArray
+
+__all__ = [
+    "Cone",
+    "FrameSetup",
+    "JointMap",
+    "Obstacle",
+    "PlaneSetup",
+    "RangerSetup",
+    "Region",
+    "Setup",
+    "SolverSetup",
+]
 
 Triple = tuple[float, float, float]
 
@@ -78,6 +93,113 @@ class SolverSetup:
 
 
 @dataclass(frozen=True)
+class Obstacle:
+    """Something solid that the robot must not touch.
+
+    Attributes:
+        kind: Its shape.
+        size: Three edge lengths of a box along x, y and z; the radius of a sphere;
+            radius and length of a cylinder, which stands along z [m]. Of a mesh: three
+            factors that make its numbers meters.
+        mesh: File of a mesh; empty for the other kinds.
+        xyz: Position of its origin in the base link of the chain [m]; a box, a sphere
+            and a cylinder have it in their middle.
+        rpy: URDF fixed-axis angles in the base link [rad].
+    """
+
+    kind: Literal["box", "sphere", "cylinder", "mesh"]
+    size: tuple[float, ...]
+    mesh: str = ""
+    xyz: Triple = (0.0, 0.0, 0.0)
+    rpy: Triple = (0.0, 0.0, 0.0)
+
+
+@dataclass(frozen=True)
+class Cone:
+    """Field of view of an instrument.
+
+    Attributes:
+        apex: Where the instrument stands, in the base frame [m].
+        axis: Direction it looks in, of any length but zero.
+        angle: Half the opening angle [rad].
+        range: Nearest and farthest distance from the apex [m].
+    """
+
+    apex: Triple
+    axis: Triple
+    angle: float
+    range: tuple[float, float]
+
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points lie within, shape (N, 3) [m] -> (N,)."""
+        ray = np.asarray(points) - self.apex
+        along = ray @ np.array(self.axis)
+        across = np.linalg.norm(np.cross(ray, self.axis), axis=1)
+        distance = np.linalg.norm(ray, axis=1)
+        near, far = self.range
+        # Unlike the arc cosine, this is exact on the axis; the apex itself counts.
+        seen = np.arctan2(across, along) <= self.angle
+        return np.asarray(seen & (near <= distance) & (distance <= far))
+
+
+@dataclass(frozen=True)
+class Region:
+    """Where the measured point may be, in the base frame.
+
+    Several shapes together mean what they have in common; their surfaces count.
+
+    Attributes:
+        box: Lower and upper corner [m].
+        sphere: Center and radius [m].
+        cone: Field of view.
+    """
+
+    box: tuple[Triple, Triple] | None = None
+    sphere: tuple[Triple, float] | None = None
+    cone: Cone | None = None
+
+    def contains(self, points: NDArray[np.float64]) -> NDArray[np.bool_]:
+        """Whether points lie in the region.
+
+        Args:
+            points: Points in the base frame, shape (N, 3) [m].
+
+        Returns:
+            True for those within, shape (N,).
+
+        Example:
+            >>> table = Region(box=((0.0, 0.0, 0.0), (1.0, 1.0, 0.5)))
+            >>> table.contains(np.array([[0.5, 0.5, 0.2], [0.5, 0.5, 0.7]])).tolist()
+            [True, False]
+        """
+        points = np.asarray(points, float)
+        within = np.ones(len(points), bool)
+        if self.box is not None:
+            lower, upper = self.box
+            within &= ((lower <= points) & (points <= upper)).all(axis=1)
+        if self.sphere is not None:
+            center, radius = self.sphere
+            within &= np.linalg.norm(points - center, axis=1) <= radius
+        if self.cone is not None:
+            within &= self.cone.contains(points)
+        return within
+
+
+@dataclass(frozen=True)
+class RangerSetup:
+    """The window in which a laser ranger measures.
+
+    Attributes:
+        range: Shortest and longest distance [m].
+        incidence: Largest angle between the beam and the plane's normal, beyond which
+            too little light comes back [rad].
+    """
+
+    range: tuple[float, float] = (0.0, 5.0)
+    incidence: float = math.radians(70.0)
+
+
+@dataclass(frozen=True)
 class Setup:
     """Everything a setup file can state; the defaults are those of an empty file.
 
@@ -96,6 +218,11 @@ class Setup:
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`)
             used where the file has no sigma columns [SI].
         solver: How the fit is solved.
+        obstacles: What the robot must not touch.
+        region: Where the measured point may be; None for anywhere.
+        limits: Joint name or glob to the lower and upper position within which
+            measurements are planned [rad, m]; they narrow the limits of the URDF.
+        ranger: The window in which a laser ranger measures.
         file: Where all this was read from, for messages.
     """
 
@@ -112,4 +239,8 @@ class Setup:
     prior: Mapping[str, float] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
+    obstacles: tuple[Obstacle, ...] = ()
+    region: Region | None = None
+    limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)
+    ranger: RangerSetup = RangerSetup()
     file: str = field(default="", compare=False)

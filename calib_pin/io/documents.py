@@ -18,9 +18,11 @@ from calib_pin.io.files import read_bytes
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
+from calib_pin.planning.plan import Plan
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
+    CoupledGroup,
     Identification,
     QuantityErrors,
 )
@@ -33,6 +35,7 @@ __all__ = [
     "calibration_document",
     "encode",
     "identification_document",
+    "plan_document",
     "sha256",
 ]
 
@@ -90,24 +93,40 @@ def identification_document(found: Identification) -> Json:
             "condition": ranks.condition,
             "singular_values": list(ranks.singular_values),
             "observability": ranks.observability,
-            "coupled": [
-                {
-                    "group": group.number,
-                    "expression": group.expression,
-                    "unit": group.unit,
-                    "value": group.value,
-                    "sigma": group.sigma,
-                    "terms": [
-                        {"parameter": name, "coefficient": coefficient}
-                        for name, coefficient in group.terms
-                    ],
-                }
-                for group in found.groups
-            ],
+            "coupled": [_group(group) for group in found.groups],
             "correlated": [
                 {"first": first, "second": second, "correlation": value}
                 for first, second, value in ranks.correlated
             ],
+        },
+    }
+
+
+def plan_document(plan: Plan) -> Json:
+    """A plan: its configurations, what they reach, and what they will tell."""
+    predicted = plan.predicted
+    return {
+        "joints": list(plan.problem.error.chain.joints),
+        "configurations": plan.q.tolist(),
+        "target": list(plan.target),
+        "criterion": {"name": plan.criterion, "value": plan.value},
+        "random": plan.random,
+        "method": plan.method,
+        "status": plan.status.value,
+        "measured": plan.measured,
+        "candidates": plan.candidates,
+        "collisions": {"checked": plan.checked, "blocked_moves": plan.blocked},
+        "steps": [asdict(step) for step in plan.steps],
+        "predicted": {
+            "rank": predicted.directions.count,
+            "structural_rank": plan.rank,
+            "position": predicted.position,
+            "orientation": predicted.orientation,
+            "parameters": [
+                {"name": p.name, "unit": p.unit, "sigma": p.sigma, "status": p.status}
+                for p in plan.parameters
+            ],
+            "coupled": [_group(group) for group in plan.groups],
         },
     }
 
@@ -182,6 +201,20 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
             "command": list(provenance.command),
             "created": provenance.created,
         },
+    }
+
+
+def _group(group: CoupledGroup) -> Json:
+    return {
+        "group": group.number,
+        "expression": group.expression,
+        "unit": group.unit,
+        "value": group.value,
+        "sigma": group.sigma,
+        "terms": [
+            {"parameter": name, "coefficient": coefficient}
+            for name, coefficient in group.terms
+        ],
     }
 
 

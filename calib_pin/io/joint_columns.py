@@ -13,7 +13,13 @@ from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, Table, closest
 from calib_pin.io.measured_columns import RESERVED
 from calib_pin.setup import JointMap
 
-__all__ = ["JointSource", "joint_sources", "read_positions", "spare_columns"]
+__all__ = [
+    "JointSource",
+    "column_values",
+    "joint_sources",
+    "read_positions",
+    "spare_columns",
+]
 
 LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
@@ -110,6 +116,41 @@ def read_positions(
         _check_unit(table, source, position, limits)
         q[:, i] = position
     return q
+
+
+def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats]:
+    """What the columns of a file must hold for given positions.
+
+    Columns that are coupled to a joint of the chain without being one of its own (an
+    external axis) are zero.
+
+    Args:
+        q: Joint positions, shape (N, n) [rad, m].
+        sources: The columns of the joints.
+
+    Returns:
+        Values by column, each of shape (N,).
+
+    Raises:
+        InputError: If the couplings of the joint map cannot be undone.
+    """
+    columns = [source.column for source in sources]
+    A, moved = np.eye(len(sources)), np.array(q, float)
+    for i, source in enumerate(sources):
+        if source.map is None:
+            continue
+        moved[:, i] -= source.map.offset
+        moved[:, i] /= source.map.sign * source.map.gear
+        for name, factor in source.map.coupled.items():
+            if name in columns:
+                A[i, columns.index(name)] += factor
+    if np.linalg.matrix_rank(A) < len(A):
+        raise InputError("the couplings in 'joints' cannot be undone")
+    # Without couplings nothing is solved, so that no digit changes.
+    values = moved if (np.eye(len(A)) == A).all() else np.linalg.solve(A, moved.T).T
+    result = dict(zip(columns, values.T, strict=True))
+    others = dict.fromkeys(c for source in sources for c in source.kinds)
+    return result | {c: np.zeros(len(q)) for c in others if c not in result}
 
 
 def spare_columns(

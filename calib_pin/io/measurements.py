@@ -20,6 +20,7 @@ from calib_pin.io.columns import Floats, Table, read_table, split_header
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
+    column_values,
     joint_sources,
     read_positions,
     spare_columns,
@@ -37,7 +38,13 @@ from calib_pin.io.measured_columns import (
 from calib_pin.measurements import Measurements
 from calib_pin.setup import JointMap
 
-__all__ = ["read_configurations", "read_measurements", "write_measurements"]
+__all__ = [
+    "read_configurations",
+    "read_measurements",
+    "read_targets",
+    "write_configurations",
+    "write_measurements",
+]
 
 
 def read_measurements(
@@ -125,6 +132,63 @@ def read_configurations(
     return read_positions(read_table(path), chain, joint_sources(chain, joints))
 
 
+def read_targets(path: str | Path) -> tuple[str, ...]:
+    """Read only the targets of a CSV file; empty where it names none.
+
+    Args:
+        path: CSV file.
+
+    Raises:
+        InputError: If it is not such a file.
+    """
+    table = read_table(path)
+    return table.texts("target") if "target" in table else ()
+
+
+def write_configurations(
+    path: Path,
+    chain: Chain,
+    q: Floats,
+    target: Sequence[str] = (),
+    *,
+    joints: Mapping[str, JointMap] = {},
+    comments: Sequence[str] = (),
+    force: bool = False,
+) -> None:
+    r"""Write configurations to be measured as a CSV file.
+
+    Args:
+        path: File to write.
+        chain: The chain.
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target of each, where there are several.
+        joints: How file columns become joints; the file holds what a controller
+            needs.
+        comments: Lines for the head of the file.
+        force: Whether an existing file is replaced.
+
+    Raises:
+        OptionError: If the file exists and `force` is false.
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back, or the file cannot be written.
+
+    Example:
+        >>> import calib_pin, tempfile
+        >>> chain = calib_pin.load_chain("space6")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "plan.csv"
+        ...     write_configurations(file, chain, np.array([[0, 0, 0, 0.5, 0, 0.0]]))
+        ...     file.read_text().splitlines()[1]
+        '0.0,0.0,0.0,0.5,0.0,0.0'
+    """
+    columns: dict[str, Sequence[float] | Sequence[str]] = {}
+    for name, values in column_values(q, joint_sources(chain, joints)).items():
+        columns[_writable(name)] = values.tolist()
+    if any(target):
+        columns["target"] = _writable_targets(target)
+    _write_table(path, columns, comments, force)
+
+
 def write_measurements(
     path: Path,
     measurements: Measurements,
@@ -157,7 +221,15 @@ def write_measurements(
         ['lift,distance', '0.25,1.5']
     """
     check_model(measurements.model)
-    columns = dict(_columns(measurements))
+    _write_table(path, dict(_columns(measurements)), comments, force)
+
+
+def _write_table(
+    path: Path,
+    columns: Mapping[str, Sequence[float] | Sequence[str]],
+    comments: Sequence[str],
+    force: bool,
+) -> None:
     buffer = io.StringIO(newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
@@ -219,9 +291,7 @@ def _columns(
 ) -> Iterator[tuple[str, Sequence[float] | Sequence[str]]]:
     """Names and cells of the columns that hold measurements."""
     for name, column in zip(measurements.joints, measurements.q.T, strict=True):
-        if split_header(name) != (name, None) or name in RESERVED:
-            raise OutputError(f"joint '{name}' cannot be the name of a column")
-        yield name, column.tolist()
+        yield _writable(name), column.tolist()
     names = VALUES[measurements.model]
     for name, column in zip(names, measurements.values.T, strict=True):
         yield name, column.tolist()
@@ -230,9 +300,21 @@ def _columns(
         for name, column in zip(components, measurements.sigma.T, strict=True):
             yield f"sigma_{name}", column.tolist()
     if any(measurements.target):
-        for target in measurements.target:
-            if target != target.strip() or set(target) & set("\r\n\0"):
-                raise OutputError(f"target {target!r} would not read back")
-        yield "target", measurements.target
+        yield "target", _writable_targets(measurements.target)
     if measurements.validate.any():
         yield "set", ["validate" if late else "train" for late in measurements.validate]
+
+
+def _writable(joint: str) -> str:
+    """The name of a column of joint positions."""
+    if split_header(joint) != (joint, None) or joint in RESERVED:
+        raise OutputError(f"joint '{joint}' cannot be the name of a column")
+    return joint
+
+
+def _writable_targets(targets: Sequence[str]) -> Sequence[str]:
+    """The cells of a column of targets."""
+    for target in targets:
+        if target != target.strip() or set(target) & set("\r\n\0"):
+            raise OutputError(f"target {target!r} would not read back")
+    return targets

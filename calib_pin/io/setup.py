@@ -8,7 +8,14 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.setup import FrameSetup, Setup, SolverSetup
+from calib_pin.setup import (
+    FrameSetup,
+    Obstacle,
+    RangerSetup,
+    Region,
+    Setup,
+    SolverSetup,
+)
 
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
@@ -66,7 +73,15 @@ def read_setup(path: str | Path) -> Setup:
         first = min(problems, key=lambda problem: tree.line(problem["loc"]))
         raise _error(tree, first) from None
     _check_joints(tree, setup)
-    return replace(setup, file=str(path))
+    # The result may be read from another folder than the setup file.
+    folder = Path(path).absolute().parent
+    obstacles = tuple(
+        replace(obstacle, mesh=str(folder / obstacle.mesh))
+        if obstacle.mesh
+        else obstacle
+        for obstacle in setup.obstacles
+    )
+    return replace(setup, obstacles=obstacles, file=str(path))
 
 
 def setup_document(setup: Setup) -> dict[str, Any]:
@@ -95,6 +110,10 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "solver": {}
         if setup.solver == SolverSetup()
         else {"name": setup.solver.name, **setup.solver.evolution},
+        "obstacles": [_obstacle_document(obstacle) for obstacle in setup.obstacles],
+        "region": {} if setup.region is None else _region_document(setup.region),
+        "limits": dict(setup.limits),
+        "ranger": {} if setup.ranger == RangerSetup() else asdict(setup.ranger),
     }
     return {key: value for key, value in data.items() if value}
 
@@ -121,6 +140,21 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     except ValidationError as error:
         place = _dotted(error.errors(include_url=False)[0]["loc"])
         raise ValueError(f"'setup.{place}' cannot have this value") from None
+
+
+def _obstacle_document(obstacle: Obstacle) -> dict[str, Any]:
+    pose = {"xyz": obstacle.xyz, "rpy": obstacle.rpy}
+    if obstacle.kind == "mesh":
+        return {"mesh": obstacle.mesh, "scale": obstacle.size, **pose}
+    size = obstacle.size[0] if obstacle.kind == "sphere" else obstacle.size
+    return {obstacle.kind: size, **pose}
+
+
+def _region_document(region: Region) -> dict[str, Any]:
+    shapes = {key: shape for key, shape in asdict(region).items() if shape is not None}
+    if region.sphere is not None:
+        shapes["sphere"] = dict(zip(("center", "radius"), region.sphere, strict=True))
+    return shapes
 
 
 def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:

@@ -12,29 +12,49 @@ from typing import Annotated, Any
 
 from pydantic import (
     AfterValidator,
-    BaseModel,
-    ConfigDict,
     Field,
     PlainValidator,
-    model_validator,
 )
 
 from calib_pin.errors import OptionError
-from calib_pin.io.columns import ANGLE, LENGTH
+from calib_pin.io.columns import LENGTH
+from calib_pin.io.schema_values import (
+    Angles,
+    Flag,
+    Number,
+    Position,
+    Positive,
+    Section,
+    Text,
+    number,
+    numbers,
+    positive,
+)
+from calib_pin.io.workspace_schema import (
+    REGION,
+    Limits,
+    ObstacleSection,
+    RangerSection,
+    RegionSection,
+)
 from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup, SolverSetup
+from calib_pin.setup import (
+    FrameSetup,
+    JointMap,
+    PlaneSetup,
+    RangerSetup,
+    Setup,
+    SolverSetup,
+)
 from calib_pin.solve import SOLVERS
 from calib_pin.solvers import DifferentialEvolution
 
 __all__ = ["LATER", "SetupFile", "known_keys"]
 
-LATER = ("targets", "distances", "gravity", "payloads", "obstacles", "region")
+LATER = ("targets", "distances", "gravity", "payloads")
 """Documented keys that this version does not know yet."""
-
-SMALLEST = 1e-12
-"""Smallest standard deviation that can be meant [m, rad]."""
 
 WHOLE = ("population_size", "maxiter")
 """Options that are whole numbers."""
@@ -43,34 +63,11 @@ STEEPEST = 1e6
 """Largest length of a normal, and the inverse of the smallest."""
 
 
-def _number(value: object) -> float:
-    # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
-    number = as_number(value) if isinstance(value, str) else value
-    if isinstance(number, bool) or not isinstance(number, float | int):
-        raise ValueError("a number")
-    try:
-        number = float(number)
-    except OverflowError:  # A JSON file may hold integers of any length.
-        number = math.inf
-    if not math.isfinite(number):
-        raise ValueError("a finite number")
-    return number
-
-
-def _positive(value: object) -> float:
-    number = _number(value)
-    if number <= 0.0:
-        raise ValueError("a positive number")
-    if number < SMALLEST:
-        raise ValueError(f"a number of at least {SMALLEST:g}")
-    return number
-
-
 def _nonzero(value: object) -> float:
-    number = _number(value)
-    if number == 0.0:
+    plain = number(value)
+    if plain == 0.0:
         raise ValueError("a number other than 0")
-    return number
+    return plain
 
 
 def _solver(value: object) -> str:
@@ -84,8 +81,8 @@ def _evolution(option: str) -> Callable[[object], Any]:
 
     def check(value: object) -> Any:
         # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
-        number = as_number(value) if isinstance(value, str) else None
-        plain: Any = value if number is None else number
+        written = as_number(value) if isinstance(value, str) else None
+        plain: Any = value if written is None else written
         if isinstance(plain, float) and plain.is_integer() and option in WHOLE:
             plain = int(plain)
         if isinstance(plain, float) and not math.isfinite(plain):
@@ -100,71 +97,33 @@ def _evolution(option: str) -> Callable[[object], Any]:
 
 
 def _sign(value: object) -> int:
-    number = _number(value)
-    if number not in (1.0, -1.0):
+    plain = number(value)
+    if plain not in (1.0, -1.0):
         raise ValueError("1, -1")
-    return int(number)
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str) or not value.strip():
-        raise ValueError("text (in quotes if it looks like something else)")
-    return value
-
-
-def _flag(value: object) -> bool:
-    if not isinstance(value, bool):
-        raise ValueError("true, false")
-    return value
-
-
-def _numbers(value: object, allowed: str) -> tuple[float, float, float]:
-    if not isinstance(value, list) or len(value) != 3:
-        raise ValueError(allowed)
-    try:
-        x, y, z = map(_number, value)
-    except ValueError:
-        raise ValueError(allowed) from None
-    return x, y, z
-
-
-def _position(value: object) -> tuple[float, float, float]:
-    allowed = "three finite numbers in m, such as [0, 0, 0.1]"
-    position = _numbers(value, allowed)
-    if max(map(abs, position)) > LENGTH.largest:
-        raise ValueError(allowed)
-    return position
-
-
-def _angles(value: object) -> tuple[float, float, float]:
-    allowed = "three finite numbers in rad, such as [0, 0, 1.57]"
-    angles = _numbers(value, allowed)
-    if max(map(abs, angles)) > ANGLE.largest:
-        raise ValueError(allowed)
-    return angles
+    return int(plain)
 
 
 def _normal(value: object) -> tuple[float, float, float]:
     allowed = "three finite numbers that are not all 0, such as [0, 0, 1]"
-    normal = _numbers(value, allowed)
-    if not 1.0 / STEEPEST <= math.hypot(*normal) <= STEEPEST:
+    x, y, z = numbers(value, 3, allowed)
+    if not 1.0 / STEEPEST <= math.hypot(x, y, z) <= STEEPEST:
         raise ValueError(allowed)
-    return normal
+    return x, y, z
 
 
 def _offset(value: object) -> float:
-    number = _number(value)
-    if abs(number) > LENGTH.largest * STEEPEST:
+    plain = number(value)
+    if abs(plain) > LENGTH.largest * STEEPEST:
         raise ValueError("the offset f of n . p + f = 0, in m where n has length 1")
-    return number
+    return plain
 
 
 def _bound(value: object) -> float | tuple[float, float]:
     allowed = "a positive number, or [lower, upper] with lower < upper"
     try:
         if not isinstance(value, list):
-            return _positive(value)
-        lower, upper = map(_number, value)
+            return positive(value)
+        lower, upper = map(number, value)
     except ValueError:
         raise ValueError(allowed) from None
     if not lower < upper:
@@ -190,12 +149,6 @@ def _distinct(names: list[str]) -> list[str]:
     return names
 
 
-Number = Annotated[float, PlainValidator(_number)]
-Positive = Annotated[float, PlainValidator(_positive)]
-Text = Annotated[str, PlainValidator(_text)]
-Flag = Annotated[bool, PlainValidator(_flag)]
-Position = Annotated[tuple[float, float, float], PlainValidator(_position)]
-Angles = Annotated[tuple[float, float, float], PlainValidator(_angles)]
 Normal = Annotated[tuple[float, float, float], PlainValidator(_normal)]
 Bound = Annotated[float | tuple[float, float], PlainValidator(_bound)]
 Parameterizations = Annotated[
@@ -203,24 +156,7 @@ Parameterizations = Annotated[
 ]
 
 
-class _Section(BaseModel):
-    """A mapping with known keys; a key without a value counts as not written."""
-
-    model_config = ConfigDict(extra="forbid", strict=True, frozen=True)
-
-    @model_validator(mode="before")
-    @classmethod
-    def _drop_empty(cls, data: Any) -> Any:
-        if not isinstance(data, Mapping):
-            return data
-        return {
-            key: value
-            for key, value in data.items()
-            if value is not None or key not in cls.model_fields
-        }
-
-
-class FrameSection(_Section):
+class FrameSection(Section):
     """`frames.base` or `frames.tool`."""
 
     xyz: Position | None = None
@@ -228,14 +164,14 @@ class FrameSection(_Section):
     estimate: Flag | None = None
 
 
-class FramesSection(_Section):
+class FramesSection(Section):
     """`frames`."""
 
     base: FrameSection = FrameSection()
     tool: FrameSection = FrameSection()
 
 
-class PlaneSection(_Section):
+class PlaneSection(Section):
     """A member of `planes`."""
 
     normal: Normal
@@ -243,7 +179,7 @@ class PlaneSection(_Section):
     estimate: Flag = True
 
 
-class JointSection(_Section):
+class JointSection(Section):
     """A member of `joints`."""
 
     joint: Text
@@ -253,7 +189,7 @@ class JointSection(_Section):
     coupled: dict[str, Number] = Field(default_factory=dict)
 
 
-class NoiseSection(_Section):
+class NoiseSection(Section):
     """`noise`."""
 
     position: Positive | None = None
@@ -261,7 +197,7 @@ class NoiseSection(_Section):
     distance: Positive | None = None
 
 
-class SolverSection(_Section):
+class SolverSection(Section):
     """`solver`."""
 
     name: Annotated[str, PlainValidator(_solver)] = SolverSetup().name
@@ -285,13 +221,15 @@ class SolverSection(_Section):
         return SolverSetup(self.name, options)
 
 
-class SetupFile(_Section):
+class SetupFile(Section):
     """A whole setup file."""
 
     base: Text | None = None
     tip: Text | None = None
     model: Annotated[str, PlainValidator(_model)] | None = None
-    parameters: Parameterizations = list(Setup().parameters)
+    parameters: Parameterizations = Field(
+        default_factory=lambda: list(Setup.parameters)
+    )
     frames: FramesSection = FramesSection()
     planes: dict[str, PlaneSection] = Field(default_factory=dict)
     joints: dict[str, JointSection] = Field(default_factory=dict)
@@ -300,6 +238,10 @@ class SetupFile(_Section):
     prior: dict[str, Positive] = Field(default_factory=dict)
     noise: NoiseSection = NoiseSection()
     solver: SolverSection = SolverSection()
+    obstacles: list[ObstacleSection] = Field(default_factory=list)
+    region: RegionSection | None = None
+    limits: dict[str, Limits] = Field(default_factory=dict)
+    ranger: RangerSection = RangerSection()
 
     def setup(self) -> Setup:
         """The same as plain data."""
@@ -317,6 +259,10 @@ class SetupFile(_Section):
             prior=self.prior,
             noise=self.noise.model_dump(exclude_none=True),
             solver=self.solver.setup(),
+            obstacles=tuple(section.setup() for section in self.obstacles),
+            region=None if self.region is None else self.region.setup(),
+            limits=self.limits,
+            ranger=RangerSetup(**dict(self.ranger)),
         )
 
 
@@ -326,12 +272,18 @@ def known_keys(path: Sequence[str | int]) -> list[str]:
     Args:
         path: Path of the unknown key.
     """
-    sections: Mapping[str | int, type[_Section]] = {
+    sections: Mapping[str | int, type[Section]] = {
         "frames": FramesSection if len(path) == 2 else FrameSection,
         "planes": PlaneSection,
         "joints": JointSection,
         "noise": NoiseSection,
         "solver": SolverSection,
+        "obstacles": ObstacleSection,
+        "region": RegionSection,
+        "ranger": RangerSection,
     }
-    section = SetupFile if len(path) == 1 else sections[path[0]]
+    if len(path) == 1:
+        return list(SetupFile.model_fields)
+    inner = path[0] == "region" and len(path) == 3
+    section = REGION[path[1]] if inner else sections[path[0]]
     return list(section.model_fields)

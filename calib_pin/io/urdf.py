@@ -413,7 +413,7 @@ def _build_model(
     # The declaration may name the encoding of the file, and this is UTF-8 by now.
     text = re.sub(r"\A<\?xml.*?\?>", "", document.data.decode(), flags=re.DOTALL)
     try:
-        with _captured_stderr() as printed:
+        with captured_stderr() as printed:
             model = pin.buildModelFromXML(text)
     except Exception as failure:  # Whatever C++ throws.
         errors = re.search(r"Error:\s+(.*?)\s+at line", printed[0], re.DOTALL)
@@ -432,7 +432,7 @@ def _build_model(
 
 
 @contextmanager
-def _captured_stderr() -> Iterator[list[str]]:
+def captured_stderr() -> Iterator[list[str]]:
     """Collect what C++ prints to file descriptor 2, past `sys.stderr`."""
     printed: list[str] = []
     if sys.stderr is not None:

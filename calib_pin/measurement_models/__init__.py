@@ -9,6 +9,8 @@ import numpy as np
 from calib_pin.errors import OptionError, require_known
 from calib_pin.measurement_models.base import (
     BatchedModel,
+    Curvature,
+    CurvedModel,
     Linearization,
     MeasurementModel,
     Quantity,
@@ -21,6 +23,8 @@ from calib_pin.setup import Setup
 __all__ = [
     "MEASUREMENT_MODELS",
     "BatchedModel",
+    "Curvature",
+    "CurvedModel",
     "Linearization",
     "MeasurementModel",
     "Quantity",
@@ -44,7 +48,8 @@ def _plane_distance(setup: Setup, targets: Sequence[str]) -> PlaneDistance:
     if not planes:
         names = dict.fromkeys(name or "plane" for name in targets)
         planes = [Plane(name) for name in names or ("plane",)]
-    return PlaneDistance(tuple(planes))
+    near, reach = setup.ranger.range
+    return PlaneDistance(tuple(planes), near, reach, setup.ranger.incidence)
 
 
 MEASUREMENT_MODELS: Mapping[str, Callable[[Setup, Sequence[str]], MeasurementModel]] = {

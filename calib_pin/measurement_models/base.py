@@ -12,16 +12,19 @@ from numpy.typing import NDArray
 
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
-from calib_pin.spatial import Floats
+from calib_pin.spatial import Floats, skew
 
 __all__ = [
     "Batch",
     "BatchedModel",
+    "Curvature",
+    "CurvedModel",
     "FreeInstrument",
     "Linearization",
     "MeasurementModel",
     "Quantity",
     "plain_batch",
+    "rotation_curvature",
 ]
 
 
@@ -200,6 +203,43 @@ class BatchedModel(Protocol):
             weights: Reciprocal standard deviations of the residual, shape (N, d).
         """
         ...
+
+
+@dataclass(frozen=True)
+class Curvature:
+    """How a linearization at noise-free values changes as the tool moves.
+
+    Attributes:
+        by_twist: Derivative of `Linearization.by_twist` by the tool's body twist,
+            shape (N, d, 6, 6), the twist last.
+        by_own: The same of `Linearization.by_own`, shape (N, d, K, 6).
+    """
+
+    by_twist: Floats
+    by_own: Floats
+
+
+@runtime_checkable
+class CurvedModel(Protocol):
+    """A measurement model whose rows can be differentiated by the configuration."""
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """Second derivatives where the measured values are the predicted ones.
+
+        Args:
+            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            own: Values of the model's own parameters, shape (K,).
+            target: Name of the target of each row.
+        """
+        ...
+
+
+def rotation_curvature(R: Floats) -> Floats:
+    """Derivative of rotations by a body twist, (N, 3, 3) -> (N, 3, 3, 6)."""
+    result = np.zeros((len(R), 3, 3, 6))
+    # R Exp(w) = R + R [w]x
+    result[..., 3:] = np.einsum("naj,cjb->nabc", R, skew(np.eye(3)))
+    return result
 
 
 class FreeInstrument:

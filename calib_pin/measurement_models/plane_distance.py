@@ -11,23 +11,22 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.measurement_models.base import Batch, Linearization, Quantity
+from calib_pin.measurement_models.base import (
+    Batch,
+    Curvature,
+    Linearization,
+    Quantity,
+)
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.registration import register_plane
+from calib_pin.setup import RangerSetup
 from calib_pin.spatial import Floats, skew, so3_exp
 
 __all__ = ["Plane", "PlaneDistance"]
 
 GRAZING = 1e-3
 """Cosine to the normal below which a beam counts as parallel to the plane."""
-
-
-INCIDENCE = np.cos(np.radians(70.0))
-"""Cosine to the normal below which a beam comes back too weak to be measured."""
-
-RANGE = 5.0
-"""Longest distance that is measured where nothing else is known [m]."""
 
 
 @dataclass(frozen=True)
@@ -91,11 +90,15 @@ class PlaneDistance:
 
     Attributes:
         planes: The planes, by the order of their parameters.
-        reach: Longest distance that the instrument measures [m].
+        near: Shortest distance that the instrument measures [m].
+        reach: Longest distance that it measures [m].
+        incidence: Largest angle between beam and normal at which it measures [rad].
     """
 
     planes: tuple[Plane, ...] = (Plane("plane"),)
-    reach: float = RANGE
+    near: float = RangerSetup.range[0]
+    reach: float = RangerSetup.range[1]
+    incidence: float = RangerSetup.incidence
     name: str = field(default="plane-distance", init=False)
 
     @property
@@ -150,7 +153,8 @@ class PlaneDistance:
         normal, offset, _ = self._rows(own, target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         h = self._distance(T, normal, offset)
-        return np.asarray((h > 0.0) & (h < self.reach) & (cosine > INCIDENCE))
+        steep = cosine > np.cos(self.incidence)
+        return np.asarray((h > self.near) & (h < self.reach) & steep)
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """Add noise to the distances."""
@@ -187,6 +191,43 @@ class PlaneDistance:
             )
         by_own[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, by_twist, by_own)
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """Second derivatives of the distance.
+
+        With `m = R^T n / c` the rows are `(-m, h m x e_z)` and `-(p + h b) / c`, and a
+        turn w of the tool gives `dm = m x w - m (e_z . (m x w))`.
+        """
+        normal, offset, by_turn = self._rows(own, target)
+        index, row = self._index(target), np.arange(len(T))
+        R, p = T[:, :3, :3], T[:, :3, 3]
+        b = R[:, :, 2]
+        h = self._distance(T, normal, offset)[:, None]
+        c = np.einsum("ni,ni->n", normal, b)[:, None]
+        m = np.einsum("ni,nij->nj", normal, R) / c
+        e_z = skew(np.array([0.0, 0.0, 1.0]))
+        turned = skew(m)
+        by_c = turned[:, 2]  # dc / c by w
+        by_m = turned - m[:, :, None] * by_c[:, None, :]
+        by_h = np.concatenate([-m, h * (m @ e_z)], axis=1)
+        by_twist = np.zeros((len(T), 1, 6, 6))
+        by_twist[:, 0, :3, 3:] = -by_m
+        by_twist[:, 0, 3:] = (m @ e_z)[:, :, None] * by_h[:, None, :]
+        by_twist[:, 0, 3:, 3:] += h[:, None] * (e_z.T @ by_m)
+        # Of the hit point over c.
+        hit = (p + h * b) / c
+        by_hit = b[:, :, None] * by_h[:, None, :]
+        by_hit[:, :, :3] += R
+        by_hit[:, :, 3:] -= h[:, None] * (R @ e_z)
+        by_hit /= c[:, None]
+        by_hit[:, :, 3:] -= hit[:, :, None] * by_c[:, None, :]
+        by_own = np.zeros((len(T), 1, 3 * len(self.planes), 6))
+        for k in range(2):
+            by_own[row, 0, 3 * index + k] = -np.einsum(
+                "ni,nij->nj", by_turn[:, :, k], by_hit
+            )
+        by_own[row, 0, 3 * index + 2, 3:] = by_c / c
+        return Curvature(by_twist, by_own)
 
     def batch(self, data: Measurements, weights: Floats) -> Batch:
         """Carries the origin and the beam of the tool to the base, plane by plane."""
@@ -252,8 +293,9 @@ class PlaneDistance:
                 for k, plane in enumerate(self.planes)
             )
         )
-        # Rows may reach farther than a simulation would.
-        reach = max(self.reach, 1.5 * float(np.abs(data.values).max()))
+        # Rows may reach farther than the setup says or a simulation would.
+        farthest = float(np.abs(data.values).max())
+        reach = self.reach if farthest <= self.reach else 1.5 * farthest
         registered = replace(self, planes=planes, reach=reach)
         normal, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))

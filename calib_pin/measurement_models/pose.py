@@ -10,10 +10,12 @@ import pinocchio as pin
 
 from calib_pin.measurement_models.base import (
     Batch,
+    Curvature,
     FreeInstrument,
     Linearization,
     Quantity,
     plain_batch,
+    rotation_curvature,
 )
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_poses
@@ -68,6 +70,12 @@ class Pose(FreeInstrument):
         by_twist[:, :3, :3] = T[:, :3, :3]
         by_twist[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
         return Linearization(residual, by_twist, np.zeros((len(T), 6, 0)))
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """The position's rows turn with the tool; those of the rotation stay."""
+        by_twist = np.zeros((len(T), 6, 6, 6))
+        by_twist[:, :3, :3] = rotation_curvature(T[:, :3, :3])
+        return Curvature(by_twist, np.zeros((len(T), 6, 0, 6)))
 
     def batch(self, data: Measurements, weights: Floats) -> Batch:
         """Carries the origin and the axes of the tool to the base."""

@@ -10,10 +10,12 @@ import pinocchio as pin
 
 from calib_pin.measurement_models.base import (
     Batch,
+    Curvature,
     FreeInstrument,
     Linearization,
     Quantity,
     plain_batch,
+    rotation_curvature,
 )
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_points
@@ -55,6 +57,12 @@ class Position(FreeInstrument):
         return Linearization(
             self.residual(T, own, data), by_twist, np.zeros((len(T), 3, 0))
         )
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """The rows turn with the tool."""
+        by_twist = np.zeros((len(T), 3, 6, 6))
+        by_twist[:, :, :3] = rotation_curvature(T[:, :3, :3])
+        return Curvature(by_twist, np.zeros((len(T), 3, 0, 6)))
 
     def batch(self, data: Measurements, weights: Floats) -> Batch:
         """Carries the origin of the tool to the base."""

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import json
+import math
 import re
 import subprocess
 import sys
@@ -10,9 +12,19 @@ from pathlib import Path
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.io.setup import read_setup
+from calib_pin.io.setup import read_setup, setup_document, setup_of
 from calib_pin.io.yaml_tree import read_tree
-from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup, SolverSetup
+from calib_pin.setup import (
+    Cone,
+    FrameSetup,
+    JointMap,
+    Obstacle,
+    PlaneSetup,
+    RangerSetup,
+    Region,
+    Setup,
+    SolverSetup,
+)
 
 
 @pytest.fixture
@@ -68,6 +80,19 @@ prior: {"*.placement.*": 0.002}
 noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4"}
 solver: {name: hybrid, strategy: best/1, population_size: 60, mutation: "0.7",
   recombination: 1, maxiter: 5e2, target: 1e-3, tol: 0, atol: 1e-9, init: random}
+obstacles:
+  - {box: [1, 1, 0.02], xyz: [0, 0, -0.02]}
+  - {sphere: 0.2, xyz: [1, 0, 0.5]}
+  - {cylinder: [0.1, 1.0], rpy: [0, 1.57, 0]}
+  - {mesh: /fixtures/table.stl, scale: 0.001}
+  - {mesh: /fixtures/wall.dae, scale: [1, 2, 1]}
+  - {mesh: /fixtures/door.obj}
+region:
+  box: [[0.2, -0.5, 0.1], [1.0, 0.5, 1.2]]
+  sphere: {center: [0.5, 0, 0.5], radius: 0.8}
+  cone: {apex: [2, 0, 1], axis: [-1, 0, 0], angle: 0.5, range: 3}
+limits: {"joint_*": [-2, 2], rail: [0.1, 1.5]}
+ranger: {range: [0.05, 2], incidence: 1.2}
 """
 
 
@@ -105,7 +130,49 @@ def test_every_key(write):
                 "init": "random",
             },
         ),
+        obstacles=(
+            Obstacle("box", (1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02)),
+            Obstacle("sphere", (0.2,), xyz=(1.0, 0.0, 0.5)),
+            Obstacle("cylinder", (0.1, 1.0), rpy=(0.0, 1.57, 0.0)),
+            Obstacle("mesh", (0.001,) * 3, "/fixtures/table.stl"),
+            Obstacle("mesh", (1.0, 2.0, 1.0), "/fixtures/wall.dae"),
+            Obstacle("mesh", (1.0, 1.0, 1.0), "/fixtures/door.obj"),
+        ),
+        region=Region(
+            box=((0.2, -0.5, 0.1), (1.0, 0.5, 1.2)),
+            sphere=((0.5, 0.0, 0.5), 0.8),
+            cone=Cone((2.0, 0.0, 1.0), (-1.0, 0.0, 0.0), 0.5, (0.0, 3.0)),
+        ),
+        limits={"joint_*": (-2.0, 2.0), "rail": (0.1, 1.5)},
+        ranger=RangerSetup((0.05, 2.0), 1.2),
     )
+
+
+def test_the_document_of_a_setup_reads_back(write):
+    setup = read_setup(write(FULL))
+    assert setup_of(json.loads(json.dumps(setup_document(setup)))) == setup
+
+
+@pytest.mark.parametrize(
+    "setup",
+    [
+        Setup(obstacles=(Obstacle("sphere", (0.1,), "", (1.0, 2.0, 3.0)),)),
+        Setup(region=Region(sphere=((0.0, 0.0, 1.0), 2.0))),
+        Setup(region=Region(cone=Cone((0, 0, 0), (1, 0, 0), math.pi, (1.0, 2.0)))),
+        Setup(ranger=RangerSetup((0.1, 3.0))),
+        Setup(limits={"a[1]": (-1.0, 0.0)}),
+    ],
+)
+def test_parts_of_a_setup_read_back(setup):
+    assert setup_of(json.loads(json.dumps(setup_document(setup)))) == setup
+
+
+def test_meshes_are_found_beside_the_setup_file(write, monkeypatch):
+    file = write("obstacles: [{mesh: fixtures/a.stl}, {sphere: 1}, {mesh: /b.stl}]")
+    expected = [str(file.parent / "fixtures" / "a.stl"), "", "/b.stl"]
+    assert [obstacle.mesh for obstacle in read_setup(file).obstacles] == expected
+    monkeypatch.chdir(file.parent)
+    assert [o.mesh for o in read_setup(file.name).obstacles] == expected
 
 
 @pytest.mark.parametrize("text", ["", "# nothing\n", "---\n", "\n\n", "~\n", "{}"])
@@ -191,11 +258,9 @@ KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, pri
                 "distances",
                 "gravity",
                 "payloads",
-                "obstacles",
-                "region",
             )
         ),
-        ("tip: a\nobstacles:\n", 2, ["'obstacles' is not available"]),
+        ("tip: a\npayloads:\n", 2, ["'payloads' is not available"]),
         # Missing keys.
         ("planes:\n  w: {normal: [0, 0, 1]}", 2, ["'planes.w.offset' is missing"]),
         ("joints:\n  J1: {sign: 1}", 2, ["'joints.J1.joint' is missing"]),
@@ -257,6 +322,85 @@ KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, pri
         ("noise: {distance: 0}", 1, ["'noise.distance'", "'0'", "a positive number"]),
         ("noise: {distance: .nan}", 1, ["'.nan'", "a finite number"]),
         ("noise: {distance: '1e999'}", 1, ["'1e999'", "a finite number"]),
+        # Where the robot may measure.
+        ("obstacles: {sphere: 1}\n", 1, ["'obstacles'", "a list"]),
+        ("obstacles:\n  - 3\n", 2, ["'obstacles[0]'", "'3'", "mapping"]),
+        (
+            "obstacles:\n  - {sphere: 1}\n  - {xyz: [0, 0, 0]}\n",
+            3,
+            ["'obstacles[1]'", "exactly one of box, sphere, cylinder, mesh"],
+        ),
+        ("obstacles: [{box: [1, 1, 1], sphere: 1}]\n", 1, ["exactly one of box"]),
+        ("obstacles: [{sphere: 1, scale: 2}]\n", 1, ["scale only together with"]),
+        (
+            "obstacles:\n  - sphere: 1\n    xzy: [0, 0, 0]\n",
+            3,
+            ["'obstacles[0].xzy'", "mean 'xyz'", "box, sphere, cylinder, mesh, scale"],
+        ),
+        ("obstacles: [{box: [1, 1]}]", 1, ["'obstacles[0].box'", "three positive"]),
+        ("obstacles: [{box: [1, 1, -1]}]", 1, ["'[1, 1, -1]'", "three positive"]),
+        ("obstacles: [{box: [1, 1, 900]}]", 1, ["'[1, 1, 900]'", "in m"]),
+        ("obstacles: [{sphere: 0}]", 1, ["'obstacles[0].sphere'", "positive number"]),
+        ("obstacles: [{sphere: 500}]", 1, ["'500'", "a length in m, at most 100"]),
+        ("obstacles: [{cylinder: 1}]", 1, ["[radius, length]", "in m"]),
+        ("obstacles: [{cylinder: [1, 0]}]", 1, ["'[1, 0]'", "[radius, length]"]),
+        ("obstacles: [{mesh: 3}]", 1, ["'obstacles[0].mesh'", "'3'", "text"]),
+        ("obstacles: [{mesh: a, scale: 0}]", 1, ["[0].scale'", "0.001 for a mesh"]),
+        ("obstacles: [{mesh: a, scale: [1, 1]}]", 1, ["'[1, 1]'", "three of them"]),
+        ("obstacles: [{sphere: 1, xyz: [0, 0]}]", 1, ["[0].xyz'", "three finite"]),
+        ("obstacles: [{sphere: 1, rpy: [0, 0, 90]}]", 1, ["[0].rpy'", "in rad"]),
+        ("region: 3\n", 1, ["'region'", "'3'", "mapping"]),
+        ("region: {}\n", 1, ["'region'", "at least one of box, sphere, cone"]),
+        ("region:\n  bx: 1\n", 2, ["'region.bx'", "mean 'box'", "box, sphere, cone"]),
+        ("region: {box: [[0, 0, 0]]}", 1, ["'region.box'", "[lower, upper]"]),
+        ("region: {box: [[0, 0, 0], [1, 1]]}", 1, ["region.box", "three numbers"]),
+        ("region: {box: [[0, 0, 0], 1]}", 1, ["region.box", "[lower, upper]"]),
+        ("region: {box: [[0, 0, 2], [1, 1, 1]]}", 1, ["region.box", "[lower, upper]"]),
+        ("region: {sphere: 1}", 1, ["'region.sphere'", "mapping"]),
+        ("region: {sphere: {radius: 1}}", 1, ["'region.sphere.center' is missing"]),
+        (
+            "region:\n  sphere:\n    raduis: 1\n    radius: 1\n    center: [0, 0, 0]\n",
+            3,
+            ["'region.sphere.raduis'", "mean 'radius'", "center, radius"],
+        ),
+        (
+            "region: {sphere: {center: [0, 0, 0], radius: -1}}",
+            1,
+            ["'region.sphere.radius'", "'-1'", "a positive number"],
+        ),
+        *(
+            (
+                f"region:\n  cone:\n    {wrong}\n    apex: [0, 0, 0]\n"
+                + "".join(
+                    f"    {key}: {value}\n"
+                    for key, value in (
+                        ("axis", "[0, 0, 1]"),
+                        ("angle", "0.5"),
+                        ("range", "2"),
+                    )
+                    if not wrong.startswith(key)
+                ),
+                3,
+                parts,
+            )
+            for wrong, parts in (
+                ("axis: [0, 0, 0]", ["'region.cone.axis'", "not all 0"]),
+                ("angle: 30", ["'region.cone.angle'", "'30'", "in rad"]),
+                ("angle: 0", ["'region.cone.angle'", "'0'", "above 0"]),
+                ("range: 0", ["'region.cone.range'", "the farthest distance in m"]),
+                ("range: [2, 1]", ["'[2, 1]'", "[nearest, farthest]"]),
+                ("range: [-1, 1]", ["'[-1, 1]'", "[nearest, farthest]"]),
+            )
+        ),
+        ("region: {cone: {apex: [0, 0, 0]}}", 1, ["'region.cone.axis' is missing"]),
+        ("limits: [1, 2]", 1, ["'limits'", "'[1, 2]'", "mapping"]),
+        ("limits: {j: 1}", 1, ["'limits.j'", "'1'", "[lower, upper]"]),
+        ("limits: {j: [1, 1]}", 1, ["'[1, 1]'", "lower < upper"]),
+        ("limits:\n  a: [0, 1]\n  j: [-90, 90]", 3, ["'limits.j'", "at most 12.57"]),
+        ("ranger: {rang: 1}", 1, ["'ranger.rang'", "mean 'range'"]),
+        ("ranger: {range: 500}", 1, ["'ranger.range'", "'500'", "in m"]),
+        ("ranger: {range: [1, 2, 3]}", 1, ["'[1, 2, 3]'", "[nearest, farthest]"]),
+        ("ranger: {incidence: 70}", 1, ["'70'", "in rad, above 0 and below 1.57"]),
         # What is YAML, but not for us.
         ("base: a\ntip: b\nbase: c\n", 3, ["the key 'base' occurs twice"]),
         ("frames:\n  base: {}\n  base: {}\n", 3, ["the key 'base' occurs twice"]),

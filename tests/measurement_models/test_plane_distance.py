@@ -13,7 +13,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
 from calib_pin.measurements import Measurements
-from calib_pin.setup import PlaneSetup, Setup
+from calib_pin.setup import PlaneSetup, RangerSetup, Setup
 from calib_pin.spatial import Floats, so3_exp
 
 FLOOR = Plane("floor", np.array([0.0, 0.0, 1.0]), 1.0)
@@ -261,3 +261,37 @@ def test_normal_without_a_direction(normal: tuple[float, float, float]) -> None:
     setup = Setup(planes={"wall": PlaneSetup(normal, 1.0)})
     with pytest.raises(OptionError, match="normal of the plane 'wall'"):
         measurement_model("plane-distance", setup)
+
+
+def test_a_ranger_measures_in_the_window_of_its_setup() -> None:
+    plane = {"floor": PlaneSetup((0.0, 0.0, 1.0), 1.0)}
+    setup = Setup(planes=plane, ranger=RangerSetup((0.5, 2.0), np.radians(45.0)))
+    narrow = measurement_model("plane-distance", setup, ())
+    usual = measurement_model("plane-distance", Setup(planes=plane), ())
+    # The floor is z = -1; distances are 1, 0.4, 2.5, 1.35, 1.56 and -1 m.
+    T = np.array(
+        [
+            beam([0, 0, 0], [0, 0, -1.0]),
+            beam([0, 0, -0.6], [0, 0, -1.0]),
+            beam([0, 0, 1.5], [0, 0, -1.0]),
+            *(
+                beam([0, 0, 0], [np.sin(angle), 0, -np.cos(angle)])
+                for angle in np.radians([42.0, 50.0])
+            ),
+            beam([0, 0, 0], [0, 0, 1.0]),
+        ]
+    )
+    seen = [model.observable(T, np.zeros(3), [""] * 6) for model in (narrow, usual)]
+    assert seen[0].tolist() == [True, False, False, True, False, False]
+    assert seen[1].tolist() == [True, True, True, True, True, False]
+
+
+@pytest.mark.parametrize(("farthest", "reach"), [(1.9, 2.0), (3.0, 4.5)])
+def test_rows_widen_the_window_where_they_reach_beyond_it(
+    farthest: float, reach: float
+) -> None:
+    model = PlaneDistance((FLOOR,), near=0.5, reach=2.0)
+    T = np.array([beam([0, 0, z], [0, 0, -1.0]) for z in (0.0, farthest - 1.0)])
+    data = data_of(T, np.array([[1.0], [farthest]]))
+    registered, _, _ = model.register(T, data, None, None)
+    assert (registered.near, registered.reach) == (0.5, reach)

@@ -1,0 +1,214 @@
+"""Collisions of a robot with itself and with obstacles.
+
+Most configurations touch nothing, and most that do touch at one of a few pairs. So a
+configuration first goes through convex hulls, which are quick and hold the meshes
+within them; only if two hulls meet do the meshes decide, in the order of the pairs,
+until two of them touch. Bounding boxes keep the hulls from being looked at in vain.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Collection, Iterable, Sequence
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.spatial import Floats
+
+__all__ = ["Collisions"]
+
+FLAT = 1e-6
+"""Thickness by length up to which a mesh counts as flat."""
+
+THICKNESS = 1e-6
+"""What the bounding box of a flat solid is thicker than the solid [m]."""
+
+
+class Collisions:
+    """Self-collision of a robot and its collisions with obstacles, along one chain.
+
+    Joints outside the chain stand at zero. Meshes are surfaces: what lies wholly within
+    one does not touch it.
+
+    Args:
+        chain: The chain whose joints move.
+        geometry: The solids on `chain.robot.model`, and the pairs of them that may
+            not touch; those that the chain does not move against each other are left
+            out. The pairs that touch most often come first for speed.
+        clearance: Distance that is kept [m].
+
+    Attributes:
+        pairs: Names of the two solids of each pair that is checked: the link of a
+            solid that the URDF describes, else the solid's own name. A link of
+            several solids stands in several pairs.
+
+    Example:
+        >>> from calib_pin.io.collision import load_collisions
+        >>> from calib_pin.io.urdf import load_chain
+        >>> collisions = load_collisions(load_chain("space7"))
+        >>> collisions.free(np.zeros((1, 7))).tolist()
+        [True]
+    """
+
+    def __init__(
+        self, chain: Chain, geometry: pin.GeometryModel, clearance: float = 0.0
+    ) -> None:
+        """Choose the pairs and build the hulls."""
+        model = chain.robot.model
+        ids = [model.getJointId(name) for name in chain.joints]
+        self._chain = chain
+        self._clearance = clearance
+        self._model, self._data = model, model.createData()
+        self._q_index = np.array([model.idx_qs[joint] for joint in ids])
+        self._continuous = np.array([model.nqs[joint] == 2 for joint in ids])
+        solids = geometry.geometryObjects
+        pairs = [
+            (pair.first, pair.second)
+            for pair in geometry.collisionPairs
+            if _moves(model, solids[pair.first], solids[pair.second], ids)
+        ]
+        self._meshes = _with_pairs(geometry.copy(), pairs)
+        self._found = _results(self._meshes, clearance)
+        self._hulls = _with_pairs(_hulls(geometry), pairs)
+        self._met = _results(self._hulls, clearance)
+        # The simplest of Pinocchio's managers, which tries every pair of bounding
+        # boxes, is also the fastest for the few dozen solids of a robot.
+        self._boxes = pin.BroadPhaseManager_NaiveCollisionManager(
+            model, self._hulls, self._met
+        )
+        self.pairs: tuple[tuple[str, str], ...] = tuple(
+            (_name(model, solids[a]), _name(model, solids[b])) for a, b in pairs
+        )
+
+    def free(self, q: Floats) -> NDArray[np.bool_]:
+        """Where no pair is closer than the clearance.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+
+        Returns:
+            True for configurations without a collision, shape (N,).
+        """
+        return np.array([self._is_free(full) for full in self._configurations(q)], bool)
+
+    def contacts(self, q: Floats) -> NDArray[np.bool_]:
+        """Which pairs are closer than the clearance.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+
+        Returns:
+            True for pairs in collision, shape (N, number of pairs).
+        """
+        found = np.zeros((len(q), len(self.pairs)), bool)
+        for row, full in zip(found, self._configurations(q), strict=True):
+            self._place(full)
+            pin.computeCollisions(self._meshes, self._found, False)
+            row[:] = [result.isCollision() for result in self._found.collisionResults]
+        return found
+
+    def touching(self, q: Floats) -> list[tuple[str, str]]:
+        """Names of the pairs that are closer than the clearance, for messages.
+
+        Args:
+            q: Joint positions, shape (n,) [rad, m].
+        """
+        (found,) = self.contacts(q[None])
+        return list(dict.fromkeys(self.pairs[k] for k in np.flatnonzero(found)))
+
+    def only(self, kept: Iterable[int]) -> Collisions:
+        """The same for some of the pairs.
+
+        Args:
+            kept: Their places in `pairs`, in the order in which they are to be checked.
+        """
+        pairs = self._meshes.collisionPairs
+        chosen = [(pairs[k].first, pairs[k].second) for k in map(int, kept)]
+        geometry = _with_pairs(self._meshes.copy(), chosen)
+        return Collisions(self._chain, geometry, self._clearance)
+
+    def _is_free(self, full: Floats) -> bool:
+        if not pin.computeCollisions(self._model, self._data, self._boxes, full, True):
+            return True
+        self._place(full)
+        return not pin.computeCollisions(self._meshes, self._found, True)
+
+    def _place(self, full: Floats) -> None:
+        pin.updateGeometryPlacements(
+            self._model, self._data, self._meshes, self._found, full
+        )
+
+    def _configurations(self, q: Floats) -> Floats:
+        """Configuration vectors of the whole robot, of which the chain takes a part."""
+        full = np.tile(pin.neutral(self._model), (len(q), 1))
+        full[:, self._q_index] = np.where(self._continuous, np.cos(q), q)
+        full[:, self._q_index[self._continuous] + 1] = np.sin(q[:, self._continuous])
+        return full
+
+
+def _moves(
+    model: pin.Model,
+    first: pin.GeometryObject,
+    second: pin.GeometryObject,
+    joints: Collection[int],
+) -> bool:
+    """Whether a joint of the chain stands between two solids."""
+    above = [set(model.supports[solid.parentJoint]) for solid in (first, second)]
+    return not (above[0] ^ above[1]).isdisjoint(joints)
+
+
+def _name(model: pin.Model, solid: pin.GeometryObject) -> str:
+    """What users call a solid; Pinocchio counts those of a link: `<link>_<k>`."""
+    link = str(model.frames[solid.parentFrame].name)
+    name = str(solid.name)
+    return link if name.startswith(f"{link}_") else name
+
+
+def _with_pairs(
+    geometry: pin.GeometryModel, pairs: Sequence[tuple[int, int]]
+) -> pin.GeometryModel:
+    geometry.removeAllCollisionPairs()
+    for first, second in pairs:
+        geometry.addCollisionPair(pin.CollisionPair(first, second))
+    return geometry
+
+
+def _results(geometry: pin.GeometryModel, clearance: float) -> pin.GeometryData:
+    """Where the results of the pairs go, with what is asked about each of them."""
+    results = geometry.createData()
+    for request in results.collisionRequests:
+        request.enable_contact = False
+        request.security_margin = clearance
+    return results
+
+
+def _hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
+    """The geometry with convex solids around its meshes.
+
+    That is their convex hull. What is flat gets its bounding box instead, a little
+    thicker: Qhull crashes on flat meshes, and Pinocchio's managers pass over solids
+    without a volume.
+    """
+    hulls = geometry.clone()
+    for solid in hulls.geometryObjects:
+        shape = solid.geometry
+        is_mesh = isinstance(shape, pin.coal.BVHModelBase)
+        if is_mesh and _is_thick(np.array(shape.vertices())):
+            shape.buildConvexHull(False, "Qt")
+            solid.geometry = shape.convex
+            continue
+        shape.computeLocalAABB()
+        extents = shape.aabb_local.max_ - shape.aabb_local.min_
+        if is_mesh or extents.min() == 0.0:
+            center = pin.SE3(np.eye(3), np.array(shape.aabb_center))
+            solid.placement = solid.placement * center
+            solid.geometry = pin.coal.Box(*(extents + THICKNESS))
+    return hulls
+
+
+def _is_thick(points: Floats) -> bool:
+    """Whether points, shape (N, 3), are far from lying in one plane."""
+    extents = np.linalg.svd(points - points.mean(axis=0), compute_uv=False)
+    return len(points) >= 4 and bool(extents[-1] > FLAT * extents[0])

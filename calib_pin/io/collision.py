@@ -1,0 +1,294 @@
+"""What a robot may collide with: the solids of its URDF, an SRDF, and obstacles."""
+
+from __future__ import annotations
+
+import os
+import re
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from itertools import combinations
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain, Robot
+from calib_pin.collision import Collisions
+from calib_pin.errors import InputError, RobotError
+from calib_pin.io.files import read_bytes
+from calib_pin.io.urdf import captured_stderr, locate_robot
+from calib_pin.io.urdf_bytes import parse_document
+from calib_pin.setup import Obstacle
+
+__all__ = ["load_collisions"]
+
+CLEARANCE = 0.01
+"""Distance kept where the user asks for none: robots and fixtures are never quite
+where their models are [m]."""
+
+SAMPLES = 200
+"""Random configurations that show which pairs touch, and how often."""
+
+BY_DESIGN = 0.95
+"""Share of the configurations from which on two links touch because they are built
+so."""
+
+
+def load_collisions(
+    chain: Chain,
+    obstacles: Sequence[Obstacle] = (),
+    *,
+    srdf: str | Path | None = None,
+    package_dirs: Sequence[str | Path] = (),
+    clearance: float = CLEARANCE,
+    notice: Callable[[str], None] | None = None,
+    file: str = "",
+) -> Collisions | None:
+    """Collisions of a chain's robot with itself and with obstacles.
+
+    Without an SRDF, links joined by one joint are not checked against each other, nor
+    those that touch at nearly every configuration. With one, only what it disables is
+    left out.
+
+    Args:
+        chain: The chain whose joints move.
+        obstacles: What stands around the robot.
+        srdf: File that says which links need no check.
+        package_dirs: Folders that hold the packages of `package://` meshes; then come
+            those of ROS and the folders above the URDF.
+        clearance: Distance that is kept [m].
+        notice: Told in one line each what is not checked.
+        file: Where the obstacles are stated, for messages.
+
+    Returns:
+        The collisions, or None if the URDF describes no solids.
+
+    Raises:
+        RobotError: If a mesh of the URDF is missing or cannot be read.
+        InputError: If the SRDF, or the mesh of an obstacle, cannot be used.
+
+    Example:
+        >>> from calib_pin.io.urdf import load_chain
+        >>> table = Obstacle("box", (1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02))
+        >>> collisions = load_collisions(load_chain("space7"), [table])
+        >>> ("link_7", "obstacle 1 (box)") in collisions.pairs
+        True
+    """
+    tell = notice or (lambda line: None)
+    robot = chain.robot
+    geometry = _solids(robot, package_dirs)
+    if geometry.ngeoms == 0:
+        nor = ", and neither are collisions with the obstacles" if obstacles else ""
+        tell("the robot has no collision geometry: self-collision is not checked" + nor)
+        return None
+    links = geometry.ngeoms
+    for k, obstacle in enumerate(obstacles, 1):
+        geometry.addGeometryObject(_obstacle(chain, obstacle, k, file))
+    apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
+    solids = [
+        (solid.parentJoint, robot.model.frames[solid.parentFrame].name)
+        for solid in geometry.geometryObjects
+    ]
+    for first, second in combinations(range(geometry.ngeoms), 2):
+        (joint, link), (other_joint, other) = solids[first], solids[second]
+        # Two solids that a joint moves, and of the robot only those that may not touch.
+        if joint != other_joint and (
+            second >= links or frozenset((link, other)) not in apart
+        ):
+            geometry.addCollisionPair(pin.CollisionPair(first, second))
+    collisions = Collisions(chain, geometry, clearance)
+    if not collisions.pairs:
+        tell(
+            "no two solids that may not touch move against each other, so "
+            "no collision is checked"
+        )
+    # The same pairs are left out at every run, whatever the seed of the plan.
+    q = chain.random_configurations(SAMPLES, np.random.default_rng(0))
+    contacts = collisions.contacts(q)
+    left_out = _by_design(collisions, contacts, robot) if srdf is None else []
+    if left_out:
+        tell(_left_out(left_out))
+    order = np.argsort(-contacts.mean(axis=0), kind="stable")
+    return collisions.only(k for k in order if collisions.pairs[k] not in left_out)
+
+
+def _left_out(pairs: Sequence[tuple[str, str]]) -> str:
+    named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
+    count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
+    return (
+        "links that touch at nearly every configuration are not checked against each "
+        f"other: {count} ({named}{'; ...' if len(pairs) > 3 else ''})"
+    )
+
+
+def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryModel:
+    """The collision geometry of a URDF, without pairs."""
+    urdf = locate_robot(robot.file).resolve()
+    root = ElementTree.fromstring(robot.source)
+    owners: dict[str, str] = {}
+    for element in root.iterfind("link"):
+        owner = element.get("name", "")
+        for mesh in element.iterfind("collision/geometry/mesh"):
+            written = mesh.get("filename", "")
+            path = _mesh_file(written, urdf, package_dirs)
+            if path is None:
+                reason = f"the collision mesh '{written}' does not exist"
+                hint = "--package-dir DIR, the folder of its package"
+                if "package://" not in written:
+                    hint = "a path from the folder of the URDF"
+                raise _link_error(robot, owner, reason, hint)
+            mesh.set("filename", str(path))
+            owners[str(path)] = owner
+    text = ElementTree.tostring(root, encoding="unicode")
+    try:
+        with captured_stderr():
+            return pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION)
+    except Exception as failure:  # Whatever C++ throws.
+        message = str(failure)
+        link = next((owner for mesh, owner in owners.items() if mesh in message), "")
+        reason = f"its collision geometry cannot be read: {_reason(message)}"
+        raise _link_error(robot, link, reason) from None
+
+
+def _mesh_file(
+    written: str, urdf: Path, package_dirs: Sequence[str | Path]
+) -> Path | None:
+    """The file of a mesh, or None if there is none."""
+    scheme, _, rest = written.rpartition("://")
+    folders: Iterable[Path] = (urdf.parent,)
+    if scheme in ("package", "model"):
+        folders = (*_package_folders(package_dirs), *urdf.parents)
+    files = (folder / rest for folder in folders)
+    return next((file.absolute() for file in files if file.is_file()), None)
+
+
+def _package_folders(package_dirs: Sequence[str | Path]) -> Iterator[Path]:
+    """Folders that hold packages; a package may also be named by itself."""
+    of_ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    for folder in (*package_dirs, *filter(None, of_ros)):
+        yield from (Path(folder), Path(folder).absolute().parent)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share")
+
+
+def _link_error(
+    robot: Robot, link: str, reason: str, hint: str = "another mesh"
+) -> RobotError:
+    """An error about a link, in one line that says what can be done."""
+    document = parse_document(robot.source, robot.file)
+    element = next(
+        (
+            element
+            for element in document.root.children
+            if element.tag == "link" and element.attributes.get("name") == link
+        ),
+        document.root,
+    )
+    owner = f"link '{link}'" if link else "the robot"
+    allowed = f"{hint}, or --ignore-collisions"
+    return document.error(element, f"{owner}: {reason}", allowed=allowed)
+
+
+def _obstacle(
+    chain: Chain, obstacle: Obstacle, number: int, file: str
+) -> pin.GeometryObject:
+    """An obstacle as a solid of the chain's base link."""
+    model = chain.robot.model
+    base = model.getFrameId(chain.base, pin.FrameType.BODY)
+    frame = model.frames[base]
+    placement = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
+    return pin.GeometryObject(
+        f"obstacle {number} ({obstacle.kind})",
+        frame.parentJoint,
+        base,
+        frame.placement * placement,
+        _shape(obstacle, number, file),
+    )
+
+
+def _shape(obstacle: Obstacle, number: int, file: str) -> pin.coal.CollisionGeometry:
+    if obstacle.kind == "box":
+        return pin.coal.Box(*obstacle.size)
+    if obstacle.kind == "sphere":
+        return pin.coal.Sphere(*obstacle.size)
+    if obstacle.kind == "cylinder":
+        return pin.coal.Cylinder(*obstacle.size)
+    mesh = f"the mesh '{obstacle.mesh}' of obstacle {number}"
+    if not Path(obstacle.mesh).is_file():
+        raise InputError(f"{mesh} does not exist", file=file or None)
+    try:
+        with captured_stderr():
+            return pin.coal.MeshLoader().load(obstacle.mesh, np.array(obstacle.size))
+    except Exception as failure:  # Whatever C++ throws.
+        reason = f"{mesh} cannot be read: {_reason(str(failure))}"
+        raise InputError(reason, file=file or None) from None
+
+
+def _reason(message: str) -> str:
+    """The reason in a message of the mesh reader, which has several lines."""
+    found = re.search(r"Could not load resource .*\n(.+)", message)
+    return found[1].strip() if found else message
+
+
+def _adjacent(model: pin.Model) -> set[frozenset[str]]:
+    """Links joined by one moving joint."""
+    joined = (
+        (model.frames[frame.parentFrame], frame)
+        for frame in model.frames
+        if frame.type == pin.FrameType.BODY
+    )
+    return {
+        frozenset((str(model.frames[joint.parentFrame].name), str(child.name)))
+        for joint, child in joined
+        if joint.type == pin.FrameType.JOINT
+    }
+
+
+def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
+    """Links that an SRDF allows to touch."""
+    try:
+        root = ElementTree.fromstring(read_bytes(srdf))
+    except ElementTree.ParseError as error:
+        reason = f"not an SRDF: {error.msg.split(':')[0]}"
+        raise InputError(reason, file=srdf, line=error.position[0]) from None
+    if root.tag != "robot" or root.find("link") is not None:
+        found = "a URDF" if root.tag == "robot" else f"<{root.tag}>"
+        raise InputError(f"not an SRDF but {found}", file=srdf)
+    if root.get("name") != robot.name:
+        raise InputError(
+            "the SRDF is of another robot",
+            file=srdf,
+            value=root.get("name", ""),
+            allowed=robot.name,
+        )
+
+    def named(tag: str) -> set[frozenset[str]]:
+        return {
+            frozenset((element.get("link1", ""), element.get("link2", "")))
+            for element in root.iterfind(tag)
+        }
+
+    # MoveIt 2 can also disable all pairs of a link, and enable some of them again.
+    silent = {
+        element.get("link", "")
+        for element in root.iterfind("disable_default_collisions")
+    }
+    of_silent = {frozenset((link, other)) for link in silent for other in robot.links}
+    return named("disable_collisions") | of_silent - named("enable_collisions")
+
+
+def _by_design(
+    collisions: Collisions, contacts: NDArray[np.bool_], robot: Robot
+) -> list[tuple[str, str]]:
+    """Links that touch at nearly every configuration."""
+    together: dict[tuple[str, str], list[int]] = {}
+    for k, pair in enumerate(collisions.pairs):
+        if set(pair) <= set(robot.links):  # Not an obstacle.
+            together.setdefault(pair, []).append(k)
+    return [
+        pair
+        for pair, places in together.items()
+        if contacts[:, places].any(axis=1).mean() >= BY_DESIGN
+    ]

@@ -1,0 +1,320 @@
+"""Collisions along a chain, against Pinocchio on a model of its own."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from xml.etree import ElementTree
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.chain import Chain
+from calib_pin.collision import Collisions
+from calib_pin.io.collision import load_collisions
+from calib_pin.io.urdf import load_chain, locate_robot, parse_robot
+from calib_pin.setup import Obstacle
+
+CHAINS = {
+    "panda": ("example:panda", None, "panda_link8"),
+    "ur10": ("example:ur10_robot", None, "tool0"),
+    "talos": ("example:talos_reduced", "torso_2_link", "gripper_left_base_link"),
+    "space7": ("space7", None, None),
+}
+OBSTACLES = (
+    Obstacle("box", (0.5, 0.4, 0.3), xyz=(0.6, 0.2, 0.1), rpy=(0.3, 0.2, 0.1)),
+    Obstacle("sphere", (0.2,), xyz=(0.1, -0.6, 0.6)),
+    Obstacle("cylinder", (0.1, 1.0), xyz=(-0.5, 0.3, 0.4), rpy=(0.0, 0.4, 0.0)),
+)
+# A square without thickness, on which Qhull crashes.
+SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
+
+ARM = """<robot name="arm">
+  <link name="base"/>
+  <link name="arm">
+    <collision>
+      <origin xyz="0.5 0 0"/><geometry><sphere radius="0.1"/></geometry>
+    </collision>
+  </link>
+  <joint name="turn" type="continuous">
+    <parent link="base"/><child link="arm"/><axis xyz="0 0 1"/>
+  </joint>
+</robot>"""
+
+
+@dataclass(frozen=True)
+class Reference:
+    """All solids of a robot with obstacles, straight from Pinocchio."""
+
+    chain: Chain
+    model: pin.Model
+    geometry: pin.GeometryModel
+
+    def names(self) -> list[str]:
+        """Link of each solid, or the name of the obstacle."""
+        return [
+            solid.name
+            if solid.name.startswith("obstacle")
+            else self.model.frames[solid.parentFrame].name
+            for solid in self.geometry.geometryObjects
+        ]
+
+    def full(self, q: np.ndarray) -> np.ndarray:
+        result = pin.neutral(self.model)
+        for name, angle in zip(self.chain.joints, q, strict=True):
+            joint = self.model.joints[self.model.getJointId(name)]
+            turned = (np.cos(angle), np.sin(angle)) if joint.nq == 2 else angle
+            result[joint.idx_q : joint.idx_q + joint.nq] = turned
+        return result
+
+    def touching(self, q: np.ndarray, clearance: float) -> set[frozenset[str]]:
+        """Names of all solids closer than the clearance."""
+        data, results = self.model.createData(), self.geometry.createData()
+        for request in results.collisionRequests:
+            request.security_margin = clearance
+        pin.computeCollisions(
+            self.model, data, self.geometry, results, self.full(q), False
+        )
+        names = self.names()
+        return {
+            frozenset((names[pair.first], names[pair.second]))
+            for pair, result in zip(
+                self.geometry.collisionPairs, results.collisionResults, strict=True
+            )
+            if result.isCollision()
+        }
+
+    def moving(self, q: np.ndarray) -> set[frozenset[str]]:
+        """Names of the solids whose relative pose is not the same at all of q."""
+        data, results = self.model.createData(), self.geometry.createData()
+        poses = []
+        for row in q:
+            pin.updateGeometryPlacements(
+                self.model, data, self.geometry, results, self.full(row)
+            )
+            poses.append([M.copy() for M in results.oMg])
+        names, (first, *rest) = self.names(), poses
+        return {
+            frozenset((names[i], names[j]))
+            for i, j in (
+                (pair.first, pair.second) for pair in self.geometry.collisionPairs
+            )
+            if not all(
+                M[i].actInv(M[j]).isApprox(first[i].actInv(first[j]), 1e-9)
+                for M in rest
+            )
+        }
+
+
+def reference_of(chain: Chain) -> Reference:
+    urdf = locate_robot(chain.robot.file).resolve()
+    model = pin.buildModelFromUrdf(str(urdf))
+    folders = [str(folder) for folder in urdf.parents]
+    geometry = pin.buildGeomFromUrdf(
+        model, str(urdf), pin.COLLISION, package_dirs=folders
+    )
+    data = model.createData()
+    pin.framesForwardKinematics(model, data, pin.neutral(model))
+    # The chain does not move its base, so obstacles may as well stand in the world.
+    base = data.oMf[model.getFrameId(chain.base, pin.FrameType.BODY)]
+    shapes = (
+        pin.coal.Box(0.5, 0.4, 0.3),
+        pin.coal.Sphere(0.2),
+        pin.coal.Cylinder(0.1, 1.0),
+    )
+    for k, (shape, obstacle) in enumerate(zip(shapes, OBSTACLES, strict=True), 1):
+        R = pin.rpy.rpyToMatrix(*obstacle.rpy)
+        pose = base * pin.SE3(R, np.array(obstacle.xyz))
+        name = f"obstacle {k} ({obstacle.kind})"
+        geometry.addGeometryObject(pin.GeometryObject(name, 0, 0, pose, shape))
+    geometry.addAllCollisionPairs()
+    return Reference(chain, model, geometry)
+
+
+@pytest.fixture(scope="module", params=CHAINS)
+def chain(request: pytest.FixtureRequest) -> Chain:
+    robot, base, tip = CHAINS[request.param]
+    return load_chain(robot, base=base, tip=tip)
+
+
+@pytest.fixture(scope="module")
+def reference(chain: Chain) -> Reference:
+    return reference_of(chain)
+
+
+@pytest.fixture(scope="module")
+def clearance(chain: Chain) -> float:
+    return 0.0 if chain.robot.name in ("panda", "space7") else 0.01
+
+
+@pytest.fixture(scope="module")
+def collisions(chain: Chain, clearance: float) -> Collisions:
+    result = load_collisions(chain, OBSTACLES, clearance=clearance)
+    assert result is not None
+    return result
+
+
+@pytest.fixture
+def arm() -> Chain:
+    return Chain(parse_robot(ARM.encode(), "arm.urdf"))
+
+
+def chosen(collisions: Collisions) -> set[frozenset[str]]:
+    return {frozenset(pair) for pair in collisions.pairs}
+
+
+def test_as_pinocchio_finds_them(
+    chain: Chain, reference: Reference, collisions: Collisions, clearance: float
+) -> None:
+    q = chain.random_configurations(20, np.random.default_rng(7))
+    expected = [reference.touching(row, clearance) & chosen(collisions) for row in q]
+    found = [set(map(frozenset, collisions.touching(row))) for row in q]
+    assert found == expected
+    free = collisions.free(q)
+    assert free.tolist() == [not pairs for pairs in expected]
+    assert free.any()
+    assert not free.all()
+
+
+def test_the_pairs_are_those_that_can_meet(
+    chain: Chain, reference: Reference, collisions: Collisions, clearance: float
+) -> None:
+    root = ElementTree.fromstring(chain.robot.source)
+    adjacent = {
+        frozenset(joint.find(end).attrib["link"] for end in ("parent", "child"))
+        for joint in root.iterfind("joint")
+        if joint.attrib["type"] != "fixed"
+    }
+    q = chain.random_configurations(30, np.random.default_rng(8))
+    possible = reference.moving(q[:3]) - adjacent
+    left_out = possible - chosen(collisions)
+    assert chosen(collisions) <= possible
+    met = [reference.touching(row, clearance) for row in q]
+    for pair in left_out:
+        assert np.mean([pair in pairs for pairs in met]) > 0.9
+        assert not any("obstacle" in name for name in pair)
+
+
+def test_hulls_do_not_change_the_answer(chain: Chain, collisions: Collisions) -> None:
+    q = chain.random_configurations(200, np.random.default_rng(9))
+    expected = ~collisions.contacts(q).any(axis=1)
+    np.testing.assert_array_equal(collisions.free(q), expected)
+
+
+def test_the_pairs_that_touch_most_often_come_first(
+    chain: Chain, collisions: Collisions
+) -> None:
+    q = chain.random_configurations(200, np.random.default_rng(10))
+    rates = collisions.contacts(q).mean(axis=0)
+    assert rates[: len(rates) // 3].mean() > 2.0 * rates.mean()
+
+
+def test_the_model_is_left_alone() -> None:
+    chain = load_chain("example:panda", tip="panda_link8")
+    model = chain.robot.model.copy()
+    collisions = load_collisions(chain, OBSTACLES)
+    assert collisions is not None
+    q = chain.random_configurations(3, np.random.default_rng(0))
+    before = chain.poses(q)
+    collisions.free(q)
+    collisions.touching(q[0])
+    assert chain.robot.model == model
+    np.testing.assert_array_equal(chain.poses(q), before)
+
+
+@pytest.mark.parametrize(
+    ("clearance", "free"), [(0.0, True), (0.002, True), (0.01, False), (0.2, False)]
+)
+def test_clearance(arm: Chain, clearance: float, free: bool) -> None:
+    ball = Obstacle("sphere", (0.1,), xyz=(0.705, 0.0, 0.0))
+    collisions = load_collisions(arm, [ball], clearance=clearance)
+    assert collisions is not None
+    assert collisions.pairs == (("arm", "obstacle 1 (sphere)"),)
+    assert collisions.free(np.zeros((1, 1))).tolist() == [free]
+
+
+def test_continuous_joints(arm: Chain) -> None:
+    # The middle of the arm's ball runs on a circle of 0.5 m, and so does the obstacle.
+    ball = Obstacle("sphere", (0.1,), xyz=(0.0, 0.5, 0.0))
+    collisions = load_collisions(arm, [ball], clearance=0.0)
+    assert collisions is not None
+    turn = 2.0 * np.arcsin(0.1 / 0.5)
+    q = np.pi / 2 + np.array([0.0, turn - 0.01, turn + 0.01, -turn + 0.01, 3.0])
+    for turns in (-4.0, 0.0, 2.0):
+        free = collisions.free((q + np.pi * turns)[:, None])
+        assert free.tolist() == [False, False, True, False, True]
+
+
+def test_obstacles_stand_on_the_base_link_of_the_chain(arm: Chain) -> None:
+    backwards = Chain(arm.robot, "arm", "base")
+    on_arm = Obstacle("box", (0.2, 0.2, 0.2), xyz=(0.5, 0.0, 0.0))
+    # It moves with the arm's ball, around which it is.
+    collisions = load_collisions(backwards, [on_arm])
+    assert collisions is not None
+    assert collisions.pairs == ()
+    q = np.linspace(-3.0, 3.0, 5)[:, None]
+    assert collisions.free(q).all()
+    assert collisions.contacts(q).shape == (5, 0)
+    assert collisions.touching(q[0]) == []
+
+
+def test_no_configurations(chain: Chain, collisions: Collisions) -> None:
+    assert collisions.free(np.empty((0, len(chain.joints)))).shape == (0,)
+
+
+def test_some_of_the_pairs(chain: Chain, collisions: Collisions) -> None:
+    q = chain.random_configurations(20, np.random.default_rng(0))
+    kept = [5, 0, 2]
+    some = collisions.only(kept)
+    assert some.pairs == tuple(collisions.pairs[k] for k in kept)
+    np.testing.assert_array_equal(some.contacts(q), collisions.contacts(q)[:, kept])
+
+
+@pytest.mark.parametrize("kind", ["mesh", "box", "tilted mesh"])
+def test_flat_obstacles(kind: str, tmp_path: Path) -> None:
+    file = tmp_path / "square.obj"
+    file.write_text(SQUARE)
+    tilt = (0.3, 0.2, 0.1) if "tilted" in kind else (0.0, 0.0, 0.0)
+    flat = Obstacle("mesh", (1.0, 1.0, 1.0), str(file), (-0.2, -0.5, 0.4), tilt)
+    if kind == "box":
+        flat = Obstacle("box", (1.0, 1.0, 0.0), xyz=(0.3, 0.0, 0.4))
+    chain = load_chain("space7")
+    collisions = load_collisions(chain, [flat])
+    assert collisions is not None
+    q = chain.random_configurations(200, np.random.default_rng(1))
+    contacts = collisions.contacts(q)
+    of_flat = [k for k, pair in enumerate(collisions.pairs) if "obstacle" in pair[1]]
+    assert 20 < contacts[:, of_flat].any(axis=1).sum() < 180
+    np.testing.assert_array_equal(collisions.free(q), ~contacts.any(axis=1))
+
+
+def test_scaled_mesh(arm: Chain, tmp_path: Path) -> None:
+    file = tmp_path / "square.obj"
+    file.write_text(SQUARE.replace("1", "1000").replace("f 1000", "f 1"))
+    square = Obstacle("mesh", (1e-3, 1e-3, 1e-3), str(file), (-0.5, -0.5, 0.095))
+    collisions = load_collisions(arm, [square], clearance=0.0)
+    assert collisions is not None
+    # The square ends at half a meter, below the middle of the ball's upper side.
+    assert not collisions.free(np.zeros((1, 1)))[0]
+    lower = load_collisions(
+        arm, [Obstacle("mesh", (1e-3, 1e-3, 1e-3), str(file), (-1.5, -0.5, 0.0))]
+    )
+    assert lower is not None
+    assert lower.free(np.zeros((1, 1)))[0]
+
+
+def test_a_link_of_several_solids(chain_of: Callable[..., Chain]) -> None:
+    two = ARM.replace(
+        "</collision>",
+        '</collision><collision><origin xyz="0.5 0 0.3"/>'
+        '<geometry><box size="0.1 0.1 0.1"/></geometry></collision>',
+        1,
+    )
+    ball = Obstacle("sphere", (0.3,), xyz=(0.5, 0.0, 0.15))
+    collisions = load_collisions(chain_of(two), [ball])
+    assert collisions is not None
+    assert collisions.pairs == (("arm", "obstacle 1 (sphere)"),) * 2
+    assert collisions.contacts(np.zeros((1, 1))).all()
+    assert collisions.touching(np.zeros(1)) == [("arm", "obstacle 1 (sphere)")]

@@ -7,14 +7,29 @@ from calib_pin.solvers.differential_evolution import (
     differential_evolution,
 )
 from calib_pin.solvers.evolution import EvolutionResult
+from calib_pin.solvers.exchange import ExchangeResult, Subset, exchange, greedy
 from calib_pin.solvers.gauss_newton import LeastSquaresResult, gauss_newton
+from calib_pin.solvers.genetic import Genetic, SelectionResult, genetic_selection
+from calib_pin.solvers.gradient import DescentResult, projected_descent
+from calib_pin.solvers.particle_swarm import ParticleSwarm, particle_swarm
 from calib_pin.solvers.status import Status
 
 __all__ = [
+    "DescentResult",
     "DifferentialEvolution",
     "EvolutionResult",
+    "ExchangeResult",
+    "Genetic",
     "LeastSquaresResult",
+    "ParticleSwarm",
+    "SelectionResult",
     "Status",
+    "Subset",
     "differential_evolution",
+    "exchange",
     "gauss_newton",
+    "genetic_selection",
+    "greedy",
+    "particle_swarm",
+    "projected_descent",
 ]

@@ -74,22 +74,33 @@ class Box:
         # Rounding may have led past the upper bound.
         np.clip(members, self.lower, self.upper, out=members)
         if x0 is not None:
-            members[0] = self._checked(x0)
+            members[0] = self.checked(x0)
         return members
 
-    def _checked(self, x0: Floats) -> Floats:
-        """A member that the caller gave, shape (D,)."""
-        guess = np.asarray(x0, float)
-        if guess.shape != self.lower.shape:
-            allowed = f"({len(self.lower)},)"
+    def checked(self, x0: Floats, rows: str = "") -> Floats:
+        """What the caller gave to start from, as an array of numbers.
+
+        Args:
+            x0: One member, shape (D,), or several as rows.
+            rows: What to call the number of rows, where several are wanted.
+
+        Raises:
+            OptionError: If the shape is another, or a member leaves the bounds.
+        """
+        guess, size = np.asarray(x0, float), len(self.lower)
+        dimensions = 2 if rows else 1
+        if guess.ndim != dimensions or guess.shape[-1] != size or not guess.size:
             raise OptionError(
-                "x0 has the wrong shape", value=guess.shape, allowed=allowed
+                "x0 has the wrong shape",
+                value=guess.shape,
+                allowed=f"({rows}, {size})" if rows else f"({size},)",
             )
         within = (self.lower <= guess) & (guess <= self.upper)
-        for k in np.flatnonzero(~within):
+        for *row, k in np.argwhere(~within).tolist():
+            place = f"component {k}" + (f" of row {row[0]}" if row else "")
             raise OptionError(
-                f"x0 leaves the bounds at component {k}",
-                value=float(guess[k]),
+                f"x0 leaves the bounds at {place}",
+                value=float(guess[*row, k]),
                 allowed=f"{self.lower[k]} to {self.upper[k]}",
             )
         return guess

@@ -31,7 +31,7 @@ from numbers import Integral, Real
 
 import numpy as np
 
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import require_known
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
     Booleans,
@@ -47,6 +47,14 @@ from calib_pin.solvers.evolution import (
     three_others,
 )
 from calib_pin.solvers.l_shade import LShade
+from calib_pin.solvers.options import (
+    FRACTION,
+    LIMIT,
+    TARGET,
+    TOLERANCE,
+    Limits,
+    require_numbers,
+)
 from calib_pin.spatial import Floats
 
 __all__ = ["STRATEGIES", "DifferentialEvolution", "differential_evolution"]
@@ -105,16 +113,16 @@ BLOCK = 16
 INITS = ("latinhypercube", "random")
 """Names of the ways to choose the first population."""
 
-NUMBERS: dict[str, tuple[type, float, float, str]] = {
-    "population_size": (Integral, 4, 100_000, "a whole number, 4 to 100000"),
-    "mutation": (Real, np.nextafter(0.0, 1.0), 2, "more than 0, up to 2"),
-    "recombination": (Real, 0, 1, "0 to 1"),
-    "maxiter": (Integral, 1, np.inf, "a whole number, 1 or more"),
-    "target": (Real, -np.inf, np.finfo(float).max, "a number"),
-    "tol": (Real, 0, np.inf, "0 or more"),
-    "atol": (Real, 0, np.inf, "0 or more"),
+NUMBERS = {
+    "population_size": Limits(Integral, 4, 100_000, "a whole number, 4 to 100000"),
+    "mutation": Limits(Real, np.nextafter(0.0, 1.0), 2, "more than 0, up to 2"),
+    "recombination": FRACTION,
+    "maxiter": LIMIT,
+    "target": TARGET,
+    "tol": TOLERANCE,
+    "atol": TOLERANCE,
 }
-"""Kind, least and largest value of the options that are numbers, and this in words."""
+"""What the options may be that are numbers."""
 
 
 @dataclass(frozen=True)
@@ -155,14 +163,7 @@ class DifferentialEvolution:
         """Refuse what is not allowed."""
         require_known("mutation strategy", self.strategy, STRATEGIES)
         require_known("init", self.init, INITS)
-        for name, (kind, least, most, allowed) in NUMBERS.items():
-            value = getattr(self, name)
-            # Here True is no number, and NaN is within no limits.
-            number = isinstance(value, kind) and not isinstance(value, bool)
-            if not number or not least <= value <= most:
-                raise OptionError(
-                    f"{name} cannot be used", value=value, allowed=allowed
-                )
+        require_numbers(vars(self), NUMBERS)
 
     @property
     def budget(self) -> int:

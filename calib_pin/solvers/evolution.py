@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
+from typing import Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +33,7 @@ __all__ = [
     "Variant",
     "below",
     "crossing",
+    "evaluate",
     "evolve",
     "three_others",
 ]
@@ -40,6 +41,8 @@ __all__ = [
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Rng = np.random.Generator
+
+_Members = TypeVar("_Members", Floats, Indices)
 
 Costs = Callable[[Floats], Floats]
 """Costs of a whole population at once, shape (S, D) -> (S,)."""
@@ -160,7 +163,7 @@ def evolve(
         OptionError: If `costs` does not give one number per member.
     """
     # Own copies: these two arrays evolve in place.
-    population, energies = population.copy(), _evaluate(costs, population)
+    population, energies = population.copy(), evaluate(costs, population)
     energies = np.where(np.isnan(energies), np.inf, energies)
     nfev, best, (mean, deviation) = len(energies), energies.argmin(), _moments(energies)
     best_history, mean_history = [float(energies[best])], [mean]
@@ -173,7 +176,7 @@ def evolve(
             break
         trials = variant.breed(population, energies)
         box.repair(trials, population, rng)
-        fresh = _evaluate(costs, trials)
+        fresh = evaluate(costs, trials)
         nfev += len(trials)
         size = variant.learn(population, energies, fresh, nfev)
         # A tie goes to the trial, so that members can cross a plateau; NaN never wins.
@@ -204,8 +207,12 @@ def evolve(
     )
 
 
-def _evaluate(costs: Costs, members: Floats) -> Floats:
-    """Costs of members, shape (S, D) -> (S,)."""
+def evaluate(costs: Callable[[_Members], Floats], members: _Members) -> Floats:
+    """Costs of members, numbers or indices of shape (S, D) -> (S,).
+
+    Raises:
+        OptionError: If `costs` does not give one number per member.
+    """
     energies = np.asarray(costs(members), float)
     if energies.shape != (len(members),):
         raise OptionError(

@@ -28,15 +28,15 @@ class Status(Enum):
     def advice(self) -> str:
         """What it means and what to do about it."""
         return {
-            Status.CONVERGED: "The fit converged.",
+            Status.CONVERGED: "The solver converged.",
             Status.TARGET: "The cost fell below the target.",
             Status.ITERATIONS: (
-                "The fit did not converge within the iterations allowed; check units, "
-                "joint signs and frames, or start closer with a first guess."
+                "The solver did not converge within the iterations allowed; allow more "
+                "or start closer, in a fit check units, joint signs and frames first."
             ),
             Status.GENERATIONS: (
-                "The evolution ended at its generation limit before it reached a "
-                "minimum; allow more generations or let Gauss-Newton finish it with "
+                "The search ended at its generation limit before it reached a minimum; "
+                "allow more generations, or in a fit let Gauss-Newton finish it with "
                 "the solver 'hybrid'."
             ),
             Status.COLLAPSED: (
@@ -45,15 +45,16 @@ class Status(Enum):
                 "with the solver 'hybrid'."
             ),
             Status.STALLED: (
-                "No step improves the fit although it is not at a minimum; check for "
-                "measurements near a singularity of the measurement model."
+                "No step improves the cost although it is not at a minimum; check the "
+                "derivatives, in a fit check for measurements near a singularity of "
+                "the measurement model."
             ),
             Status.STOPPED: (
-                "The callback stopped the evolution before it reached a minimum; let "
-                "it run to its end for a better fit."
+                "The callback stopped the search before it reached a minimum; let it "
+                "run to its end for a better result."
             ),
             Status.NOT_FINITE: (
-                "The residual is not a finite number at the start; check the frames "
-                "and the first guess."
+                "The cost is not a finite number at the start; check the first guess, "
+                "in a fit the frames, in a search whether anything is feasible."
             ),
         }[self]

@@ -143,3 +143,14 @@ def test_bounds_are_copied() -> None:
     box = Box.of(bounds)
     bounds[:] = 7.0
     assert (box.lower[0], box.upper[0]) == (0.0, 1.0)
+
+
+def test_rows_that_the_caller_gave() -> None:
+    box = Box.of(np.array([[0.0, 1.0], [-1.0, 1.0]]))
+    assert box.checked([[0, 1], [1, -1]], "K").tolist() == [[0.0, 1.0], [1.0, -1.0]]  # type: ignore[arg-type]
+    with pytest.raises(OptionError, match=r"wrong shape \(value \(2,\)\).*\(K, 2\)"):
+        box.checked(np.zeros(2), "K")
+    with pytest.raises(OptionError, match=r"wrong shape \(value \(0, 2\)\)"):
+        box.checked(np.zeros((0, 2)), "K")
+    with pytest.raises(OptionError, match=r"component 1 of row 2 \(value nan\)"):
+        box.checked(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]]), "K")

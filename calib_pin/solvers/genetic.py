@@ -1,0 +1,290 @@
+"""A genetic algorithm that selects some of many items.
+
+A member is a subset of `count` out of `size` items, without repetition and in no order.
+Generation by generation
+
+- the parents of a child are each the best of a few members drawn by chance (a
+  tournament),
+- the child keeps what both parents have and draws the rest from what one of them has,
+- then it swaps some of its items for others that it does not have,
+- the best members live on unchanged, so that the best cost never rises.
+
+Crossover and mutation are the same operation here: each item gets a rank, whole for
+what decides and a fraction of chance, and the `count` items that rank highest are in.
+So every child is a subset of the right size, and none has to be repaired.
+
+References:
+    Aoyagi et al. 2010, IROS: measuring points that make an observability index largest,
+    under a limit on their number.
+    Radcliffe 1993, doi 10.1007/BF01411376: crossover of sets that keeps what both
+    parents share.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from numbers import Integral, Real
+
+import numpy as np
+
+from calib_pin.errors import OptionError
+from calib_pin.solvers.evolution import Booleans, Indices, Rng, below, evaluate
+from calib_pin.solvers.options import (
+    FRACTION,
+    LIMIT,
+    TARGET,
+    Limits,
+    require_numbers,
+)
+from calib_pin.solvers.status import Status
+from calib_pin.spatial import Floats
+
+__all__ = ["Genetic", "SelectionResult", "genetic_selection"]
+
+NUMBERS = {
+    "population_size": Limits(Integral, 2, 100_000, "a whole number, 2 to 100000"),
+    "generations": LIMIT,
+    "tournament": LIMIT,
+    "crossover": FRACTION,
+    "swaps": Limits(Real, 0, np.finfo(float).max, "0 or more"),
+    "elite": LIMIT,
+    "patience": LIMIT,
+    "target": TARGET,
+}
+"""What the options may be."""
+
+SubsetCosts = Callable[[Indices], Floats]
+"""Costs of a population of subsets, shape (S, count) -> (S,)."""
+
+Callback = Callable[[int, Indices, float], bool | None]
+"""Told the generation, the best subset and its cost; True stops the search."""
+
+
+@dataclass(frozen=True)
+class Genetic:
+    """Options of the genetic algorithm.
+
+    Attributes:
+        population_size: Number of members, 2 to 100 000.
+        generations: Limit on the generations after the first population, 1 or more.
+        tournament: Members drawn to find one parent, 1 or more; the more, the harder
+            the selection.
+        crossover: Probability that a child has two parents, in [0, 1].
+        swaps: Items that a child swaps for others on average, 0 or more.
+        elite: Members that live on, 1 or more, less than population_size.
+        patience: Converged when the best cost has not fallen for as many generations.
+        target: Ends when `best cost <= target`.
+
+    Raises:
+        OptionError: If a value is not allowed.
+    """
+
+    population_size: int = 100
+    generations: int = 300
+    tournament: int = 3
+    crossover: float = 0.9
+    swaps: float = 1.0
+    elite: int = 2
+    patience: int = 50
+    target: float = -np.inf
+
+    def __post_init__(self) -> None:
+        """Refuse what is not allowed."""
+        require_numbers(vars(self), NUMBERS)
+        if self.elite >= self.population_size:
+            raise OptionError(
+                "elite leaves no room for children",
+                value=self.elite,
+                allowed=f"less than population_size = {self.population_size}",
+            )
+
+
+@dataclass(frozen=True)
+class SelectionResult:
+    """Outcome of a selection; the words are those of `EvolutionResult`.
+
+    Attributes:
+        x: Best subset, indices in ascending order, shape (count,).
+        fun: Its cost.
+        nit: Number of generations after the first population.
+        nfev: Number of subsets evaluated.
+        status: How the search ended.
+        population: Last population, shape (S, count).
+        population_energies: Its costs, shape (S,).
+        best_history: Best cost of every generation, shape (nit + 1,).
+        mean_history: Mean cost of every generation, shape (nit + 1,).
+    """
+
+    x: Indices
+    fun: float
+    nit: int
+    nfev: int
+    status: Status
+    population: Indices
+    population_energies: Floats
+    best_history: Floats
+    mean_history: Floats
+
+
+def genetic_selection(
+    costs: SubsetCosts,
+    size: int,
+    count: int,
+    options: Genetic = Genetic(),
+    *,
+    x0: Indices | None = None,
+    rng: Rng,
+    callback: Callback | None = None,
+) -> SelectionResult:
+    """Select the items that together cost least.
+
+    Args:
+        costs: Costs of subsets, shape (S, count) -> (S,), called once per generation.
+            The rows are indices from 0 to size - 1 in ascending order. What is infinite
+            or NaN is not feasible.
+        size: Number of items.
+        count: Number of items to select, 1 to size.
+        options: Sizes, probabilities and stops.
+        x0: Members of the first population, shape (S0, count), in any order, S0 up to
+            the population size. The others are drawn by chance.
+        rng: Source of chance; the same seed gives the same result.
+        callback: Called after each generation with its number, the best subset
+            (count,) and its cost; returns True to stop.
+
+    Returns:
+        The result. Not finite if the first population had no feasible member.
+
+    Raises:
+        OptionError: If size, count or x0 cannot be used, or `costs` does not give one
+            number per member.
+
+    Example:
+        >>> values = np.array([3.0, 1.0, 4.0, 1.5, 5.0, 9.0, 2.0, 6.0])
+        >>> result = genetic_selection(
+        ...     lambda x: -values[x].sum(axis=1), 8, 3, rng=np.random.default_rng(0)
+        ... )
+        >>> result.status.value, result.x.tolist(), result.fun
+        ('converged', [4, 5, 7], -20.0)
+    """
+    require_numbers(
+        {"size": size, "count": count},
+        {"size": LIMIT, "count": Limits(Integral, 1, size, f"1 to size = {size}")},
+    )
+    nursery = _Nursery(options, count, rng)
+    subsets = nursery.founders(size, x0)
+    energies = _energies(costs, subsets)
+    nfev, best = len(subsets), int(energies.argmin())
+    best_history, mean_history = [float(energies[best])], [float(energies.mean())]
+    status = Status.NOT_FINITE if best_history[0] == np.inf else None
+    status = status or _stop(options, best_history)
+    while status is None:
+        elite = np.argsort(energies, kind="stable")[: options.elite]
+        children = nursery.children(subsets, energies, size)
+        fresh = _energies(costs, children)
+        nfev += len(children)
+        subsets = np.concatenate([subsets[elite], children])
+        energies = np.concatenate([energies[elite], fresh])
+        best = int(energies.argmin())
+        best_history.append(float(energies[best]))
+        mean_history.append(float(energies.mean()))
+        status = _stop(options, best_history)
+        if callback is not None:
+            generation = len(best_history) - 1
+            asked = callback(generation, subsets[best].copy(), best_history[-1])
+            status = status or (Status.STOPPED if asked else None)
+    return SelectionResult(
+        x=subsets[best].copy(),
+        fun=best_history[-1],
+        nit=len(best_history) - 1,
+        nfev=nfev,
+        status=status,
+        population=subsets,
+        population_energies=energies,
+        best_history=np.array(best_history),
+        mean_history=np.array(mean_history),
+    )
+
+
+def _energies(costs: SubsetCosts, subsets: Indices) -> Floats:
+    """Costs of subsets, infinite where they are NaN, shape (S,)."""
+    energies = evaluate(costs, subsets)
+    return np.where(np.isnan(energies), np.inf, energies)
+
+
+def _stop(options: Genetic, best_history: list[float]) -> Status | None:
+    """What ends the search after the last of these generations, if anything."""
+    if best_history[-1] <= options.target:
+        return Status.TARGET
+    generation = len(best_history) - 1
+    before = generation - options.patience
+    if before >= 0 and best_history[before] == best_history[-1]:
+        return Status.CONVERGED
+    return Status.GENERATIONS if generation >= options.generations else None
+
+
+class _Nursery:
+    """Where members come from: subsets of `count` items."""
+
+    def __init__(self, options: Genetic, count: int, rng: Rng) -> None:
+        self.options, self.count, self.rng = options, count, rng
+
+    def founders(self, size: int, x0: Indices | None) -> Indices:
+        """The first population, shape (S, count)."""
+        shape = int(self.options.population_size), size
+        subsets = self._highest(self.rng.random(shape))
+        if x0 is not None:
+            given = self._checked(np.asarray(x0), size)
+            subsets[: len(given)] = given
+        return subsets
+
+    def _checked(self, x0: Indices, size: int) -> Indices:
+        """Subsets that the caller gave, each in ascending order."""
+        most = int(self.options.population_size)
+        if x0.ndim != 2 or x0.shape[1] != self.count or len(x0) > most:
+            raise OptionError(
+                "x0 has the wrong shape",
+                value=x0.shape,
+                allowed=f"(up to {most}, {self.count})",
+            )
+        subsets = np.sort(x0, axis=1)
+        whole = np.issubdtype(x0.dtype, np.integer)
+        within = whole & (subsets >= 0) & (subsets < size)
+        repeated = (np.diff(subsets, axis=1) == 0).any(axis=1)
+        for row in np.flatnonzero(repeated | ~within.all(axis=1)):
+            raise OptionError(
+                f"row {row} of x0 is not a subset",
+                value=x0[row].tolist(),
+                allowed=f"{self.count} different whole numbers, 0 to {size - 1}",
+            )
+        return subsets.astype(np.intp)
+
+    def children(self, subsets: Indices, energies: Floats, size: int) -> Indices:
+        """Children of a population, one for each member outside of the elite."""
+        options, rng = self.options, self.rng
+        number = int(options.population_size) - int(options.elite)
+        contenders = below(len(subsets), (2, number, int(options.tournament)), rng)
+        winners = energies[contenders].argmin(axis=-1)[..., None]
+        mother, father = np.take_along_axis(contenders, winners, axis=-1)[..., 0]
+        father = np.where(rng.random(number) < options.crossover, father, mother)
+        members = _membership(subsets, size)
+        shared = np.add(members[mother], members[father], dtype=float)
+        child = self._highest(shared + rng.random(shared.shape))
+        # Others outrank those that leave, unless there are too few of them.
+        stays = _membership(child, size)
+        leaves = stays & (rng.random(stays.shape) < options.swaps / self.count)
+        rank = np.where(leaves, 0.0, np.where(stays, 2.0, 1.0))
+        return self._highest(rank + rng.random(rank.shape))
+
+    def _highest(self, rank: Floats) -> Indices:
+        """The items that rank highest, (S, size) -> (S, count), in ascending order."""
+        last = rank.shape[1] - self.count
+        items = np.argpartition(rank, last, axis=1)[:, last:]
+        return np.sort(items, axis=1)
+
+
+def _membership(subsets: Indices, size: int) -> Booleans:
+    """Which items subsets hold, (S, count) -> (S, size)."""
+    members = np.zeros((len(subsets), size), bool)
+    np.put_along_axis(members, subsets, True, axis=1)
+    return members

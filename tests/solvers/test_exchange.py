@@ -1,0 +1,205 @@
+"""Exchange methods on subsets whose costs a test can count and enumerate."""
+
+from __future__ import annotations
+
+from itertools import combinations
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import OptionError
+from calib_pin.solvers import Status, exchange, greedy
+from calib_pin.spatial import Floats
+
+
+class Volume:
+    """Rows chosen so that their information has a large determinant."""
+
+    def __init__(self, rows: Floats, chosen: list[int]) -> None:
+        self.rows, self.chosen = rows, list(chosen)
+        self.sizes: list[int] = []
+
+    @property
+    def cost(self) -> float:
+        return self.of(self.chosen)
+
+    @property
+    def left(self) -> int:
+        return len(self.rows) - len(self.chosen)
+
+    def of(self, chosen: list[int]) -> float:
+        assert len(set(chosen)) == len(chosen), "a candidate is chosen twice"
+        U = self.rows[chosen]
+        sign, logarithm = np.linalg.slogdet(U.T @ U + 1e-9 * np.eye(U.shape[1]))
+        return -float(logarithm) if sign > 0 else np.inf
+
+    def best_to_add(self) -> tuple[int, float]:
+        left = [k for k in range(len(self.rows)) if k not in self.chosen]
+        costs = [self.of([*self.chosen, k]) for k in left]
+        k = int(np.argmin(costs))
+        return left[k], costs[k]
+
+    def best_to_remove(self) -> tuple[int, float]:
+        costs = [self.of([m for m in self.chosen if m != k]) for k in self.chosen]
+        k = int(np.argmin(costs))
+        return self.chosen[k], costs[k]
+
+    def add(self, candidate: int) -> None:
+        assert candidate not in self.chosen
+        self.chosen.append(candidate)
+        self.sizes.append(len(self.chosen))
+
+    def remove(self, candidate: int) -> None:
+        self.chosen.remove(candidate)
+        self.sizes.append(len(self.chosen))
+
+    def reset(self, chosen: list[int]) -> None:
+        self.chosen = list(chosen)
+
+
+def rows_of(seed: int, count: int = 12, size: int = 4) -> Floats:
+    return np.random.default_rng(seed).normal(size=(count, size))
+
+
+def test_greedy_adds_the_best_of_all_each_time() -> None:
+    rows = rows_of(0)
+    result = greedy(Volume(rows, []), 6)
+    assert (result.status, result.nit, len(result.chosen)) == (Status.CONVERGED, 6, 6)
+    for k in range(6):
+        volume = Volume(rows, list(result.chosen[:k]))
+        assert volume.best_to_add()[0] == result.chosen[k]
+    assert result.cost == Volume(rows, []).of(list(result.chosen))
+
+
+def test_greedy_with_enough_members_does_nothing() -> None:
+    volume = Volume(rows_of(0), [3, 4])
+    result = greedy(volume, 2, lambda *_: True)
+    assert (result.chosen, result.nit, result.status) == ((3, 4), 0, Status.CONVERGED)
+
+
+@pytest.mark.parametrize("after", [1, 3])
+def test_greedy_stops_when_told(after: int) -> None:
+    seen: list[tuple[int, float]] = []
+
+    def callback(steps: int, cost: float) -> bool:
+        seen.append((steps, cost))
+        return steps == after
+
+    result = greedy(Volume(rows_of(0), []), 6, callback)
+    assert [steps for steps, _ in seen] == list(range(1, after + 1))
+    assert seen[-1][1] == result.cost
+    assert (len(result.chosen), result.status) == (after, Status.STOPPED)
+
+
+def test_exchange_against_every_subset() -> None:
+    """DETMAX is a local search: it is at the optimum nearly always, never far off."""
+    hits, greedy_hits, cases = 0, 0, 60
+    for seed in range(cases):
+        rows = rows_of(seed)
+        volume = Volume(rows, [])
+        start = greedy(volume, 5)
+        result = exchange(volume)
+        least = min(volume.of(list(some)) for some in combinations(range(12), 5))
+        assert result.status is Status.CONVERGED
+        assert len(set(result.chosen)) == 5
+        assert result.cost == volume.of(list(result.chosen))
+        assert least - 1e-9 <= result.cost <= start.cost + 1e-12
+        # What is returned is also where the subset stands.
+        assert volume.chosen == list(result.chosen)
+        hits += result.cost < least + 1e-6
+        greedy_hits += start.cost < least + 1e-6
+    assert hits >= 0.9 * cases
+    assert greedy_hits < hits
+
+
+def test_no_single_exchange_is_left_that_gains() -> None:
+    for seed in range(20):
+        volume = Volume(rows_of(seed, count=20), list(range(6)))
+        result = exchange(volume)
+        # The best of adding first; pairs that only gain together are Fedorov's.
+        candidate, _ = volume.best_to_add()
+        volume.add(candidate)
+        volume.remove(volume.best_to_remove()[0])
+        assert volume.cost >= result.cost - 1e-9
+
+
+def test_a_bad_start_is_left_behind() -> None:
+    """Excursions of one exchange alone stop earlier, or at the same place."""
+    better, worse = 0, 0
+    for seed in range(30):
+        rows = rows_of(seed, count=25, size=5)
+        short = exchange(Volume(rows, list(range(7))), longest=1)
+        far = exchange(Volume(rows, list(range(7))))
+        start = Volume(rows, list(range(7))).cost
+        assert far.cost < start and short.cost < start
+        better += far.cost < short.cost - 1e-9
+        worse += far.cost > short.cost + 1e-9
+    assert worse == 0
+    assert better > 0
+
+
+def test_excursions_become_longer_until_all_have_failed() -> None:
+    volume = Volume(rows_of(1, count=30), [])
+    greedy(volume, 8)
+    exchange(volume)
+    volume.sizes.clear()
+    # From a converged set all lengths fail in both directions.
+    chosen = list(volume.chosen)
+    result = exchange(volume, longest=5)
+    expected: list[int] = []
+    for length in range(1, 6):
+        up = [*range(9, 9 + length), *range(7 + length, 7, -1)]
+        expected += [*up, *(16 - size for size in up)]
+    assert volume.sizes == expected
+    assert result.nit == len(expected)
+    assert volume.chosen == list(result.chosen) == chosen
+
+
+def test_sizes_stay_when_there_are_few_candidates() -> None:
+    """An excursion cannot add more than there are, nor the same one again."""
+    for count in range(5, 9):
+        volume = Volume(rows_of(3, count=8), list(range(count)))
+        first = volume.cost
+        result = exchange(volume)
+        assert len(set(result.chosen)) == count
+        assert max(volume.sizes, default=0) <= 8
+        assert result.cost <= first
+        best = min(volume.of(list(some)) for some in combinations(range(8), count))
+        assert result.cost == pytest.approx(best, abs=1e-9)
+
+
+def test_a_subset_of_one_member() -> None:
+    rows = np.array([[0.5], [3.0], [2.0]])
+    result = exchange(Volume(rows, [0]))
+    assert result.chosen == (1,)
+
+
+@pytest.mark.parametrize("after", [1, 2, 3, 7])
+def test_exchange_stops_with_the_best_so_far(after: int) -> None:
+    seen: list[tuple[int, float]] = []
+
+    def callback(steps: int, cost: float) -> bool:
+        seen.append((steps, cost))
+        return len(seen) == after
+
+    volume = Volume(rows_of(5, count=30, size=6), list(range(8)))
+    first = volume.cost
+    result = exchange(volume, callback)
+    assert (len(seen), result.status) == (after, Status.STOPPED)
+    assert len(set(result.chosen)) == 8
+    assert result.cost == seen[-1][1] == volume.of(list(result.chosen)) <= first
+    assert result.nit == seen[-1][0]
+    # The best of all that was told.
+    assert result.cost == min(cost for _, cost in seen)
+    assert [cost for _, cost in seen] == sorted((c for _, c in seen), reverse=True)
+
+
+def test_steps_are_limited() -> None:
+    result = exchange(Volume(rows_of(5, count=30), list(range(8))), max_steps=4)
+    assert (result.status, result.nit) == (Status.ITERATIONS, 4)
+    assert len(set(result.chosen)) == 8
+
+
+def test_excursions_without_an_exchange_are_refused() -> None:
+    with pytest.raises(OptionError, match=r"too short \(value 0\)"):
+        exchange(Volume(rows_of(0), [0, 1]), longest=0)

@@ -1,0 +1,355 @@
+"""Projected descent on smooth functions with known minima; no robots here."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from itertools import pairwise
+
+import numpy as np
+import pytest
+from scipy import optimize
+
+from calib_pin.errors import OptionError
+from calib_pin.solvers import DescentResult, Status, projected_descent
+from calib_pin.solvers.box import Box
+from calib_pin.solvers.gradient import _Pairs, _Problem
+from calib_pin.spatial import Floats
+
+Smooth = Callable[[Floats], tuple[float, Floats]]
+
+SQUARE = np.tile([-2.0, 2.0], (2, 1))
+
+
+def rosenbrock(x: Floats) -> tuple[float, Floats]:
+    v = x.ravel()
+    bend, rest = v[1:] - v[:-1] ** 2, 1 - v[:-1]
+    gradient = np.zeros_like(v)
+    gradient[:-1] = -400 * v[:-1] * bend - 2 * rest
+    gradient[1:] += 200 * bend
+    return float(100 * bend @ bend + rest @ rest), gradient.reshape(x.shape)
+
+
+def quadratic(size: int, seed: int = 0) -> Smooth:
+    """Condition number 1e4; the minimum lies outside of the unit box."""
+    rng = np.random.default_rng(seed)
+    Q = np.linalg.qr(rng.normal(size=(size, size)))[0]
+    A, b = (Q * np.logspace(0, -4, size)) @ Q.T, 0.3 * rng.normal(size=size)
+
+    def function(x: Floats) -> tuple[float, Floats]:
+        v = x.ravel()
+        return float(0.5 * v @ A @ v - b @ v), (A @ v - b).reshape(x.shape)
+
+    return function
+
+
+def log_sum_exp(size: int, seed: int = 0) -> Smooth:
+    rng = np.random.default_rng(seed)
+    A, b = rng.normal(size=(100, size)), rng.normal(size=100)
+
+    def function(x: Floats) -> tuple[float, Floats]:
+        z = A @ x.ravel() + b
+        e = np.exp(z - z.max())
+        gradient = A.T @ (e / e.sum())
+        return float(z.max() + np.log(e.sum())), gradient.reshape(x.shape)
+
+    return function
+
+
+def coupled(target: Floats, coupling: float) -> Smooth:
+    """Points drawn to their targets, and their sum to that of the targets."""
+
+    def function(x: Floats) -> tuple[float, Floats]:
+        e = x - target
+        total = e.sum(axis=0)
+        value = 0.5 * np.sum(e * e) + 0.5 * coupling * total @ total
+        return float(value), e + coupling * total
+
+    return function
+
+
+def outside_disc(center: list[float], radius: float) -> Callable[[Floats], Floats]:
+    return lambda x: np.linalg.norm(x - center, axis=1) >= radius
+
+
+def random_points(bounds: Floats, count: int, seed: int) -> Floats:
+    rng = np.random.default_rng(seed)
+    return rng.uniform(bounds[:, 0], bounds[:, 1], (count, len(bounds)))
+
+
+PROBLEMS = {
+    "rosenbrock": (rosenbrock, np.tile([-0.5, 2.0], (2, 1)), 5),
+    "rosenbrock at bounds": (rosenbrock, np.tile([-0.5, 0.8], (2, 1)), 5),
+    "quadratic": (quadratic(70), np.tile([-100.0, 100.0], (7, 1)), 10),
+    "quadratic at bounds": (quadratic(70), np.tile([-1.0, 1.0], (7, 1)), 10),
+    "log-sum-exp": (log_sum_exp(30), np.tile([-1.0, 1.0], (3, 1)), 10),
+}
+
+
+@pytest.mark.parametrize("seed", range(3))
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_as_low_as_scipy_with_about_as_many_evaluations(name: str, seed: int) -> None:
+    function, bounds, count = PROBLEMS[name]
+    x0 = random_points(bounds, count, seed)
+
+    def flat(v: Floats) -> tuple[float, Floats]:
+        value, gradient = function(v.reshape(x0.shape))
+        return value, gradient.ravel()
+
+    ours = projected_descent(function, bounds, x0, tolerance=1e-11, max_iterations=1000)
+    theirs = optimize.minimize(
+        flat,
+        x0.ravel(),
+        jac=True,
+        method="L-BFGS-B",
+        bounds=np.tile(bounds, (count, 1)),
+        options={"ftol": 1e-11, "gtol": 1e-9, "maxiter": 1000},
+    )
+    assert ours.status is Status.CONVERGED
+    assert ours.fun == pytest.approx(theirs.fun, abs=1e-6)
+    assert ours.nfev <= 2 * theirs.nfev
+    assert ours.fun == function(ours.x)[0]
+
+
+def test_bounds_that_hold_the_minimum_are_met_exactly() -> None:
+    bounds = np.array([[0.1, 0.3], [-1.0, 1.0], [0.7, 0.7]])
+    target = np.array([[0.0, 0.5, 2.0], [0.9, -3.0, 0.0]])
+    x0 = np.array([[0.2, 0.0, 0.7], [0.1, 1.0, 0.7]])
+    result = projected_descent(coupled(target, 0.0), bounds, x0)
+    assert result.status is Status.CONVERGED
+    assert result.x[:, [0, 2]].tolist() == [[0.1, 0.7], [0.3, 0.7]]
+    assert result.x[:, 1] == pytest.approx([0.5, -1.0], abs=1e-6)
+    assert result.x[1, 1] == -1.0
+
+
+@pytest.mark.parametrize("name", PROBLEMS)
+def test_every_place_visited_is_within_bounds(name: str) -> None:
+    function, bounds, count = PROBLEMS[name]
+    visited, values = [], []
+
+    def watched(x: Floats) -> tuple[float, Floats]:
+        visited.append(x.copy())
+        return function(x)
+
+    def callback(step: int, x: Floats, fun: float) -> None:
+        assert step == len(values) + 1 and fun == function(x)[0]
+        x[:] = np.nan  # A copy: the descent goes on.
+        values.append(fun)
+
+    x0 = random_points(bounds, count, 0)
+    start = x0.copy()
+    result = projected_descent(watched, bounds, x0, callback=callback)
+    assert np.array_equal(x0, start)
+    assert all((bounds[:, 0] <= x).all() and (x <= bounds[:, 1]).all() for x in visited)
+    assert (result.nit, result.nfev) == (len(values), len(visited))
+    assert all(b < a for a, b in pairwise(values))
+    assert values[-1] == result.fun
+
+
+def test_units_of_components_do_not_matter() -> None:
+    scale = np.array([1.0, 1024.0])
+
+    def scaled(x: Floats) -> tuple[float, Floats]:
+        value, gradient = rosenbrock(x / scale)
+        return value, gradient / scale
+
+    x0 = random_points(SQUARE, 3, 0)
+    one = projected_descent(rosenbrock, SQUARE, x0)
+    other = projected_descent(scaled, SQUARE * scale[:, None], x0 * scale)
+    assert (one.nit, one.nfev) == (other.nit, other.nfev)
+    assert np.array_equal(one.x * scale, other.x)
+
+
+def test_a_gradient_written_to_the_same_array_again() -> None:
+    kept = np.empty((5, 2))
+
+    def function(x: Floats) -> tuple[float, Floats]:
+        value, kept[:] = rosenbrock(x)
+        return value, kept
+
+    x0 = random_points(SQUARE, 5, 0)
+    one, other = (projected_descent(f, SQUARE, x0) for f in (rosenbrock, function))
+    assert np.array_equal(one.x, other.x)
+
+
+def test_a_flat_function_and_a_fixed_box_converge_at_once() -> None:
+    x0 = np.zeros((2, 2))
+    flat = projected_descent(lambda x: (3.0, np.zeros_like(x)), SQUARE, x0)
+    fixed = projected_descent(rosenbrock, np.zeros((2, 2)), x0)
+    for result in (flat, fixed):
+        assert (result.status, result.nit, result.nfev) == (Status.CONVERGED, 0, 1)
+
+
+def descend_among_obstacles(
+    target: Floats, coupling: float, x0: Floats, allowed: Callable[[Floats], Floats]
+) -> DescentResult:
+    """The descent; whatever it accepts must be allowed and lower than before."""
+    function = coupled(target, coupling)
+    values = [function(x0)[0]]
+
+    def callback(step: int, x: Floats, fun: float) -> None:
+        assert allowed(x).all()
+        assert fun < values[-1]
+        values.append(fun)
+
+    return projected_descent(function, SQUARE, x0, allowed=allowed, callback=callback)
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.5])
+def test_a_forbidden_disc_on_the_way(coupling: float) -> None:
+    target = np.array([[1.0, 0.5], [1.0, -0.9], [0.2, 1.5], [-1.0, -1.0]])
+    x0 = np.array([[-1.0, -0.1], [-1.5, 1.2], [-1.0, 1.0], [1.0, 0.0]])
+    allowed = outside_disc([0.0, 0.0], 0.5)
+    result = descend_among_obstacles(target, coupling, x0, allowed)
+    # A full step leads over the disc.
+    assert result.status is Status.CONVERGED
+    assert result.x == pytest.approx(target, abs=1e-4)
+
+
+@pytest.mark.parametrize("coupling", [0.0, 0.5, 5.0])
+def test_a_minimum_that_is_forbidden_to_one_point(coupling: float) -> None:
+    target = np.array([[1.0, 0.5], [1.0, -0.9], [0.2, 1.5], [-1.0, -1.0]])
+    x0 = np.array([[-1.0, -0.1], [-1.5, 1.2], [-1.0, 1.0], [1.0, 0.0]])
+    allowed = outside_disc([1.0, -0.9], 0.5)
+    result = descend_among_obstacles(target, coupling, x0, allowed)
+    assert result.status is Status.CONVERGED
+    distance = np.linalg.norm(result.x[1] - target[1])
+    assert 0.5 <= distance < 0.51  # At the edge.
+    # The others are where they are best off with that one held up.
+    gradient = coupled(target, coupling)(result.x)[1]
+    assert gradient[[0, 2, 3]] == pytest.approx(np.zeros((3, 2)), abs=1e-3)
+
+
+@pytest.mark.parametrize("count", [1, 4])
+def test_all_held_up(count: int) -> None:
+    target = np.tile([1.0, 0.5], (count, 1))
+    x0 = random_points(np.array([[-2.0, 0.0], [-2.0, 2.0]]), count, 0)
+    allowed = outside_disc([1.0, 0.5], 0.8)
+    result = descend_among_obstacles(target, 0.0, x0, allowed)
+    assert result.status is Status.CONVERGED
+    distances = np.linalg.norm(result.x - target, axis=1)
+    assert (distances >= 0.8).all() and (distances < 0.83).all()
+
+
+def test_nothing_else_is_allowed() -> None:
+    x0 = np.array([[-1.0, -1.0], [0.5, 0.5]])
+    result = projected_descent(
+        coupled(np.ones((2, 2)), 1.0),
+        SQUARE,
+        x0,
+        allowed=lambda x: (x == x0).all(axis=1),
+    )
+    assert result.status is Status.CONVERGED
+    assert np.array_equal(result.x, x0)
+    assert (result.nit, result.nfev) == (0, 1)
+
+
+@pytest.mark.parametrize("wall", [np.nan, np.inf, -np.inf])
+def test_values_that_are_not_finite_turn_it_back(wall: float) -> None:
+    def function(x: Floats) -> tuple[float, Floats]:
+        value, gradient = coupled(np.ones((1, 2)), 0.0)(x)
+        return (wall if x[0, 0] > 0.5 else value), gradient
+
+    result = projected_descent(function, SQUARE, np.array([[-1.0, 0.0]]))
+    assert np.isfinite(result.fun)
+    assert result.x[0, 0] == pytest.approx(0.5, abs=0.01) and result.x[0, 0] <= 0.5
+
+
+def test_a_gradient_that_is_not_finite_turns_it_back() -> None:
+    def function(x: Floats) -> tuple[float, Floats]:
+        return float(-x.sum()), np.where(x > 0.5, np.nan, -1.0)
+
+    result = projected_descent(function, SQUARE, np.zeros((1, 2)))
+    assert (result.x <= 0.5).all() and np.isfinite(result.fun)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_start_that_is_not_finite(value: float) -> None:
+    result = projected_descent(lambda x: (value, 0 * x), SQUARE, np.ones((1, 2)))
+    assert (result.status, result.nit, result.nfev) == (Status.NOT_FINITE, 0, 1)
+    assert result.x.tolist() == [[1.0, 1.0]]
+
+
+def test_a_wrong_gradient_stalls() -> None:
+    def function(x: Floats) -> tuple[float, Floats]:
+        value, gradient = rosenbrock(x)
+        return value, -gradient
+
+    result = projected_descent(function, SQUARE, np.zeros((2, 2)))
+    assert result.status is Status.STALLED
+    assert result.fun == rosenbrock(np.zeros((2, 2)))[0]
+
+
+def test_the_limits_end_it() -> None:
+    x0 = np.zeros((4, 2))
+    limited = projected_descent(rosenbrock, SQUARE, x0, max_iterations=3)
+    assert (limited.status, limited.nit) == (Status.ITERATIONS, 3)
+    stopped = projected_descent(rosenbrock, SQUARE, x0, callback=lambda k, *_: k == 2)
+    assert (stopped.status, stopped.nit) == (Status.STOPPED, 2)
+
+
+def test_the_two_loops_give_the_product_with_the_matrix() -> None:
+    rng = np.random.default_rng(0)
+    size, memory, newest = 12, 5, 1
+    A = np.diag(np.arange(1.0, size + 1))
+    s = rng.normal(size=(memory, size))
+    changes, g = np.stack([s, s @ A], axis=1), rng.normal(size=size)
+    for free in (np.ones(size), (rng.random(size) < 0.6).astype(float)):
+        s, y = changes[newest] * free
+        H = (s @ y) / (y @ y) * np.eye(size)
+        for k in range(memory - 1, -1, -1):  # From the oldest to the newest.
+            s, y = changes[(newest - k) % memory] * free
+            V = np.eye(size) - np.outer(y, s) / (s @ y)
+            H = V.T @ H @ V + np.outer(s, s) / (s @ y)
+        pairs = _Pairs(memory, size)
+        pairs.changes, pairs.newest, pairs.count = changes, newest, memory
+        step = pairs.step(g, free, 1.0)
+        assert step == pytest.approx(-H @ g, abs=1e-13)
+
+
+def test_pairs_without_curvature_are_passed_over() -> None:
+    g, free = np.array([1.0, -2.0]), np.ones(2)
+    pairs = _Pairs(1, 2)
+    pairs.changes = np.array([[[1.0, 0.0], [-1.0, 0.0]]])
+    pairs.newest, pairs.count = 0, 1
+    step = pairs.step(g, free, 0.5)
+    assert step.tolist() == [-0.5, 1.0]
+
+
+def test_components_that_a_bound_stops_are_not_free() -> None:
+    x = np.array([[0.0, 0.0, 1.0, 1.0, 0.5]])
+    gradient = np.array([5.0, -1.0, 1.0, -6.0, 2.0])
+    box = Box.of(np.array([[0.0, 1.0]] * 5))
+    problem = _Problem(lambda x: (0.0, x), box, None, x.shape)
+    stopped = problem.stopped(x.ravel(), gradient)
+    assert stopped.tolist() == [True, False, False, True, False]
+
+
+@pytest.mark.parametrize(
+    ("arguments", "message"),
+    [
+        ({"memory": 0}, "memory cannot be used (value 0); allowed: a whole number, 1"),
+        ({"max_iterations": 1.5}, "max_iterations cannot be used (value 1.5)"),
+        ({"tolerance": np.nan}, "tolerance cannot be used (value nan); allowed: 0 or"),
+        ({"x0": np.zeros(2)}, "x0 has the wrong shape (value (2,)); allowed: (K, 2)"),
+        ({"x0": np.zeros((0, 2))}, "x0 has the wrong shape (value (0, 2))"),
+        (
+            {"x0": np.array([[0.0, 0.0], [0.0, 3.0]])},
+            "x0 leaves the bounds at component 1 of row 1 (value 3.0); allowed: -2.0",
+        ),
+        ({"bounds": SQUARE[:, ::-1]}, "bounds of component 0 are reversed"),
+        (
+            {"function": lambda x: (0.0, np.zeros(4))},
+            "the gradient has the wrong shape (value (4,)); allowed: (2, 2)",
+        ),
+        (
+            {"allowed": lambda x: True},
+            "allowed must give one answer per point (value ()); allowed: (2,)",
+        ),
+    ],
+)
+def test_what_cannot_be_used(arguments: dict[str, object], message: str) -> None:
+    usual = {"function": rosenbrock, "bounds": SQUARE, "x0": np.zeros((2, 2))}
+    with pytest.raises(OptionError) as caught:
+        projected_descent(**(usual | arguments))  # type: ignore[arg-type]
+    assert message in str(caught.value)
+    assert "\n" not in str(caught.value)

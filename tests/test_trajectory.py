@@ -1,0 +1,241 @@
+"""Trapezoidal motions within their limits, and errors of the tip."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from calib_pin.errors import OptionError
+from calib_pin.spatial import so3_exp
+from calib_pin.trajectory import Trajectory, tip_errors, trapezoidal
+
+START = np.radians([10.0, -100.0, 80.0, 100.0, -80.0, 90.0, 5.0])
+GOAL = np.radians([60.0, 30.0, 20.0, 20.0, 30.0, 75.0, 15.0])
+
+angle = st.floats(-3.2, 3.2)
+limit = st.floats(0.01, 100.0)
+joints = st.integers(1, 7).flatmap(
+    lambda n: st.tuples(
+        *(st.lists(angle, min_size=n, max_size=n) for _ in range(2)),
+        *(st.lists(limit, min_size=n, max_size=n) for _ in range(2)),
+    )
+)
+
+
+def check_limits(
+    motion: Trajectory, velocity: np.ndarray | float, acceleration: np.ndarray | float
+) -> None:
+    """Of what is stated, and of differences between samples."""
+    assert (np.abs(motion.velocity) <= velocity * (1 + 1e-12)).all()
+    step = np.diff(motion.time)[:, None]
+    # Rounding of the positions grows as the steps shrink.
+    rounding = 1e-14 / step
+    moved = np.abs(np.diff(motion.q, axis=0)) / step
+    assert (moved <= velocity * (1 + 1e-9) + rounding).all()
+    changed = np.abs(np.diff(motion.velocity, axis=0)) / step
+    rounding = 1e-14 * np.max(velocity) / step
+    assert (changed <= acceleration * (1 + 1e-9) + rounding).all()
+
+
+# --- motions -----------------------------------------------------------------------
+
+
+def test_cruise_between_two_ramps() -> None:
+    motion = trapezoidal([0.0], [3.0], 1.0, 2.0, 0.25)
+    assert motion.duration == 3.5
+    expected = [0, 0.5, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 1, 0.5, 0]
+    np.testing.assert_allclose(motion.velocity[:, 0], expected, atol=1e-15)
+    np.testing.assert_allclose(
+        motion.q[[1, 2, 7, 12, 13], 0], [0.0625, 0.25, 1.5, 2.75, 2.9375]
+    )
+
+
+def test_a_short_way_is_a_triangle() -> None:
+    motion = trapezoidal([1.0, 0.0], [0.5, 0.0], 10.0, 2.0, 0.1)
+    assert motion.duration == 1.0
+    assert np.abs(motion.velocity[:, 0]).max() == pytest.approx(1.0)
+    assert motion.q[5, 0] == pytest.approx(0.75)
+    check_limits(motion, 10.0, 2.0)
+
+
+def test_a_way_that_just_reaches_full_speed() -> None:
+    motion = trapezoidal([0.0], [2.0], 2.0, 2.0, 0.5)
+    assert motion.duration == 2.0
+    assert motion.velocity[:, 0].tolist() == [0.0, 1.0, 2.0, 1.0, 0.0]
+
+
+def test_the_slowest_joint_sets_the_time() -> None:
+    """Here one joint limits the speed and another the acceleration."""
+    velocity, acceleration = np.array([1.0, 5.0]), np.array([50.0, 1.0])
+    motion = trapezoidal([0.0, 0.0], [4.0, 2.0], velocity, acceleration, 0.01)
+    check_limits(motion, velocity, acceleration)
+    assert motion.duration == pytest.approx(4.0 + 0.5)
+    assert np.abs(motion.velocity).max(axis=0) == pytest.approx([1.0, 0.5])
+    assert np.diff(motion.velocity[:10, 1]) / 0.01 == pytest.approx(1.0)
+
+
+def test_the_published_motion() -> None:
+    motion = trapezoidal(START, GOAL, 0.5, 0.5, 0.02)
+    check_limits(motion, 0.5, 0.5)
+    # Joint 2 turns by 130 degrees.
+    assert motion.duration == pytest.approx(np.radians(130.0) / 0.5 + 1.0)
+    assert motion.q[0].tolist() == START.tolist()
+    assert motion.q[-1].tolist() == GOAL.tolist()
+    # A straight line: all joints have covered the same part.
+    part = (motion.q - START) / (GOAL - START)
+    assert np.ptp(part, axis=1).max() < 1e-14
+    assert (np.diff(part[:, 0]) > 0.0).all()
+
+
+@given(joints, st.integers(1, 300))
+def test_limits_ends_and_synchronization(
+    given: tuple[list[float], ...], samples: int
+) -> None:
+    start, goal, velocity, acceleration = map(np.array, given)
+    whole = trapezoidal(start, goal, velocity, acceleration, 1e5)
+    assert len(whole.q) == 1 + (whole.duration > 0.0)
+    period = whole.duration / samples or 1.0
+    motion = trapezoidal(start, goal, velocity, acceleration, period)
+    assert motion.duration == whole.duration
+    assert motion.q[-1].tolist() == goal.tolist()
+    assert not motion.velocity[[0, -1]].any()
+    if whole.duration == 0.0:
+        return
+    assert len(motion.time) == samples + 1
+    assert motion.q[0].tolist() == start.tolist()
+    steps = np.diff(motion.time)
+    assert (steps > 0.0).all() and (steps <= period * (1 + 1e-8)).all()
+    check_limits(motion, velocity, acceleration)
+    # All joints move and rest together.
+    way = goal - start
+    moving = np.abs(way) > 1e-6
+    part = (motion.q - start)[:, moving] / way[moving]
+    assert (np.abs(part - part[:, :1]) < 1e-8).all()
+
+
+@given(joints)
+def test_no_motion_is_faster(given: tuple[list[float], ...]) -> None:
+    """Alone, a joint takes no longer; one limit is met."""
+    start, goal, velocity, acceleration = map(np.array, given)
+    together = trapezoidal(start, goal, velocity, acceleration, 1e5)
+    for k in range(len(start)):
+        alone = trapezoidal(
+            start[k : k + 1], goal[k : k + 1], velocity[k], acceleration[k], 1e5
+        )
+        assert alone.duration <= together.duration * (1 + 1e-12)
+    if together.duration > 0.0:
+        fine = trapezoidal(
+            start, goal, velocity, acceleration, together.duration / 1000
+        )
+        steepest = np.abs(fine.velocity[1]) / (fine.time[1] * acceleration)
+        fastest = np.abs(fine.velocity).max(axis=0) / velocity
+        assert max(steepest.max(), fastest.max()) > 1 - 1e-2
+
+
+def test_the_last_interval_may_be_shorter() -> None:
+    motion = trapezoidal([0.0], [3.0], 1.0, 2.0, 1.0)
+    assert motion.time.tolist() == [0.0, 1.0, 2.0, 3.0, 3.5]
+    assert motion.q[-1, 0] == 3.0
+
+
+def test_rounding_adds_no_sample() -> None:
+    """3.5 s in periods of 0.07 s are 50.00000000000001 of them."""
+    assert len(trapezoidal([0.0], [3.0], 1.0, 2.0, 0.07).time) == 51
+
+
+@pytest.mark.parametrize("place", [[0.25], [1.0, -2.0], []])
+def test_no_way_is_one_sample(place: list[float]) -> None:
+    motion = trapezoidal(place, place, 1.0, 1.0, 0.1)
+    assert motion.time.tolist() == [0.0] and motion.duration == 0.0
+    assert motion.q.tolist() == [place]
+    assert motion.velocity.shape == (1, len(place)) and not motion.velocity.any()
+
+
+@pytest.mark.parametrize("way", [5e-324, 1e-310, 1e-160])
+def test_hardly_a_way(way: float) -> None:
+    motion = trapezoidal([0.0], [way], 1e3, 1e3, 1.0)
+    assert motion.q[-1, 0] == way and np.isfinite(motion.velocity).all()
+
+
+@pytest.mark.parametrize(
+    ("changes", "message"),
+    [
+        (
+            {"start": [0.0]},
+            "start has shape (1,), the goal (2,); allowed: the same number of joints",
+        ),
+        ({"start": [[0.0]]}, "start has shape (1, 1), the goal (2,)"),
+        ({"start": [0.0, np.nan]}, "start is not finite (value [0.0, nan]); allowed:"),
+        ({"goal": [0.0, np.inf]}, "goal is not finite (value [0.0, inf])"),
+        ({"goal": ["x", 0.0]}, "goal does not consist of numbers (value ['x', 0.0])"),
+        ({"velocity": [1.0] * 3}, "velocity has shape (3,); allowed: one number, or 2"),
+        ({"velocity": 0.0}, "velocity is not positive (value 0.0); allowed: above 0"),
+        ({"velocity": [1.0, -1.0]}, "velocity is not positive (value [1.0, -1.0])"),
+        ({"acceleration": 0.0}, "acceleration is not positive (value 0.0)"),
+        ({"acceleration": np.nan}, "acceleration is not finite (value nan)"),
+        ({"acceleration": np.ones((2, 2))}, "acceleration has shape (2, 2)"),
+        ({"period": 0.0}, "period is not positive (value 0.0); allowed: above 0"),
+        ({"period": -1.0}, "period is not positive (value -1.0)"),
+        ({"period": np.inf}, "period is not finite (value inf)"),
+        (
+            {"period": 1e-9},
+            "the motion takes 2 s, too long for this period (value 1e-09); "
+            "allowed: at most 1000000 samples",
+        ),
+        ({"velocity": 1e-308}, "the motion takes 1e+308 s, too long for this period"),
+        ({"goal": [1e308, 0.0], "velocity": 1e-3}, "the motion takes inf s, too long"),
+    ],
+)
+def test_what_it_refuses(changes: dict[str, object], message: str) -> None:
+    arguments = {
+        "start": [0.0, 0.0],
+        "goal": [1.0, 0.5],
+        "velocity": 1.0,
+        "acceleration": 1.0,
+        "period": 0.1,
+    }
+    with pytest.raises(OptionError) as caught:
+        trapezoidal(**{**arguments, **changes})
+    assert str(caught.value).startswith(message)
+    assert "\n" not in str(caught.value)
+
+
+# --- errors of the tip -------------------------------------------------------------
+
+
+def poses(count: int, seed: int) -> np.ndarray:
+    rng = np.random.default_rng(seed)
+    T = np.tile(np.eye(4), (count, 1, 1))
+    T[:, :3, :3] = so3_exp(rng.normal(size=(count, 3)))
+    T[:, :3, 3] = rng.normal(size=(count, 3))
+    return T
+
+
+def test_errors_are_those_in_the_base_frame() -> None:
+    rng = np.random.default_rng(0)
+    shifts, turns = rng.normal(scale=0.1, size=(2, 20, 3))
+    true = poses(20, seed=1)
+    predicted = true.copy()
+    predicted[:, :3, 3] += shifts
+    predicted[:, :3, :3] = so3_exp(turns) @ true[:, :3, :3]
+    found = tip_errors(true, predicted)
+    np.testing.assert_allclose(found.position, shifts, atol=1e-15)
+    np.testing.assert_allclose(found.orientation, turns, atol=1e-14)
+    np.testing.assert_allclose(found.distances, np.linalg.norm(shifts, axis=1))
+    np.testing.assert_allclose(found.angles, np.linalg.norm(turns, axis=1))
+    assert found.largest == pytest.approx((np.abs(shifts).max(), np.abs(turns).max()))
+
+
+def test_equal_poses_have_no_errors() -> None:
+    assert tip_errors(poses(3, 0), poses(3, 0)).largest == pytest.approx((0.0, 0.0))
+    assert tip_errors(np.zeros((0, 4, 4)), np.zeros((0, 4, 4))).largest == (0.0, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("true", "predicted"), [((2, 4, 4), (3, 4, 4)), ((4, 4), (4, 4)), ((2, 3), (2, 3))]
+)
+def test_poses_must_match(true: tuple[int, ...], predicted: tuple[int, ...]) -> None:
+    with pytest.raises(OptionError, match="true poses have shape"):
+        tip_errors(np.zeros(true), np.zeros(predicted))

@@ -4,10 +4,12 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 from dataclasses import replace
+from typing import Protocol
 
 import numpy as np
 
 from calib_pin.chain import Chain
+from calib_pin.directions import Directions
 from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
 from calib_pin.parameterizations.base import expected_size
@@ -24,6 +26,7 @@ from calib_pin.solvers import LeastSquaresResult
 from calib_pin.spatial import Floats
 
 __all__ = [
+    "Estimated",
     "chi2_interval",
     "estimates",
     "fitted_ranks",
@@ -102,15 +105,39 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     return "" if result.status.success else result.status.advice
 
 
+class Estimated(Protocol):
+    """What estimates say of the parameters, those of a fit or of a plan for one."""
+
+    @property
+    def theta(self) -> Floats:
+        """Parameter values, shape (P,)."""
+        ...
+
+    @property
+    def covariance(self) -> Floats:
+        """Their covariance, shape (P, P)."""
+        ...
+
+    @property
+    def directions(self) -> Directions:
+        """The directions that are estimated and those left at nominal."""
+        ...
+
+    @property
+    def revealed(self) -> Floats:
+        """Directions that only large errors reveal, shape (P, k)."""
+        ...
+
+
 def estimates(
-    parameters: ParameterSet, structure: Structure, fitted: Fit | None = None
+    parameters: ParameterSet, structure: Structure, fitted: Estimated | None = None
 ) -> tuple[tuple[ParameterEstimate, ...], tuple[CoupledGroup, ...]]:
     """The status of every parameter and the coupled groups, with values of a fit.
 
     Args:
         parameters: The parameters.
         structure: Their structural analysis.
-        fitted: The fit, if there is one; otherwise values are zero.
+        fitted: The estimates, if there are any; otherwise values are zero.
     """
     theta = np.zeros(len(parameters)) if fitted is None else fitted.theta
     groups: list[CoupledGroup] = []
@@ -120,7 +147,7 @@ def estimates(
     weak: set[int] = set()
     for combination in structure.combinations:
         row = combination.row(len(parameters))
-        known = fitted is None or _weak_part(fitted, row) <= WEAK_PART
+        known = fitted is None or _weak_part(fitted, parameters, row) <= WEAK_PART
         sigma = _deviation(fitted, row) if known else None
         if len(combination.terms) == 1:
             position = combination.terms[0][0]
@@ -217,9 +244,8 @@ def _ranks(
     )
 
 
-def _weak_part(fitted: Fit, row: Floats) -> float:
+def _weak_part(fitted: Estimated, parameters: ParameterSet, row: Floats) -> float:
     """Part of a sum of robot parameters that lies in directions left at nominal."""
-    parameters = fitted.problem.parameters
     scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
     length = np.linalg.norm(scaled)
     if length == 0.0:
@@ -227,7 +253,7 @@ def _weak_part(fitted: Fit, row: Floats) -> float:
     return float(np.linalg.norm(fitted.directions.weak.T @ scaled) / length)
 
 
-def _deviation(fitted: Fit | None, row: Floats) -> float | None:
+def _deviation(fitted: Estimated | None, row: Floats) -> float | None:
     """Standard deviation of a sum of parameters, None where a fit gives none."""
     if fitted is None:
         return None
@@ -243,7 +269,7 @@ def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
         row = combination.row(len(parameters))
         if parameters[combination.terms[0][0]].nuisance:
             continue
-        if _weak_part(fitted, row) <= WEAK_PART:
+        if _weak_part(fitted, parameters, row) <= WEAK_PART:
             rows.append(row)
             names.append(combination.expression(parameters.names))
     if not rows or not np.isfinite(fitted.covariance).all():

@@ -19,6 +19,14 @@ from calib_pin.spatial import Floats
 
 __all__ = ["Collisions"]
 
+ROUNDING = 1e-5
+"""Distance kept beyond the clearance [m]: at the very edge of a collision, where a
+descent may end, rounding would decide."""
+
+SLACK = 1e-3
+"""Distance within which hulls count as meeting [m]: the meshes decide, but whether
+hulls just touch comes out differently now and then."""
+
 FLAT = 1e-6
 """Thickness by length up to which a mesh counts as flat."""
 
@@ -72,7 +80,7 @@ class Collisions:
         self._meshes = _with_pairs(geometry.copy(), pairs)
         self._found = _results(self._meshes, clearance)
         self._hulls = _with_pairs(_hulls(geometry), pairs)
-        self._met = _results(self._hulls, clearance)
+        self._met = _results(self._hulls, clearance + SLACK)
         # The simplest of Pinocchio's managers, which tries every pair of bounding
         # boxes, is also the fastest for the few dozen solids of a robot.
         self._boxes = pin.BroadPhaseManager_NaiveCollisionManager(
@@ -180,7 +188,7 @@ def _results(geometry: pin.GeometryModel, clearance: float) -> pin.GeometryData:
     results = geometry.createData()
     for request in results.collisionRequests:
         request.enable_contact = False
-        request.security_margin = clearance
+        request.security_margin = clearance + ROUNDING
     return results
 
 

@@ -24,6 +24,7 @@ __all__ = [
     "robot_svd",
     "rounding",
     "visible_directions",
+    "visible_nuisances",
 ]
 
 WEAK = 10.0
@@ -74,6 +75,27 @@ def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
     result = np.zeros((len(parameters), len(s)))
     # Rounding must not move, by 1e-20, parameters that nothing moves.
     result[robot] = np.where(np.abs(Vt.T) < 1e-13, 0.0, Vt.T)
+    return result
+
+
+def visible_nuisances(J: Floats, parameters: ParameterSet) -> Floats:
+    """Directions of base, tool and instrument that change something.
+
+    Args:
+        J: Jacobian as for `visible_directions`, shape (M, P).
+        parameters: The parameters.
+
+    Returns:
+        Orthonormal directions of the parameters divided by their scale, shape (P, f).
+    """
+    free = parameters.free & parameters.nuisance
+    A = (J * parameters.scales)[:, free]
+    result = np.zeros((len(parameters), 0))
+    if A.shape[1]:
+        # The rows of A have the range of its transpose.
+        directions = _range(np.asarray(np.linalg.qr(A, mode="r")).T)
+        result = np.zeros((len(parameters), directions.shape[1]))
+        result[free] = directions
     return result
 
 

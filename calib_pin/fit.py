@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -22,7 +22,7 @@ from calib_pin.solve import Progress, Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
 
-__all__ = ["Fit", "analyze_structure", "fit", "register"]
+__all__ = ["Fit", "analyze_structure", "fit", "register", "structure_at"]
 
 EXPLAINED = 1e-18
 """Part of the cost of the nominal robot below which everything is explained."""
@@ -374,9 +374,24 @@ def analyze_structure(
     """
     count = max(50, -(-3 * len(problem.parameters) // problem.components))
     q, target = observable_configurations(problem, theta, count, rng)
+    found, J = structure_at(problem, theta, q, target)
+    return found, visible_directions(J, problem.parameters)
+
+
+def structure_at(
+    problem: Problem, theta: Floats, q: Floats, target: Sequence[str]
+) -> tuple[Structure, Floats]:
+    """Structure at zero robot errors of given configurations.
+
+    Args:
+        problem: The problem about its registered references.
+        theta: Parameter values with the robot at nominal, shape (P,).
+        q: Configurations, shape (K, n) [rad, m].
+        target: Target of each.
+
+    Returns:
+        The structure, and the whitened Jacobian with the rows of the priors, (M, P).
+    """
     _, J = problem.about(theta, q, target).linearize_rows(theta)
-    rows = count * problem.components
-    return (
-        structure(J[:rows], problem.parameters, count),
-        visible_directions(J, problem.parameters),
-    )
+    rows = len(q) * problem.components
+    return structure(J[:rows], problem.parameters, len(q)), J

@@ -12,10 +12,16 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 # Modules and families by layer; a new one is added here.
 LAYERS = (
     ("errors", "parameters", "setup", "spatial"),
-    ("chain", "kernels", "measurements", "registration", "row_kernels", "threads"),
+    (
+        *("chain", "collision", "kernels", "measurements", "registration"),
+        *("row_kernels", "threads"),
+    ),
     ("parameterizations", "measurement_models", "error_model", "segments", "many_rows"),
     ("problem", "population", "directions", "identifiability", "solvers"),
-    ("fit", "solve", "result", "assessment", "calibration", "simulation"),
+    (
+        *("assessment", "calibration", "fit", "planning", "result", "simulation"),
+        *("solve", "trajectory"),
+    ),
     ("io", "report"),
     ("cli",),
 )

@@ -77,6 +77,7 @@ def load_collisions(
     """
     tell = notice or (lambda line: None)
     robot = chain.robot
+    apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
     geometry = _solids(robot, package_dirs)
     if geometry.ngeoms == 0:
         nor = ", and neither are collisions with the obstacles" if obstacles else ""
@@ -85,7 +86,6 @@ def load_collisions(
     links = geometry.ngeoms
     for k, obstacle in enumerate(obstacles, 1):
         geometry.addGeometryObject(_obstacle(chain, obstacle, k, file))
-    apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
     solids = [
         (solid.parentJoint, robot.model.frames[solid.parentFrame].name)
         for solid in geometry.geometryObjects

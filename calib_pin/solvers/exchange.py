@@ -133,7 +133,7 @@ def exchange(
     while length <= longest:
         improved = False
         for first_add in (True, False):
-            if length > (subset.left if first_add else len(best) - 1):
+            if length > (subset.left if first_add else len(best)):
                 continue
             _excursion(subset, length, first_add)
             steps += 2 * length

@@ -1,0 +1,299 @@
+"""Criteria for a set of configurations, as costs of its information matrix.
+
+Every cost is the logarithm of what is to be small, so that steps of a search compare.
+With singular values s_1 >= ... >= s_m of the scaled identification matrix of the robot:
+
+    condition, O2   log(s_1 / s_m)              Driels, Pathre
+    O1              -log(s_1 ... s_m) / m       Borm, Menq; the D-criterion
+    O3              -log(s_m)                   Nahvi et al.
+    O4              -log(s_m^2 / s_1)           Nahvi, Hollerbach
+    O5              log(1/s_1 + ... + 1/s_m)    Sun, Hollerbach
+    prediction      log(trace(J_0 M^-1 J_0')) / 2   Wu, Klimchik et al.
+
+Trials of a search are exact and cheap. The determinant and the trace follow a rank-d
+change in closed form. The others need eigenvalues of the changed matrix, but not of
+every trial: in the eigenbasis of the matrix before the change, the diagonal of the
+changed one bounds the cost from below (its eigenvalues majorize it, Schur 1923), so
+that only trials whose bound beats the best cost so far are computed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.identifiability import observability
+from calib_pin.planning.information import Information, whiten
+from calib_pin.spatial import Floats
+
+__all__ = ["CRITERIA", "Criterion", "Determinant", "Prediction", "Spectral"]
+
+
+SHARPER = (4.0, 16.0, 64.0)
+"""Exponents of power means in place of the largest and the smallest eigenvalue.
+
+Where several eigenvalues are extreme the criterion itself has a corner, and a descent
+along its gradient would stop there.
+"""
+
+
+class Criterion(Protocol):
+    """A cost of information matrices."""
+
+    @property
+    def name(self) -> str:
+        """Name as users write it."""
+        ...
+
+    @property
+    def sharpnesses(self) -> tuple[float, ...]:
+        """Sharpnesses of successive smooth costs that lead to the criterion."""
+        ...
+
+    def cost(self, found: Information) -> float:
+        """The cost, to be small."""
+        ...
+
+    def value(self, found: Information, count: int) -> float:
+        """What users know by this name.
+
+        Args:
+            found: The information of a set.
+            count: Number of configurations in it.
+        """
+        ...
+
+    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
+        """Costs after rows of single configurations join (1) or leave (-1).
+
+        Args:
+            found: The information before.
+            rows: Rows of T configurations, component by component, shape (d, T, m).
+            sign: 1 or -1.
+        """
+        ...
+
+    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
+        """A smooth cost and its derivative by the information matrix, (m, m).
+
+        Args:
+            found: The information.
+            sharpness: The largest and the smallest eigenvalue are replaced by power
+                means with this exponent; the larger, the closer.
+        """
+        ...
+
+
+@dataclass(frozen=True)
+class Lazy:
+    """Costs of T trials, of which bounds are known before the costs themselves.
+
+    Attributes:
+        bounds: Lower bounds of the costs, shape (T,); infinite where there is none.
+        exact: Costs of some trials by their positions; None where bounds are costs.
+    """
+
+    bounds: Floats
+    exact: Callable[[NDArray[np.intp]], Floats] | None = None
+
+    def best(self, barred: NDArray[np.bool_]) -> tuple[int, float]:
+        """Position and cost of the best trial.
+
+        Args:
+            barred: True for trials that do not count, shape (T,).
+        """
+        bounds = np.where(barred | np.isnan(self.bounds), np.inf, self.bounds)
+        if self.exact is None:
+            position = int(bounds.argmin())
+            return position, float(bounds[position])
+        order = np.argsort(bounds, kind="stable")
+        best, least, begin, size = int(order[0]), np.inf, 0, 8
+        order = order[np.isfinite(bounds[order])]
+        while begin < len(order) and bounds[order[begin]] < least:
+            some = order[begin : begin + size]
+            costs = self.exact(some)
+            k = int(costs.argmin())
+            if costs[k] < least:
+                best, least = int(some[k]), float(costs[k])
+            begin, size = begin + size, 4 * size
+        return best, least
+
+
+@dataclass(frozen=True)
+class Spectral:
+    """A criterion of the singular values.
+
+    Attributes:
+        name: Name as users write it.
+        of: Cost of eigenvalues s^2, shape (..., r) -> (...,); a monotone function of
+            majorization (the more equal, the less).
+        smooth: Smooth cost and its derivative by the eigenvalues, (r,) -> (r,), for a
+            sharpness.
+        sharpnesses: Those of successive descents; one where the cost is smooth.
+    """
+
+    name: str
+    of: Callable[[Floats], Floats]
+    smooth: Callable[[Floats, float], tuple[float, Floats]]
+    sharpnesses: tuple[float, ...] = (np.inf,)
+
+    def cost(self, found: Information) -> float:
+        """The cost of the singular values."""
+        return float(self.of(found.singular_values**2))
+
+    def value(self, found: Information, count: int) -> float:
+        """The index, or the condition number."""
+        s = found.singular_values
+        if self.name == "condition":
+            return float(s[0] / s[-1])
+        return observability(s, count)[self.name]
+
+    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
+        """Bounds by the diagonal, costs by the eigenvalues."""
+        trials = found.trials(rows, sign)
+        left, s, _ = found.svd
+        eigenvalues = s**2
+        # In the eigenbasis of S, where it is diagonal.
+        Z = trials.robot() @ (left * s)
+        diagonal = eigenvalues + sign * np.einsum("dti,dti->ti", Z, Z)
+
+        def exact(some: NDArray[np.intp]) -> Floats:
+            chosen = Z[:, some]
+            changed = sign * np.einsum("dti,dtj->tij", chosen, chosen)
+            changed += np.diag(eigenvalues)
+            return self._guarded(np.linalg.eigvalsh(changed))
+
+        return Lazy(self._guarded(diagonal), exact)
+
+    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
+        """By the chain rule through eigenvalues, S and M."""
+        _, s, V = found.svd
+        cost, by_eigenvalue = self.smooth(s**2, sharpness)
+        return cost, found.pull((V * by_eigenvalue) @ V.T)
+
+    def _guarded(self, eigenvalues: Floats) -> Floats:
+        """Costs; infinite where an eigenvalue is not positive."""
+        valid = np.asarray((eigenvalues > 0.0).all(axis=-1))
+        safe = np.where(valid[..., None], eigenvalues, 1.0)
+        return np.where(valid, self.of(safe), np.inf)
+
+
+@dataclass(frozen=True)
+class Determinant(Spectral):
+    """O1, which needs no singular values."""
+
+    def cost(self, found: Information) -> float:
+        """From the diagonal of the factor; no singular values are needed."""
+        f = found.nuisances
+        return -float(np.log(np.diag(found.factor)[f:]).mean())
+
+
+@dataclass(frozen=True)
+class Prediction:
+    """The root-mean-square error of the tip that noise leaves, at given test poses.
+
+    Attributes:
+        tests: `J_0' J_0`, the mean over the test poses, in the columns of the
+            information matrix, shape (m, m) [m^2].
+        name: Name as users write it.
+    """
+
+    tests: Floats
+    name: str = "prediction"
+    sharpnesses: tuple[float, ...] = (np.inf,)
+
+    def cost(self, found: Information) -> float:
+        """Logarithm of the error."""
+        return 0.5 * float(np.log(np.trace(self._whitened(found))))
+
+    def value(self, found: Information, count: int) -> float:
+        """The error [m]."""
+        return float(np.sqrt(np.trace(self._whitened(found))))
+
+    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
+        """By the Woodbury identity."""
+        trials = found.trials(rows, sign)
+        A = self._whitened(found)
+        Y = whiten(trials.of_all, trials.whitened)
+        gain = np.einsum("dti,dti->t", Y @ A, Y)
+        left = np.trace(A) - sign * gain
+        with np.errstate(invalid="ignore"):
+            return Lazy(0.5 * np.log(np.where(left > 0.0, left, np.nan)))
+
+    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
+        """`d trace(A M^-1) = -trace(M^-1 A M^-1 dM)`."""
+        A = self._whitened(found)
+        left = float(np.trace(A))
+        by_M = -0.5 / left * (found.inverse @ A @ found.inverse.T)
+        return 0.5 * float(np.log(left)), by_M
+
+    def _whitened(self, found: Information) -> Floats:
+        """`R^-T J_0' J_0 R^-1`, whose trace is that of `J_0 M^-1 J_0'`."""
+        return np.asarray(found.inverse.T @ self.tests @ found.inverse)
+
+
+def _power_mean(eigenvalues: Floats, exponent: float) -> tuple[float, Floats]:
+    """Logarithm of `(sum_i x_i^p)^(1/p)`, and its derivative by x.
+
+    For p -> inf the largest, for p -> -inf the smallest eigenvalue.
+    """
+    logs = np.log(eigenvalues)
+    top = float((exponent * logs).max())
+    weights = np.exp(exponent * logs - top)
+    total = float(weights.sum())
+    return (top + np.log(total)) / exponent, weights / total / eigenvalues
+
+
+def _extremes(
+    largest: float, smallest: float
+) -> Callable[[Floats, float], tuple[float, Floats]]:
+    """`a log(x_max) - b log(x_min)` by power means, with its derivative."""
+
+    def smooth(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
+        high, by_high = _power_mean(eigenvalues, sharpness)
+        low, by_low = _power_mean(eigenvalues, -sharpness)
+        cost = largest * high - smallest * low
+        return cost, largest * by_high - smallest * by_low
+
+    return smooth
+
+
+def _log_condition(eigenvalues: Floats) -> Floats:
+    largest, smallest = eigenvalues.max(axis=-1), eigenvalues.min(axis=-1)
+    return np.asarray(0.5 * np.log(largest / smallest))
+
+
+def _volume(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
+    count = eigenvalues.size
+    return -0.5 * float(np.log(eigenvalues).mean()), -0.5 / (count * eigenvalues)
+
+
+def _log_roots(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
+    roots = eigenvalues**-0.5
+    total = float(roots.sum())
+    return float(np.log(total)), -0.5 * roots / eigenvalues / total
+
+
+CRITERIA: dict[str, Spectral] = {
+    "condition": Spectral("condition", _log_condition, _extremes(0.5, 0.5), SHARPER),
+    "O1": Determinant("O1", lambda x: -0.5 * np.log(x).mean(axis=-1), _volume),
+    "O2": Spectral("O2", _log_condition, _extremes(0.5, 0.5), SHARPER),
+    "O3": Spectral(
+        "O3",
+        lambda x: -0.5 * np.log(x.min(axis=-1)),
+        _extremes(0.0, 0.5),
+        SHARPER,
+    ),
+    "O4": Spectral(
+        "O4",
+        lambda x: 0.5 * np.log(x.max(axis=-1)) - np.log(x.min(axis=-1)),
+        _extremes(0.5, 1.0),
+        SHARPER,
+    ),
+    "O5": Spectral("O5", lambda x: np.log((x**-0.5).sum(axis=-1)), _log_roots),
+}
+"""The criteria of the singular values, by name."""

@@ -1,0 +1,359 @@
+"""Plan which configurations to measure."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+
+from calib_pin.assessment import estimates
+from calib_pin.calibration import make_problem, nominal_problem
+from calib_pin.chain import Chain
+from calib_pin.collision import Collisions
+from calib_pin.directions import visible_directions, visible_nuisances
+from calib_pin.errors import OptionError, require_known
+from calib_pin.fit import structure_at
+from calib_pin.identifiability import Structure
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurements import Measurements
+from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
+from calib_pin.planning.information import Information
+from calib_pin.planning.ordering import shortest_order
+from calib_pin.planning.prediction import Predicted, TipTests, predict
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.search import METHODS, Found, Search
+from calib_pin.planning.selection import selection
+from calib_pin.planning.workspace import Candidates, Workspace
+from calib_pin.problem import Problem, assumed_sigma
+from calib_pin.result import CoupledGroup, ParameterEstimate
+from calib_pin.setup import Setup
+from calib_pin.solvers import Status
+from calib_pin.spatial import Floats
+
+__all__ = ["CRITERION_NAMES", "Plan", "Step", "identification", "plan"]
+
+CRITERION_NAMES = (*CRITERIA, "prediction")
+"""Names of all criteria."""
+
+STRUCTURE = 300
+"""Candidates that show what can be identified at all."""
+
+TESTS = 300
+"""Candidates at which the tip's error is predicted where no test poses are given."""
+
+RANDOM_SETS = 25
+"""Random sets that a plan is compared with."""
+
+DIGITS = 6
+"""Decimals of planned joint positions, where nothing speaks against rounding."""
+
+MOTION = 0.05
+"""Step along a move between configurations that is checked for collisions [rad, m]."""
+
+Progress = Callable[[str, float], bool | None]
+
+
+@dataclass(frozen=True)
+class Step:
+    """What a number of configurations reaches.
+
+    Attributes:
+        count: Number of planned configurations.
+        value: Value of the criterion.
+        position: Predicted root-mean-square error of the tip [m].
+    """
+
+    count: int
+    value: float
+    position: float
+
+
+@dataclass(frozen=True)
+class Plan:
+    """Configurations to measure, and what they will tell.
+
+    Attributes:
+        problem: The problem at nominal geometry, without rows.
+        q: Configurations in the order in which to visit them, shape (K, n) [rad, m].
+        target: Target of each.
+        criterion: Name of the criterion.
+        value: Its value for the set, with the rows measured before.
+        random: Its median over random sets of the same size.
+        method: The method that found the set.
+        status: How the search ended.
+        steps: The criterion against the number of configurations: below K the best
+            part of the set, above it with candidates added.
+        measured: Number of rows measured before.
+        candidates: Number of candidates.
+        tried: Number of configurations that were tried for them.
+        checked: Whether collisions were checked.
+        blocked: Places of the configurations, from 0, to which a straight line in the
+            joints does not lead from the one before without a collision.
+        rank: Number of identifiable directions, frames included.
+        predicted: What a fit will know.
+        parameters: Predicted standard deviations of the parameters.
+        groups: Those of the coupled groups.
+    """
+
+    problem: Problem
+    q: Floats
+    target: tuple[str, ...]
+    criterion: str
+    value: float
+    random: float
+    method: str
+    status: Status
+    steps: tuple[Step, ...]
+    measured: int
+    candidates: int
+    tried: int
+    checked: bool
+    blocked: tuple[int, ...]
+    rank: int
+    predicted: Predicted
+    parameters: tuple[ParameterEstimate, ...]
+    groups: tuple[CoupledGroup, ...]
+
+
+def plan(
+    chain: Chain,
+    model: str,
+    count: int,
+    setup: Setup | None = None,
+    *,
+    criterion: str = "prediction",
+    method: str = "auto",
+    measured: Measurements | None = None,
+    collisions: Collisions | None = None,
+    candidates: int = 1000,
+    distance: float = 0.0,
+    tests: Floats | None = None,
+    seed: int = 0,
+    progress: Progress | None = None,
+) -> Plan:
+    """Plan which configurations to measure.
+
+    Args:
+        chain: The nominal chain.
+        model: Name of the measurement model.
+        count: Number K of configurations.
+        setup: What is estimated and what is known, limits, region, noise.
+        criterion: `condition`, `O1` to `O5`, or `prediction`.
+        method: One of `search.METHODS`.
+        measured: Rows that are there already; the plan adds to them, about the frames
+            that they show.
+        collisions: What must not touch.
+        candidates: Number of quasi-random configurations to choose from.
+        distance: Least distance between configurations: the largest difference of a
+            joint [rad, m].
+        tests: Configurations at which the tip is to be accurate, shape (N, n)
+            [rad, m]; default candidates from all of the workspace.
+        seed: Seed of all that is random.
+        progress: Told the stage and the part of it that is done, 0 to 1; returns True
+            to stop with the best set so far.
+
+    Raises:
+        OptionError: If a name does not exist, or the request cannot be met: limits
+            that cross, or too few configurations.
+        InputError: If no configuration may be measured.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> found = calib_pin.plan(chain, "position", 12, method="exchange")
+        >>> found.q.shape, found.value < found.random
+        ((12, 6), True)
+    """
+    setup = setup or Setup()
+    require_known("criterion", criterion, CRITERION_NAMES)
+    require_known("method", method, METHODS)
+    for name, number in (("count", count), ("candidates", candidates)):
+        if number < 1:
+            raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
+    rng = np.random.default_rng(seed)
+    problem = _problem(chain, model, setup, measured)
+    workspace = Workspace.create(problem, collisions, distance)
+    # However few are to choose from, all that may be measured shows the structure.
+    wanted = max(candidates, count, STRUCTURE)
+    spread = workspace.candidates(wanted, rng, progress, least=count)
+    found = spread.first(max(candidates, count))
+    structure, rows, known = identification(problem, spread, measured)
+    tip = _tip_rows(rows)
+    at = TipTests.at(tip, spread.q[:TESTS] if tests is None else tests)
+    chosen = _criterion(criterion, at)
+    search = Search(
+        rows,
+        workspace,
+        chosen,
+        known,
+        found,
+        count,
+        rng,
+        progress,
+        measured=0 if measured is None else len(measured),
+    )
+    best = search.run(method)
+    return _finished(search, best, structure, at, measured)
+
+
+def _problem(
+    chain: Chain, model: str, setup: Setup, measured: Measurements | None
+) -> Problem:
+    """The problem about the frames of the setup, or those that rows show."""
+    if measured is None:
+        return nominal_problem(chain, model, setup)
+    problem = make_problem(chain, measured, setup)
+    return problem.register(np.zeros(len(problem.parameters)))
+
+
+def identification(
+    problem: Problem, candidates: Candidates, measured: Measurements | None = None
+) -> tuple[Structure, IdentificationRows, Floats]:
+    """What can be identified, its rows, and the information that is there already.
+
+    Args:
+        problem: The problem at nominal geometry.
+        candidates: What may be measured; only that can show anything.
+        measured: Rows that are there already.
+
+    Returns:
+        The structure, the rows of configurations in the identifiable subspace, and the
+        information of measured rows and priors in the same columns, shape (m, m).
+    """
+    zero = np.zeros(len(problem.parameters))
+    q, target = candidates.q[:STRUCTURE], candidates.target[:STRUCTURE]
+    if measured is not None:
+        few = measured.sample(STRUCTURE)
+        q, target = np.concatenate([q, few.q]), target + few.target
+    structure, J = structure_at(problem, zero, q, target)
+    nuisances = visible_nuisances(J, problem.parameters)
+    robot = visible_directions(J, problem.parameters)
+    basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
+    rows = IdentificationRows(
+        problem=problem,
+        basis=basis,
+        nuisances=nuisances.shape[1],
+        measurement=problem.measurement,
+        sigma=assumed_sigma(problem.measurement, problem.setup.noise),
+    )
+    if measured is None:
+        # The problem's own rows only name the targets; priors count.
+        U = J[len(q) * problem.components :] @ basis
+    else:
+        _, own = problem.linearize_rows(zero)
+        U = own @ basis
+    return structure, rows, U.T @ U
+
+
+def _tip_rows(rows: IdentificationRows) -> IdentificationRows:
+    """Rows that tell the pose of the tool, whatever is measured [m, rad]."""
+    pose = measurement_model("pose", rows.problem.setup)
+    return replace(rows, measurement=pose, sigma=np.ones(6))
+
+
+def _criterion(name: str, tests: TipTests) -> Criterion:
+    return Prediction(tests.position) if name == "prediction" else CRITERIA[name]
+
+
+def _finished(
+    search: Search,
+    best: Found,
+    structure: Structure,
+    tests: TipTests,
+    measured: Measurements | None,
+) -> Plan:
+    """Order a set and say what it will tell."""
+    workspace, rows = search.workspace, search.rows
+    assert isinstance(rows, IdentificationRows)
+    problem = rows.problem
+    start = None if measured is None else measured.q[-1]
+    blocked = None
+    if workspace.collisions is not None:
+        blocked = partial(_blocked, workspace.collisions)
+    order, closed = shortest_order(best.q, start, blocked)
+    target = tuple(best.target[k] for k in order)
+    q = _rounded(workspace, best.q[order], target)
+
+    U = rows.rows(q, target).reshape(-1, rows.basis.shape[1])
+    M = search.known + U.T @ U
+    information = Information.of(M, rows.nuisances)
+    assert information is not None, "the search only ends in sets that determine all"
+    predicted = predict(information, M, rows.basis, tests, problem.parameters)
+    parameters, groups = estimates(problem.parameters, structure, predicted)
+    return Plan(
+        problem=problem,
+        q=q,
+        target=target,
+        criterion=search.criterion.name,
+        value=search.criterion.value(information, search.measured + len(q)),
+        random=_random_value(search),
+        method=best.method,
+        status=best.status,
+        steps=_steps(search, best, tests),
+        measured=search.measured,
+        candidates=len(search.candidates.q),
+        tried=search.candidates.tried,
+        checked=workspace.collisions is not None,
+        blocked=closed,
+        rank=rows.basis.shape[1],
+        predicted=predicted,
+        parameters=parameters,
+        groups=groups,
+    )
+
+
+def _rounded(workspace: Workspace, q: Floats, target: Sequence[str]) -> Floats:
+    """Positions as people write them, where that leaves a set allowed."""
+    tidy = np.clip(np.round(q, DIGITS), workspace.lower, workspace.upper)
+    if workspace.distance == 0.0:
+        return np.where(workspace.inside(tidy, target)[:, None], tidy, q)
+    return tidy if workspace.allowed(tidy, target).all() else q
+
+
+def _random_value(search: Search) -> float:
+    """Median of the criterion over random sets; of a generator that nothing shares."""
+    rng = np.random.default_rng(0)
+    draws = (
+        rng.choice(len(search.table), search.count, replace=False).tolist()
+        for _ in range(RANDOM_SETS)
+    )
+    return float(np.median([search.selection(chosen).value for chosen in draws]))
+
+
+def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
+    """The criterion against the number of configurations.
+
+    Members leave the set one by one, each time the one whose loss costs least; then
+    the best candidates join it until it has doubled.
+    """
+    own = search.rows.rows(best.q, best.target)
+    table = np.concatenate([own, search.table])
+    members = tuple(range(len(own)))
+    tip, f, known = Prediction(tests.position), search.rows.nuisances, search.known
+    subset = selection(table, f, search.criterion, known, members, search.measured)
+
+    def step() -> Step:
+        judged = selection(table, f, tip, known, subset.chosen)
+        return Step(len(subset.chosen), subset.value, judged.value)
+
+    steps = [step()]
+    while subset.chosen:
+        subset.remove(subset.best_to_remove()[0])
+        if not np.isfinite(subset.cost):
+            break
+        steps.insert(0, step())
+    subset.reset(list(members))
+    for _ in range(min(len(own), len(search.table))):
+        subset.add(subset.best_to_add()[0])
+        steps.append(step())
+    return tuple(steps)
+
+
+def _blocked(collisions: Collisions, a: Floats, b: Floats) -> bool:
+    """Whether something touches on the straight way between two configurations."""
+    pieces = max(2, int(np.ceil(np.abs(b - a).max() / MOTION)))
+    between = a + np.linspace(0.0, 1.0, pieces + 1)[1:-1, None] * (b - a)
+    # A few places far apart first: most moves that are blocked are so for long.
+    return not all(collisions.free(between[k::7]).all() for k in range(7))

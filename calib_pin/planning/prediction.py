@@ -1,0 +1,95 @@
+"""What a set of configurations will tell, before it is measured."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from scipy.linalg import block_diag
+
+from calib_pin.directions import WEAK, Directions
+from calib_pin.parameters import ParameterSet
+from calib_pin.planning.information import Information
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.spatial import Floats
+
+__all__ = ["Predicted", "TipTests", "predict"]
+
+
+@dataclass(frozen=True)
+class TipTests:
+    """The error of the tip at test poses, in the columns of an information matrix.
+
+    Attributes:
+        position: `J_0' J_0` of its position, mean of the test poses, (m, m) [m^2].
+        orientation: The same of its rotation vector, shape (m, m) [rad^2].
+    """
+
+    position: Floats
+    orientation: Floats
+
+    @staticmethod
+    def at(rows: IdentificationRows, q: Floats) -> TipTests:
+        """Tests at configurations.
+
+        Args:
+            rows: Rows that tell the pose of the tool, with unit sigma.
+            q: Test configurations, shape (N, n) [rad, m].
+        """
+        J = rows.rows(q, ("",) * len(q))
+        position, orientation = (
+            np.einsum("ndi,ndj->ij", part, part, optimize=True) / len(q)
+            for part in (J[:, :3], J[:, 3:])
+        )
+        return TipTests(position, orientation)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What a fit of planned measurements is going to know; satisfies `Estimated`.
+
+    Attributes:
+        theta: Parameter values, all zero, shape (P,).
+        covariance: Of the parameters, shape (P, P).
+        directions: The directions that will be estimated, and those too weak for it.
+        revealed: None, shape (P, 0).
+        position: Root-mean-square error of the tip over the test poses that noise
+            leaves [m].
+        orientation: The same of its orientation [rad].
+    """
+
+    theta: Floats
+    covariance: Floats
+    directions: Directions
+    revealed: Floats
+    position: float
+    orientation: float
+
+
+def predict(
+    found: Information, M: Floats, basis: Floats, tests: TipTests, of: ParameterSet
+) -> Predicted:
+    """Covariance of a fit; what it will not be able to tell stays at nominal there.
+
+    Args:
+        found: The factored information.
+        M: The information matrix, shape (m, m).
+        basis: Its columns in parameters, shape (P, m).
+        tests: Where the tip's error is predicted.
+        of: The parameters.
+    """
+    f = found.nuisances
+    _, s, right = found.svd
+    strong = s * WEAK > 1.0
+    kept = block_diag(np.eye(f), right[:, strong])
+    covariance = kept @ np.linalg.inv(kept.T @ M @ kept) @ kept.T
+    scaled = basis / of.scales[:, None]
+    robot = scaled[:, f:] @ right
+    return Predicted(
+        theta=np.zeros(len(of)),
+        covariance=basis @ covariance @ basis.T,
+        directions=Directions(scaled[:, :f], robot[:, strong], robot[:, ~strong]),
+        revealed=np.zeros((len(of), 0)),
+        position=float(np.sqrt(np.sum(tests.position * covariance))),
+        orientation=float(np.sqrt(np.sum(tests.orientation * covariance))),
+    )

@@ -1,0 +1,205 @@
+"""What a configuration tells: its rows of the identification matrix.
+
+The rows are whitened by the noise, their columns are scaled and reduced to the
+identifiable subspace, with the nuisances (base, tool, instrument) before the robot.
+They can be differentiated by the configuration without new kinematics: if joint k turns
+behind the place of parameter p, the body twist V_p of the tool changes by the Lie
+bracket
+
+    dV_p / dq_k = [V_p, xi_k]
+
+with the joint's own twist xi_k, else not at all; and the instrument's rows change with
+the pose by the `curvature` of the measurement model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
+from functools import cached_property
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.error_model import PoseLinearization
+from calib_pin.errors import OptionError
+from calib_pin.measurement_models import CurvedModel, MeasurementModel
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats, adjoint, invert
+
+__all__ = ["IdentificationRows", "Pullback", "Rows"]
+
+Pullback = Callable[[Floats], Floats]
+"""Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
+
+
+class Rows(Protocol):
+    """Rows of an identification matrix as functions of the configuration."""
+
+    @property
+    def nuisances(self) -> int:
+        """Number of leading columns that are no part of what is sought."""
+        ...
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether they have a derivative by the configuration."""
+        ...
+
+    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
+        """Rows of configurations, shape (N, n) -> (N, d, m)."""
+        ...
+
+    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
+        """Rows, and what carries derivatives by them back to the configurations."""
+        ...
+
+
+@dataclass(frozen=True)
+class IdentificationRows:
+    """Rows of a problem at nominal geometry.
+
+    Attributes:
+        problem: The problem about its registered references.
+        basis: Columns in parameters, each a direction times the scales, shape (P, m).
+        nuisances: How many of them, the first ones, are directions of nuisances.
+        measurement: What is measured, if not the problem's own: it gives the rows of
+            the tip's position, say, in the same columns.
+        sigma: Standard deviation of each component, shape (d,).
+    """
+
+    problem: Problem
+    basis: Floats
+    nuisances: int
+    measurement: MeasurementModel
+    sigma: Floats
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether the measurement model has second derivatives."""
+        return isinstance(self.measurement, CurvedModel)
+
+    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
+        """Rows of configurations.
+
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            target: Target of each.
+
+        Returns:
+            Rows, shape (N, d, m).
+        """
+        poses, by_twist, by_own = self._linear(q, target)
+        count, size = by_twist.shape[:2]
+        of_robot, of_own = self._bases
+        rows = poses.derivative(by_twist).reshape(count * size, -1) @ of_robot
+        rows += by_own.reshape(count * size, -1) @ of_own
+        return np.asarray(rows.reshape(count, size, -1))
+
+    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
+        """Rows, and what carries derivatives by them back to the configurations.
+
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            target: Target of each.
+
+        Raises:
+            OptionError: If the measurement model has no second derivatives.
+        """
+        measurement = self.measurement
+        if not isinstance(measurement, CurvedModel):
+            raise OptionError(
+                f"'{measurement.name}' has no derivative by the configuration, which "
+                "the method 'gradient' needs",
+                allowed="exchange, greedy, pso, ga",
+            )
+        poses, by_twist, by_own = self._linear(q, target)
+        of_robot, of_own = self._bases
+        V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
+        rows = by_twist @ (V @ of_robot) + by_own @ of_own
+        curvature = measurement.curvature(poses.T, self._own, target)
+        xi = self._joint_twists(poses)
+
+        def pullback(by_rows: Floats) -> Floats:
+            G = by_rows @ of_robot.T
+            weighted = by_rows / self.sigma[:, None]
+            # The instrument's rows change with the pose, whichever joint moves it.
+            by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
+            e = np.einsum("nab,nabc->nc", by_L, curvature.by_twist)
+            e += np.einsum("nak,nakc->nc", weighted @ of_own.T, curvature.by_own)
+            # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
+            F = np.swapaxes(by_twist, 1, 2) @ G
+            by_place = np.cumsum(_coadjoint(V, F), axis=2)
+            ahead = np.concatenate([np.zeros_like(by_place[:, :, :1]), by_place], 2)
+            e = e[:, :, None] + ahead[:, :, self._carried]
+            return np.asarray(np.einsum("nck,nck->nk", xi, e))
+
+        return np.asarray(rows), pullback
+
+    @property
+    def _own(self) -> Floats:
+        return np.zeros(len(self.measurement.parameters))
+
+    @cached_property
+    def _bases(self) -> tuple[Floats, Floats]:
+        """Rows of the basis that belong to the error model and to the instrument."""
+        count = len(self.problem.error.screws)
+        return self.basis[:count], self.basis[count : count + len(self._own)]
+
+    @cached_property
+    def _carried(self) -> NDArray[np.intp]:
+        """Number of leading parameters whose twist each joint turns, shape (n,).
+
+        A joint that is passed backwards turns before its own placement is passed.
+        """
+        error = self.problem.error
+        places = [screw.place for screw in error.screws]
+        joints = np.arange(1, len(error.chain.joints) + 1)
+        return np.searchsorted(places, joints - error.chain.reversed, side="right")
+
+    def _linear(
+        self, q: Floats, target: Sequence[str]
+    ) -> tuple[PoseLinearization, Floats, Floats]:
+        """Poses with the whitened derivatives by the tool's twist and by own."""
+        error, measurement = self.problem.error, self.measurement
+        poses = error.linearize(q, np.zeros(len(error.screws)))
+        data = Measurements(
+            joints=error.chain.joints,
+            q=q,
+            model=measurement.name,
+            values=measurement.predict(poses.T, self._own, target),
+            target=tuple(target),
+        )
+        linear = measurement.linearize(poses.T, self._own, data)
+        weight = self.sigma[:, None]
+        return poses, linear.by_twist / weight, linear.by_own / weight
+
+    def _joint_twists(self, poses: PoseLinearization) -> Floats:
+        """Body twists of the tool by the joint positions, shape (N, 6, n)."""
+        chain = self.problem.error.chain
+        axes = np.zeros((len(chain.joints), 6))
+        axes[chain.revolute, 3:] = chain.axes[chain.revolute]
+        axes[~chain.revolute, :3] = chain.axes[~chain.revolute]
+        blocks = poses.regressor.reshape(len(poses.T), 6, -1, 6)
+        at_tip = np.einsum("nakb,kb->nak", blocks, axes)
+        return np.asarray(adjoint(invert(poses.to_tip)) @ at_tip)
+
+
+def _coadjoint(V: Floats, F: Floats) -> Floats:
+    """`c` with `F . [V, xi] = c . xi` for every xi, each (N, 6, P).
+
+    With `V = (v, w)`, `F = (f, t)`: `c = (f x w, f x v + t x w)`.
+    """
+    v, w = V[:, :3], V[:, 3:]
+    f, t = F[:, :3], F[:, 3:]
+    return np.concatenate([_cross(f, w), _cross(f, v) + _cross(t, w)], axis=1)
+
+
+def _cross(a: Floats, b: Floats) -> Floats:
+    """Cross products along the second axis; `numpy.cross` takes three times as long."""
+    a_x, a_y, a_z = a[:, 0], a[:, 1], a[:, 2]
+    b_x, b_y, b_z = b[:, 0], b[:, 1], b[:, 2]
+    parts = [a_y * b_z - a_z * b_y, a_z * b_x - a_x * b_z, a_x * b_y - a_y * b_x]
+    return np.stack(parts, axis=1)

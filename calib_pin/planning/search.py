@@ -1,0 +1,381 @@
+"""The methods that look for a good set of configurations.
+
+Exchange, greedy and the genetic algorithm choose among candidates; the particle swarm
+and the gradient move the configurations themselves. All start from sets that may be
+measured and end in one.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import OptionError, require_known
+from calib_pin.planning.criteria import CRITERIA, Criterion
+from calib_pin.planning.information import Information
+from calib_pin.planning.rows import Rows
+from calib_pin.planning.selection import Selection, selection
+from calib_pin.planning.workspace import Candidates, Workspace
+from calib_pin.solvers import (
+    ParticleSwarm,
+    Status,
+    exchange,
+    genetic_selection,
+    greedy,
+    particle_swarm,
+    projected_descent,
+)
+from calib_pin.spatial import Floats
+
+__all__ = ["METHODS", "Found", "Search"]
+
+RIDGE = 1e-6
+"""Information that lets a search begin, as a part of that of a mean configuration."""
+
+FORBIDDEN = 1e6
+"""Cost of a set with a configuration that may not be measured; more with several."""
+
+STARTS = 20
+"""Most random sets from which the gradient method starts."""
+
+VARIABLES = 2000
+"""Joint positions that these together should hold."""
+
+FINALISTS = 3
+"""Descents that go on to the ground."""
+
+EXPLORING, REFINING = (1e-3, 60), (1e-6, 200)
+"""Tolerance and steps of the descents before and after; costs are logarithms."""
+
+Progress = Callable[[str, float], bool | None]
+"""Told the stage and the part that is done, 0 to 1; True stops the search."""
+
+
+@dataclass(frozen=True)
+class Found:
+    """What a method has found.
+
+    Attributes:
+        q: Configurations, shape (K, n) [rad, m].
+        target: Target of each.
+        cost: Their cost.
+        method: The method.
+        status: How it ended.
+    """
+
+    q: Floats
+    target: tuple[str, ...]
+    cost: float
+    method: str
+    status: Status
+
+
+class Search:
+    """A search for the best set of configurations.
+
+    Args:
+        rows: What a configuration tells.
+        workspace: Where configurations may be.
+        criterion: What is to be small.
+        known: Information that is there already, shape (m, m).
+        candidates: Configurations to choose from.
+        count: Size K of the set.
+        rng: Source of chance.
+        progress: Told how far the search is; may stop it.
+        starts: Most random sets from which the gradient method starts.
+        measured: Number of rows that the known information comes from.
+
+    Raises:
+        OptionError: If there are fewer candidates than wanted, or so few
+            configurations cannot determine everything.
+    """
+
+    def __init__(
+        self,
+        rows: Rows,
+        workspace: Workspace,
+        criterion: Criterion,
+        known: Floats,
+        candidates: Candidates,
+        count: int,
+        rng: np.random.Generator,
+        progress: Progress | None = None,
+        starts: int = STARTS,
+        measured: int = 0,
+    ) -> None:
+        """Compute the rows of the candidates."""
+        self.rows, self.workspace, self.criterion = rows, workspace, criterion
+        self.known, self.candidates, self.count = known, candidates, count
+        self.measured = measured
+        self.table = rows.rows(candidates.q, candidates.target)
+        self.stopped = False
+        self._rng, self._progress, self._starts = rng, progress, starts
+        self._bounds = np.column_stack([workspace.lower, workspace.upper])
+        if len(candidates.q) < count:
+            raise OptionError(
+                f"{len(candidates.q)} of the tried configurations may be measured, "
+                f"fewer than the {count} wanted",
+                allowed="fewer configurations, wider limits, or a shorter distance",
+            )
+
+    def run(self, method: str) -> Found:
+        """Search with a method of `METHODS`.
+
+        Raises:
+            OptionError: If there is no such method, or the set cannot determine
+                everything.
+        """
+        require_known("method", method, METHODS)
+        _ = self._determined  # The one clear line comes before the work.
+        found = METHODS[method](self)
+        return replace(found, status=Status.STOPPED) if self.stopped else found
+
+    def selection(self, chosen: Sequence[int] = ()) -> Selection:
+        """A subset of the candidates under the criterion."""
+        return selection(
+            self.table,
+            self.rows.nuisances,
+            self.criterion,
+            self.known,
+            chosen,
+            self.measured,
+        )
+
+    def cost(self, q: Floats, target: Sequence[str]) -> float:
+        """Cost of a set of configurations."""
+        found = self._information(self.rows.rows(q, target))
+        return np.inf if found is None else self.criterion.cost(found)
+
+    def by_greedy(self) -> Found:
+        """Add the best candidate until there are enough."""
+        chosen = self._determined
+        # Before everything is determined, only the determinant tells what is better.
+        least = next(
+            k
+            for k in range(len(chosen) + 1)
+            if np.isfinite(self.selection(chosen[:k]).cost)
+        )
+        result = greedy(
+            self.selection(chosen[:least]),
+            self.count,
+            lambda steps, cost: self._told(
+                "greedy", steps / max(self.count - least, 1)
+            ),
+        )
+        if len(result.chosen) < self.count:
+            return self._of("greedy", chosen, result.status)
+        return self._of("greedy", result.chosen, result.status)
+
+    def by_exchange(self) -> Found:
+        """DETMAX from the set that is best by its determinant."""
+        result = exchange(
+            self.selection(self._determined),
+            lambda steps, cost: self._told("exchange", steps / (steps + 200.0)),
+        )
+        return self._of("exchange", result.chosen, result.status)
+
+    def by_genes(self) -> Found:
+        """A genetic algorithm over subsets of the candidates (case B)."""
+
+        def costs(subsets: NDArray[np.intp]) -> Floats:
+            U = self.table[subsets].reshape(len(subsets), -1, self.table.shape[2])
+            return np.array([self._cost_of(member) for member in U])
+
+        result = genetic_selection(
+            costs,
+            len(self.table),
+            self.count,
+            rng=self._rng,
+            callback=lambda k, x, cost: self._told("ga", k / (k + 100.0)),
+        )
+        return self._of("ga", [int(k) for k in result.x], result.status)
+
+    def by_swarm(self) -> Found:
+        """The improved particle swarm on the configurations themselves (case C)."""
+        options = ParticleSwarm()
+        target = self.workspace.targets_of(self.count)
+        n = len(self.workspace.lower)
+        starts = [self._drawn(target) for _ in range(options.particles)]
+        result = particle_swarm(
+            lambda members: self._costs_of_sets(members.reshape(-1, self.count, n)),
+            np.tile(self._bounds, (self.count, 1)),
+            options,
+            x0=np.array([self.candidates.q[start].ravel() for start in starts]),
+            rng=self._rng,
+            callback=lambda k, x, cost: self._told("pso", k / options.iterations),
+        )
+        if not result.fun < FORBIDDEN:
+            return self._of("pso", self._determined, result.status)
+        q = result.x.reshape(self.count, n)
+        return Found(q, target, result.fun, "pso", result.status)
+
+    def by_gradient(self) -> Found:
+        """Descents along the gradient from random sets of candidates."""
+        return self._descended([], self._of("gradient", self._determined))
+
+    def automatic(self) -> Found:
+        """Exchange, then the gradient from its set and from random ones."""
+        best = self.by_exchange()
+        if self.stopped or not self.rows.differentiable:
+            return best
+        return self._descended([(best.q, best.target)], best)
+
+    def _descended(
+        self, starts: list[tuple[Floats, tuple[str, ...]]], best: Found
+    ) -> Found:
+        """Go a little down from many sets, then to the ground from the best ones.
+
+        Args:
+            starts: Sets to begin with, and their targets; random ones join them.
+            best: What there is already.
+        """
+        target = self.workspace.targets_of(self.count)
+        variables = self.count * len(self.workspace.lower)
+        for _ in range(min(self._starts, max(1, VARIABLES // variables))):
+            starts.append((self.candidates.q[self._drawn(target)], target))
+        stages = self.criterion.sharpnesses
+        total = len(starts) + FINALISTS * len(stages)
+        found = []
+        for k, (q, of) in enumerate(starts):
+            found.append(self._descent(q, of, stages[0], EXPLORING, k / total))
+        for finalist in sorted(found, key=lambda one: one.cost)[:FINALISTS]:
+            refined = finalist
+            for sharpness in stages:
+                k += 1
+                part = k / total
+                refined = self._descent(
+                    refined.q, refined.target, sharpness, REFINING, part
+                )
+                best = min(best, finalist, refined, key=lambda one: one.cost)
+        return best
+
+    def _descent(
+        self,
+        q: Floats,
+        target: tuple[str, ...],
+        sharpness: float,
+        limits: tuple[float, int],
+        part: float,
+    ) -> Found:
+        """Go down from a set; what it may not reach it does not."""
+        cost = self.cost(q, target)
+        start = Found(q, target, cost, "gradient", Status.STOPPED)
+        if self._told("gradient", part) or not np.isfinite(cost):
+            return start
+
+        def smooth(q: Floats) -> tuple[float, Floats]:
+            rows, pullback = self.rows.linearize(q, target)
+            found = self._information(rows)
+            if found is None:
+                return np.inf, np.zeros_like(q)
+            cost, by_M = self.criterion.slope(found, sharpness)
+            return cost, pullback(2.0 * rows @ by_M)
+
+        result = projected_descent(
+            smooth,
+            self._bounds,
+            q,
+            allowed=lambda q: self.workspace.allowed(q, target),
+            callback=lambda nit, x, fun: self._told("gradient", part),
+            tolerance=limits[0],
+            max_iterations=limits[1],
+        )
+        cost = self.cost(result.x, target)
+        # Points that were held up may have come too close to others that moved.
+        if not self.workspace.allowed(result.x, target).all():
+            return start
+        return Found(result.x, target, cost, "gradient", result.status)
+
+    @cached_property
+    def _determined(self) -> tuple[int, ...]:
+        """The set of candidates that is best by its determinant, greedily.
+
+        Raises:
+            OptionError: If it does not determine everything; says how many would.
+        """
+        mean = np.einsum("cdi,cdi->i", self.table, self.table) / len(self.table)
+        ridge = np.diag(RIDGE * mean)
+        # The nuisances count here: a plane that nobody measures is not determined.
+        subset = selection(self.table, 0, CRITERIA["O1"], self.known + ridge)
+        greedy(subset, self.count)
+        chosen = tuple(subset.chosen)
+        if np.isfinite(self.selection(chosen).cost):
+            return chosen
+        size, allowed = self.table.shape[2], "more candidates"
+        while len(subset.chosen) < min(len(self.table), self.count + size):
+            subset.add(subset.best_to_add()[0])
+            if np.isfinite(self.selection(subset.chosen).cost):
+                allowed = f"{len(subset.chosen)} or more"
+                break
+        few = "1 configuration" if self.count == 1 else f"{self.count} configurations"
+        raise OptionError(
+            f"{few} cannot determine the {size} identifiable parameters",
+            allowed=allowed,
+        )
+
+    def _information(self, rows: Floats) -> Information | None:
+        """Information of rows (..., m) together with what is known."""
+        U = rows.reshape(-1, rows.shape[-1])
+        return Information.of(self.known + U.T @ U, self.rows.nuisances)
+
+    def _costs_of_sets(self, sets: Floats) -> Floats:
+        """Costs of sets of configurations that look at targets in turn, (S, K, n)."""
+        size, count, n = sets.shape
+        target = self.workspace.targets_of(count)
+        allowed = self.workspace.inside(sets.reshape(-1, n), target * size)
+        bad = ~allowed.reshape(size, count)
+        bad |= ~np.array([self.workspace.apart(q) for q in sets])
+        # The fewer are forbidden the better, however bad the set is otherwise.
+        costs = FORBIDDEN + bad.sum(axis=1, dtype=float)
+        good = np.flatnonzero(~bad.any(axis=1))
+        if len(good):
+            rows = self.rows.rows(sets[good].reshape(-1, n), target * len(good))
+            rows = rows.reshape(len(good), -1, rows.shape[2])
+            costs[good] = [self._cost_of(member) for member in rows]
+        return np.asarray(costs)
+
+    def _cost_of(self, rows: Floats) -> float:
+        found = self._information(rows)
+        return np.inf if found is None else self.criterion.cost(found)
+
+    def _drawn(self, target: Sequence[str]) -> list[int]:
+        """Random candidates that look at given targets."""
+        of = np.array(self.candidates.target)
+        result: list[int] = []
+        for name in target:
+            fitting = np.setdiff1d(np.flatnonzero(of == name), result)
+            pool = fitting if len(fitting) else np.arange(len(of))
+            result.append(int(self._rng.choice(pool)))
+        return result
+
+    def _of(
+        self, method: str, chosen: Sequence[int], status: Status = Status.CONVERGED
+    ) -> Found:
+        chosen = list(chosen)
+        return Found(
+            q=self.candidates.q[chosen],
+            target=tuple(self.candidates.target[k] for k in chosen),
+            cost=self.selection(chosen).cost,
+            method=method,
+            status=status,
+        )
+
+    def _told(self, stage: str, part: float) -> bool:
+        if self._progress is not None and self._progress(stage, min(part, 1.0)):
+            self.stopped = True
+        return self.stopped
+
+
+METHODS: Mapping[str, Callable[[Search], Found]] = {
+    "auto": Search.automatic,
+    "exchange": Search.by_exchange,
+    "greedy": Search.by_greedy,
+    "pso": Search.by_swarm,
+    "ga": Search.by_genes,
+    "gradient": Search.by_gradient,
+}
+"""The methods, by name."""

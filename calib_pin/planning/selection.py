@@ -1,0 +1,188 @@
+"""A set of configurations chosen among candidates, as exchange methods see it."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.planning.criteria import Criterion, Determinant
+from calib_pin.planning.information import Information
+from calib_pin.planning.leverages import Leverages
+from calib_pin.spatial import Floats
+
+__all__ = ["DeterminantSelection", "Selection", "selection"]
+
+
+class Selection:
+    """A subset of C candidates with its information, its cost and what would change it.
+
+    Satisfies `solvers.Subset`.
+
+    Args:
+        rows: Rows of the candidates, shape (C, d, m).
+        nuisances: Number of leading columns that are projected out.
+        criterion: What is to be small.
+        known: Information that is there already, shape (m, m).
+        chosen: Candidates to begin with.
+        measured: Number of rows that the known information comes from.
+    """
+
+    def __init__(
+        self,
+        rows: Floats,
+        nuisances: int,
+        criterion: Criterion,
+        known: Floats,
+        chosen: Sequence[int] = (),
+        measured: int = 0,
+    ) -> None:
+        """Sum what the members tell."""
+        self.chosen = list(chosen)
+        self._rows, self._known = rows, known
+        # Component by component: trials work on contiguous tables of all candidates.
+        self._by_component = np.ascontiguousarray(np.swapaxes(rows, 0, 1))
+        self._nuisances, self._criterion = nuisances, criterion
+        self._measured = measured
+        self._found: Information | None = None
+        self._update()
+
+    @property
+    def cost(self) -> float:
+        """Cost of the subset; infinite where it does not determine everything."""
+        return np.inf if self._found is None else self._criterion.cost(self._found)
+
+    @property
+    def left(self) -> int:
+        """Number of candidates that are not members."""
+        return len(self._rows) - len(self.chosen)
+
+    @property
+    def value(self) -> float:
+        """What users know by the criterion's name."""
+        found = self._information()
+        if found is None:
+            return np.inf
+        return self._criterion.value(found, self._measured + len(self.chosen))
+
+    def best_to_add(self) -> tuple[int, float]:
+        """The candidate to add and the cost after that."""
+        barred = np.zeros(len(self._rows), bool)
+        barred[self.chosen] = True
+        return self._best(self._by_component, 1.0, barred)
+
+    def best_to_remove(self) -> tuple[int, float]:
+        """The member to remove and the cost after that."""
+        of_members = self._by_component[:, self.chosen]
+        position, cost = self._best(of_members, -1.0, np.zeros(len(self.chosen), bool))
+        return self.chosen[position], cost
+
+    def add(self, candidate: int) -> None:
+        """Add a candidate."""
+        self.chosen.append(candidate)
+        self._update()
+
+    def remove(self, candidate: int) -> None:
+        """Remove a member."""
+        self.chosen.remove(candidate)
+        self._update()
+
+    def reset(self, chosen: list[int]) -> None:
+        """Become another subset."""
+        self.chosen = list(chosen)
+        self._update()
+
+    def _best(
+        self, rows: Floats, sign: float, barred: NDArray[np.bool_]
+    ) -> tuple[int, float]:
+        if self._found is None:
+            return int(np.flatnonzero(~barred)[0]), np.inf
+        return self._criterion.trials(self._found, rows, sign).best(barred)
+
+    def _update(self) -> None:
+        self._found = self._information()
+
+    def _information(self) -> Information | None:
+        # Summed anew each time: differences of information matrices lose digits.
+        U = self._rows[self.chosen].reshape(-1, self._rows.shape[2])
+        return Information.of(self._known + U.T @ U, self._nuisances)
+
+
+class DeterminantSelection(Selection):
+    """The same for the determinant (O1), whose trials follow from change to change."""
+
+    _leverages: Leverages | None = None
+    _home: list[int] | None = None
+    _at_home: Leverages
+
+    @property
+    def cost(self) -> float:
+        """Cost of the subset; infinite where it does not determine everything."""
+        if self._leverages is None:
+            return np.inf
+        return self._cost(self._leverages.volume)
+
+    def add(self, candidate: int) -> None:
+        """Add a candidate."""
+        self.chosen.append(candidate)
+        self._change(candidate, 1.0)
+
+    def remove(self, candidate: int) -> None:
+        """Remove a member."""
+        self.chosen.remove(candidate)
+        self._change(candidate, -1.0)
+
+    def best_to_add(self) -> tuple[int, float]:
+        """The candidate to add and the cost after that."""
+        if self._leverages is None:
+            return super().best_to_add()
+        volumes = self._leverages.volumes(1.0)
+        volumes[self.chosen] = -np.inf
+        best = int(volumes.argmax())
+        return best, self._cost(volumes[best])
+
+    def best_to_remove(self) -> tuple[int, float]:
+        """The member to remove and the cost after that."""
+        if self._leverages is None:
+            return super().best_to_remove()
+        volumes = self._leverages.volumes(-1.0, self.chosen)
+        volumes[np.isnan(volumes)] = -np.inf
+        best = int(volumes.argmax())
+        return self.chosen[best], self._cost(volumes[best])
+
+    def reset(self, chosen: list[int]) -> None:
+        """Become another subset."""
+        if chosen == self._home:
+            # Excursions come back to where they began.
+            self.chosen, self._leverages = list(chosen), self._at_home.copy()
+        else:
+            super().reset(chosen)
+
+    def _cost(self, volume: float) -> float:
+        size = int(self._rows.shape[2]) - self._nuisances
+        return -0.5 * float(volume) / size
+
+    def _change(self, candidate: int, sign: float) -> None:
+        if self._leverages is None or not self._leverages.change(candidate, sign):
+            self._update()
+
+    def _update(self) -> None:
+        super()._update()
+        self._leverages = None
+        if self._found is not None:
+            self._leverages = Leverages(self._found, self._by_component)
+            self._home, self._at_home = list(self.chosen), self._leverages.copy()
+
+
+def selection(
+    rows: Floats,
+    nuisances: int,
+    criterion: Criterion,
+    known: Floats,
+    chosen: Sequence[int] = (),
+    measured: int = 0,
+) -> Selection:
+    """A subset under a criterion; see `Selection`."""
+    kind = DeterminantSelection if isinstance(criterion, Determinant) else Selection
+    return kind(rows, nuisances, criterion, known, chosen, measured)

@@ -1,0 +1,259 @@
+"""Where configurations may be: limits, sight of the instrument, region, collisions."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, replace
+from fnmatch import fnmatchcase
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.collision import Collisions
+from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.problem import Problem
+from calib_pin.setup import Setup
+from calib_pin.spatial import Floats
+
+__all__ = ["Candidates", "Workspace"]
+
+Booleans = NDArray[np.bool_]
+
+DRAWS = 400
+"""Quasi-random configurations tried for each candidate that is wanted."""
+
+LEAST_DRAWS = 20_000
+"""Quasi-random configurations tried at least."""
+
+BLOCK = 1000
+"""Configurations that are tried at once."""
+
+
+@dataclass(frozen=True)
+class Candidates:
+    """Configurations that may be measured.
+
+    Attributes:
+        q: Joint positions, shape (C, n) [rad, m].
+        target: Target of each.
+        tried: Number of configurations within the limits that were tried for them.
+    """
+
+    q: Floats
+    target: tuple[str, ...]
+    tried: int
+
+    def first(self, count: int) -> Candidates:
+        """The first of them; a part of an even spread is one too."""
+        return replace(self, q=self.q[:count], target=self.target[:count])
+
+
+@dataclass(frozen=True)
+class Workspace:
+    """The configurations that may be measured.
+
+    Attributes:
+        problem: Chain, frames and instrument; its data name the targets.
+        lower: Lower position limits, shape (n,) [rad, m].
+        upper: Upper position limits, shape (n,) [rad, m].
+        collisions: What must not touch; None where nothing is known of shapes.
+        distance: Least distance between two configurations of a set: the largest
+            difference of a joint [rad, m].
+    """
+
+    problem: Problem
+    lower: Floats
+    upper: Floats
+    collisions: Collisions | None = None
+    distance: float = 0.0
+
+    @staticmethod
+    def create(
+        problem: Problem, collisions: Collisions | None = None, distance: float = 0.0
+    ) -> Workspace:
+        """The workspace of a problem, with the limits of its setup.
+
+        Raises:
+            OptionError: If limits of the setup match no joint or leave nothing, or
+                the distance is negative.
+        """
+        if not 0.0 <= distance < np.inf:
+            raise OptionError(
+                "the distance between configurations is out of range",
+                value=distance,
+                allowed="0 or more",
+            )
+        lower, upper = _limits(problem)
+        return Workspace(problem, lower, upper, collisions, distance)
+
+    @property
+    def targets(self) -> tuple[str, ...]:
+        """The targets that configurations look at in turn."""
+        return tuple(dict.fromkeys(self.problem.data.target)) or ("",)
+
+    def targets_of(self, count: int) -> tuple[str, ...]:
+        """Targets of a number of configurations, in turn."""
+        names = self.targets
+        return tuple(names[k % len(names)] for k in range(count))
+
+    def inside(self, q: Floats, target: Sequence[str]) -> Booleans:
+        """Whether each configuration may be measured.
+
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            target: Target of each.
+
+        Returns:
+            True for those within the limits, measurable and free, shape (N,).
+        """
+        return np.asarray(sum(self._refusals(q, target).values()) == 0)
+
+    def allowed(self, q: Floats, target: Sequence[str]) -> Booleans:
+        """The same as `inside`, for a set that must also keep its distances."""
+        return self.inside(q, target) & self.apart(q)
+
+    def apart(self, q: Floats) -> Booleans:
+        """Whether each configuration of a set keeps its distance from all others.
+
+        Args:
+            q: Configurations, shape (K, n) [rad, m].
+        """
+        if self.distance == 0.0:
+            return np.ones(len(q), bool)
+        between = np.abs(q[:, None] - q[None]).max(axis=2)
+        np.fill_diagonal(between, np.inf)
+        return np.asarray((between >= self.distance).all(axis=1))
+
+    def candidates(
+        self,
+        count: int,
+        rng: np.random.Generator,
+        progress: Callable[[str, float], bool | None] | None = None,
+        least: int = 0,
+    ) -> Candidates:
+        """Quasi-random configurations, evenly spread over what is allowed.
+
+        Args:
+            count: Number of candidates wanted; fewer come where little is allowed.
+            rng: Source of chance for the start of the sequence.
+            progress: Told the name of this stage and the part that is done; returns
+                True to be content with the least number.
+            least: Number without which nothing can be planned.
+
+        Raises:
+            InputError: If none of many is allowed; says what refused them.
+        """
+        n = len(self.lower)
+        shift, taken = rng.random(n), 0
+        found, targets = np.empty((0, n)), list[str]()
+        refused: dict[str, int] = {}
+        names, budget = self.targets, max(LEAST_DRAWS, DRAWS * count)
+        # Where nothing is allowed, more of the same would be a loop.
+        while len(found) < count and taken < (budget if len(found) else LEAST_DRAWS):
+            part = max(len(found) / count, taken / budget)
+            enough = progress is not None and progress("candidates", part)
+            if enough and len(found) >= max(least, 1):
+                break
+            q = self.lower + _quasi_random(shift, taken, BLOCK) * (
+                self.upper - self.lower
+            )
+            target = [names[(taken + k) % len(names)] for k in range(BLOCK)]
+            taken += BLOCK
+            refusals = self._refusals(q, target)
+            for reason, rows in refusals.items():
+                refused[reason] = refused.get(reason, 0) + int(rows.sum())
+            free = np.flatnonzero(sum(refusals.values()) == 0)
+            if self.distance > 0.0:
+                free = self._spread(q, free, found, count)
+            free = free[: count - len(found)]
+            found = np.concatenate([found, q[free]])
+            targets += [target[k] for k in free]
+        if not len(found):
+            reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
+            raise InputError(
+                f"none of {taken} configurations within the joint limits can be "
+                f"planned: {reasons}"
+            )
+        return Candidates(found, tuple(targets), taken)
+
+    def _refusals(self, q: Floats, target: Sequence[str]) -> dict[str, Booleans]:
+        """Configurations by what first refuses them, each of shape (N,)."""
+        problem = self.problem
+        of_robot, own = problem.split(np.zeros(len(problem.parameters)))
+        beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
+        refusals: dict[str, Booleans] = {"beyond the limits": beyond}
+        left = ~beyond
+        tool = problem.error.tip_poses(q, of_robot) @ problem.error.tool.homogeneous
+        if problem.setup.region is not None:
+            within = problem.setup.region.contains(tool[:, :3, 3])
+            refusals["outside the region"] = left & ~within
+            left &= within
+        T = problem.error.base.homogeneous @ tool
+        seen = problem.measurement.observable(T, own, target)
+        refusals["not measurable"] = left & ~seen
+        left &= seen
+        if self.collisions is not None:
+            free = np.ones(len(q), bool)
+            free[left] = self.collisions.free(q[left])
+            refusals["in collision"] = ~free
+        return refusals
+
+    def _spread(
+        self, q: Floats, free: NDArray[np.intp], found: Floats, count: int
+    ) -> NDArray[np.intp]:
+        """The free configurations that keep their distance from all before them."""
+        kept: list[int] = []
+        if len(found):
+            between = np.abs(q[free, None] - found[None]).max(axis=2)
+            free = free[between.min(axis=1) >= self.distance]
+        for k in free:
+            if len(found) == count:
+                break
+            if (np.abs(found - q[k]).max(axis=1) >= self.distance).all():
+                kept.append(int(k))
+                found = np.concatenate([found, q[k : k + 1]])
+        return np.array(kept, np.intp)
+
+
+def _limits(problem: Problem) -> tuple[Floats, Floats]:
+    """Joint limits of the chain, narrowed by the setup."""
+    chain, setup = problem.error.chain, problem.setup
+    lower, upper = chain.lower.copy(), chain.upper.copy()
+    for pattern, (low, high) in setup.limits.items():
+        matches = _matches(pattern, chain.joints, setup)
+        for k in matches:
+            lower[k], upper[k] = max(lower[k], low), min(upper[k], high)
+            if lower[k] > upper[k]:
+                raise OptionError(
+                    f"limits of '{chain.joints[k]}' leave nothing",
+                    value=[low, high],
+                    allowed=f"a part of {chain.lower[k]:.4g} to {chain.upper[k]:.4g}",
+                )
+    return lower, upper
+
+
+def _matches(pattern: str, joints: Sequence[str], setup: Setup) -> list[int]:
+    if pattern in joints:  # The name of a joint may hold brackets.
+        return [joints.index(pattern)]
+    found = [k for k, joint in enumerate(joints) if fnmatchcase(joint, pattern)]
+    if not found:
+        raise OptionError(
+            f"limits match no joint of the chain: '{pattern}'"
+            f"{nearest(pattern, joints)}",
+            allowed=", ".join(joints),
+        )
+    return found
+
+
+def _quasi_random(shift: Floats, begin: int, count: int) -> Floats:
+    """Members of an additive recurrence in the unit cube, shape (count, n).
+
+    `x_k = shift + k a (mod 1)` with `a_j = g^-j` and g the root of `g^(n+1) = g + 1`,
+    the generalized golden ratio (Roberts 2018): low discrepancy for any number.
+    """
+    n = len(shift)
+    ratio = 2.0
+    for _ in range(60):
+        ratio = (1.0 + ratio) ** (1.0 / (n + 1))
+    steps = ratio ** -np.arange(1.0, n + 1)
+    return np.asarray((shift + np.arange(begin, begin + count)[:, None] * steps) % 1.0)

@@ -20,11 +20,13 @@ if TYPE_CHECKING:
     from calib_pin.calibration import calibrate, evaluate, identify
     from calib_pin.chain import Chain
     from calib_pin.errors import CalibPinError
+    from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
     from calib_pin.io.results import read_calibration, write_urdf
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, robot_file
     from calib_pin.measurements import Measurements
+    from calib_pin.planning.plan import plan
     from calib_pin.report.text import format_report
     from calib_pin.result import CalibrationResult
     from calib_pin.setup import Setup
@@ -42,6 +44,8 @@ __all__ = [
     "format_report",
     "identify",
     "load_chain",
+    "load_collisions",
+    "plan",
     "read_calibration",
     "read_measurements",
     "read_setup",
@@ -63,6 +67,8 @@ _HOMES = {
     "format_report": "report.text",
     "identify": "calibration",
     "load_chain": "io.urdf",
+    "load_collisions": "io.collision",
+    "plan": "planning.plan",
     "read_calibration": "io.results",
     "read_measurements": "io.measurements",
     "read_setup": "io.setup",

@@ -36,6 +36,7 @@ def simulate(
     rng: np.random.Generator,
     *,
     q: Floats | None = None,
+    target: Sequence[str] = (),
     count: int | None = None,
     noise: float | None = None,
     repeats: int = 1,
@@ -48,6 +49,7 @@ def simulate(
         theta: True parameter values, shape (P,).
         rng: Random generator.
         q: Configurations, shape (K, n) [rad, m]; or else
+        target: The target of each of them; default all targets in turn.
         count: Number K of random configurations at which the instrument can measure.
         noise: Standard deviation of every component [m, rad]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
@@ -84,7 +86,7 @@ def simulate(
         q, target = observable_configurations(problem, theta, count, rng)
     else:
         names = tuple(dict.fromkeys(problem.data.target)) or ("",)
-        target = tuple(names[i % len(names)] for i in range(len(q)))
+        target = tuple(target) or tuple(names[i % len(names)] for i in range(len(q)))
         _require_observable(problem, theta, q, target)
 
     exact = problem.about(theta, q, target).data

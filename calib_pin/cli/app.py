@@ -8,6 +8,7 @@ from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.command import Command
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.identify import identify
+from calib_pin.cli.plan import plan
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 
@@ -24,6 +25,7 @@ for command, summary in (
     (identify, "Which parameters can be known, and which only together."),
     (evaluate, "Accuracy of a robot or a calibration on measurements."),
     (simulate, "Measurements of a robot with known errors."),
+    (plan, "Which configurations to measure."),
     (robots, "The bundled robots."),
 ):
     app.command(command.__name__, cls=Command, short_help=summary)(command)

@@ -17,6 +17,21 @@ class Command(TyperCommand):
         arguments = [p for p in self.get_params(ctx) if p.param_type_name != "option"]
         return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
 
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Let an option whose value stands in brackets do without one."""
+        alone = {
+            name
+            for param in self.get_params(ctx)
+            if param.param_type_name == "option" and str(param.metavar)[:1] == "["
+            for name in param.opts
+        }
+        words = []
+        for word, following in zip(args, [*args[1:], "-"], strict=False):
+            words.append(word)
+            if word in alone and following.startswith("-"):
+                words.append("")
+        return super().parse_args(ctx, words)
+
     def format_options(self, ctx: Any, formatter: Any) -> None:
         """Arguments, then the options under the heading of their help panel."""
         topics: dict[str, list[tuple[str, str]]] = {}

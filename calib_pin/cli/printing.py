@@ -19,7 +19,7 @@ def show(content: RenderableType) -> None:
     """Print to standard output: colored on a terminal, plain 80 columns elsewhere."""
     from rich.console import Console
 
-    from calib_pin.report.text import WIDTH, plain_text
+    from calib_pin.report.tables import WIDTH, plain_text
 
     if sys.stdout.isatty():
         # Names are what they are: no markup and no emoji codes in them.

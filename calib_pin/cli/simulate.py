@@ -146,7 +146,11 @@ def simulate(
 
     from calib_pin.calibration import nominal_problem
     from calib_pin.errors import OptionError
-    from calib_pin.io.measurements import read_configurations, write_measurements
+    from calib_pin.io.measurements import (
+        read_configurations,
+        read_targets,
+        write_measurements,
+    )
     from calib_pin.io.results import write_urdf
     from calib_pin.io.true_errors import read_true_errors
     from calib_pin.result import CalibratedModel
@@ -166,14 +170,16 @@ def simulate(
     else:
         given = read_true_errors(errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    q = None
+    q, target = None, tuple[str, ...]()
     if configurations is not None:
         q = read_configurations(configurations, chain, stated.joints)
+        target = read_targets(configurations)
     rows = run(
         problem,
         theta,
         rng,
         q=q,
+        target=target,
         count=count,
         noise=noise,
         repeats=repeats,

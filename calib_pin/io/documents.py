@@ -115,7 +115,7 @@ def plan_document(plan: Plan) -> Json:
         "status": plan.status.value,
         "measured": plan.measured,
         "candidates": plan.candidates,
-        "collisions": {"checked": plan.checked, "blocked_moves": plan.blocked},
+        "collisions": {"checked": plan.checked, "blocked_moves": list(plan.blocked)},
         "steps": [asdict(step) for step in plan.steps],
         "predicted": {
             "rank": predicted.directions.count,

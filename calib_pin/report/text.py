@@ -2,45 +2,43 @@
 
 from __future__ import annotations
 
-import io
-import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator
 
 import numpy as np
 import pinocchio as pin
-from rich.console import Console, Group, RenderableType
+from rich.console import Group, RenderableType
 from rich.padding import Padding
 from rich.table import Table
 from rich.text import Text
 
 from calib_pin.assessment import chi2_interval
+from calib_pin.report.tables import (
+    DISPLAY,
+    ESTIMATE,
+    group_table,
+    listed,
+    number,
+    parameter_table,
+    plain_text,
+    table,
+)
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
-    CoupledGroup,
     Evaluation,
     Identifiability,
     Identification,
-    ParameterEstimate,
     QuantityErrors,
 )
 from calib_pin.solvers import Status
 
 __all__ = [
-    "WIDTH",
     "evaluation_report",
     "format_report",
     "identification_report",
-    "plain_text",
     "report",
     "untrusted",
 ]
-
-WIDTH = 80
-"""Columns of the report where it is not printed to a terminal."""
-
-DISPLAY = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
-"""Unit and factor that people read, by SI unit."""
 
 LISTED_ROWS = 5
 """Outliers and correlated pairs that are listed before the rest is only counted."""
@@ -63,24 +61,6 @@ def format_report(result: CalibrationResult) -> str:
     return plain_text(report(result))
 
 
-def plain_text(content: RenderableType) -> str:
-    """Render without colors, at most 80 columns wide."""
-    stream = io.StringIO()
-    console = Console(
-        file=stream,
-        width=WIDTH,
-        color_system=None,
-        # A notebook would show what is meant for the stream.
-        force_jupyter=False,
-        # Names are what they are: no markup and no emoji codes in them.
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
-    console.print(content)
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
-
-
 def report(result: CalibrationResult) -> RenderableType:
     """Verdict, accuracy, identifiability and what does not fit."""
     return Group(
@@ -91,7 +71,7 @@ def report(result: CalibrationResult) -> RenderableType:
         *_moves(result),
         "",
         identification_report(result, fitted=True),
-        *_listed("at a bound", result.at_bounds),
+        *listed("at a bound", result.at_bounds),
         *_statistics(result),
         *_outliers(result),
     )
@@ -106,10 +86,12 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
     """
     parts: list[RenderableType] = [*_ranks(found.identifiability, fitted)]
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
-    if identifiable:
-        parts += ["", _identifiable(identifiable, fitted)]
+    if identifiable and fitted:
+        parts += ["", parameter_table(identifiable)]
+    else:
+        parts += listed("identifiable", [p.name for p in identifiable])
     if found.groups:
-        parts += ["", _groups(found, fitted)]
+        parts += ["", group_table(found.groups, ESTIMATE if fitted else ())]
     remarks = {
         "weak": "weak (these rows tell too little; partly or wholly left at nominal)",
         "unidentifiable": "unidentifiable (no effect on what is measured)",
@@ -117,15 +99,15 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
     }
     for status, meaning in remarks.items():
         names = [p.name for p in found.parameters if p.status == status]
-        parts += _listed(meaning, names)
+        parts += listed(meaning, names)
     return Group(*parts)
 
 
 def evaluation_report(evaluation: Evaluation) -> RenderableType:
     """Accuracy on rows that were not fitted."""
-    table = _table("Accuracy", ("rows", "mean", "rms", "max", "unit"))
+    accuracies = table("Accuracy", ("rows", "mean", "rms", "max", "unit"))
     for name, unit, accuracy in evaluation.errors:
-        table.add_row(
+        accuracies.add_row(
             name, str(evaluation.rows), *_sizes(accuracy, unit), DISPLAY[unit][0]
         )
     how = (
@@ -133,7 +115,7 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
         if evaluation.registered
         else "Nothing was fitted to these rows."
     )
-    parts: list[RenderableType] = [table, Text(how, style="dim")]
+    parts: list[RenderableType] = [accuracies, Text(how, style="dim")]
     if evaluation.verdict != "good":
         parts = [untrusted(evaluation.reason), "", *parts]
     return Group(*parts)
@@ -179,7 +161,7 @@ def _subject(result: CalibrationResult) -> Text:
 
 
 def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
-    table = _table("Accuracy", ("rows", "robot", "mean", "rms", "max", "unit"))
+    accuracies = table("Accuracy", ("rows", "robot", "mean", "rms", "max", "unit"))
     for error in result.errors:
         pairs = [("fitted", error.before, error.after)]
         if error.validation_before and error.validation_after:
@@ -189,9 +171,9 @@ def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
         for rows, before, after in pairs:
             for robot, accuracy in (("nominal", before), ("calibrated", after)):
                 cells = (*_sizes(accuracy, error.unit), DISPLAY[error.unit][0])
-                table.add_row(name, rows, robot, *cells)
+                accuracies.add_row(name, rows, robot, *cells)
                 name = rows = ""
-    yield table
+    yield accuracies
     yield Text(_registered(result), style="dim")
 
 
@@ -208,7 +190,7 @@ def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
     for sizes, unit in ((shifts, "m"), (turns, "rad")):
         joint = max(sizes, key=sizes.__getitem__)
         shown, factor = DISPLAY[unit]
-        parts.append(f"{_number(factor * sizes[joint])} {shown} ({joint})")
+        parts.append(f"{number(factor * sizes[joint])} {shown} ({joint})")
     yield Text(f"Joint origins move by up to {' and '.join(parts)}.", style="dim")
 
 
@@ -232,7 +214,7 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         ("free parameters", f"{ranks.parameters}"),
         (
             "structural rank",
-            f"{ranks.structural_rank}   (gap {_number(ranks.gap)}; Everett's count "
+            f"{ranks.structural_rank}   (gap {number(ranks.gap)}; Everett's count "
             f"4R + 2P + 6 = {ranks.everett} for full poses)",
         ),
     ]
@@ -246,11 +228,11 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         lines.append(("practical rank", f"{ranks.rank}{remark}"))
     if ranks.singular_values:
         first, last = ranks.singular_values[0], ranks.singular_values[-1]
-        spread = f"{_number(first)} ... {_number(last)}"
+        spread = f"{number(first)} ... {number(last)}"
         lines.append(("singular values", f"{spread}   (scaled, whitened)"))
-        lines.append(("condition number", _number(ranks.condition)))
+        lines.append(("condition number", number(ranks.condition)))
     if ranks.singular_values and ranks.observability:
-        indices = "  ".join(f"{k} {_number(v)}" for k, v in ranks.observability.items())
+        indices = "  ".join(f"{k} {number(v)}" for k, v in ranks.observability.items())
         lines.append(("observability", indices))
     grid = Table.grid(padding=(0, 2))
     for name, value in lines:
@@ -258,45 +240,13 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
     yield grid
 
 
-def _identifiable(
-    parameters: Sequence[ParameterEstimate], fitted: bool
-) -> RenderableType:
-    if not fitted:
-        return Group(*list(_listed("identifiable", [p.name for p in parameters]))[1:])
-    table = _table("Identifiable parameters", ("value", "std. dev.", "unit"))
-    for parameter in parameters:
-        table.add_row(parameter.name, *_estimate(parameter))
-    return table
-
-
-def _groups(found: Identification, fitted: bool) -> RenderableType:
-    table = Table(
-        title="Coupled groups: only the sums are known (coefficients in SI units)",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        pad_edge=False,
-        show_header=fitted,
-    )
-    table.add_column("", justify="right")
-    table.add_column("sum", overflow="fold")
-    if fitted:
-        table.add_column("value", justify="right", no_wrap=True)
-        table.add_column("std. dev.", justify="right", no_wrap=True)
-        table.add_column("unit", no_wrap=True)
-    for group in found.groups:
-        cells = _estimate(group) if fitted else ()
-        table.add_row(str(group.number), group.expression, *cells)
-    return table
-
-
 def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
     yield ""
     yield Text("Statistics", style="bold")
     grid = Table.grid(padding=(0, 2))
     sigmas = "stated" if result.stated_sigma else "assumed"
-    grid.add_row("  chi-square", f"{_number(result.chi2)} with {result.dof} dof")
-    grid.add_row("  sigma0", f"{_number(result.sigma0)} times the {sigmas} sigma")
+    grid.add_row("  chi-square", f"{number(result.chi2)} with {result.dof} dof")
+    grid.add_row("  sigma0", f"{number(result.sigma0)} times the {sigmas} sigma")
     remark = ""
     if result.stated_sigma and result.dof > 0:
         low, high = chi2_interval(result.dof)
@@ -308,7 +258,7 @@ def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
             remark = (
                 "more than their sigma says: the standard deviations are too small."
             )
-        interval = f"{_number(low)} ... {_number(high)}"
+        interval = f"{number(low)} ... {number(high)}"
         grid.add_row("", f"{where} the 95 % interval {interval}")
     yield grid
     if remark:
@@ -329,7 +279,7 @@ def _outliers(result: CalibrationResult) -> Iterator[RenderableType]:
     count = f"{len(result.outliers)} of {result.training}"
     yield Text(f"Rows that do not fit ({count})", style="bold")
     for outlier in result.outliers[:LISTED_ROWS]:
-        size = _number(outlier.size)
+        size = number(outlier.size)
         yield Padding(f"{outlier.place}  {size} sigma", (0, 0, 0, 2))
     yield from _rest(len(result.outliers), "rows")
 
@@ -340,58 +290,9 @@ def _rest(count: int, what: str) -> Iterator[RenderableType]:
         yield Padding(more, (0, 0, 0, 2))
 
 
-def _table(title: str, columns: Iterable[str]) -> Table:
-    table = Table(
-        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False
-    )
-    table.add_column("", overflow="fold")
-    for column in columns:
-        left = column in ("unit", "rows", "robot")
-        table.add_column(column, justify="left" if left else "right", no_wrap=True)
-    return table
-
-
 def _sizes(accuracy: Accuracy, unit: str) -> tuple[str, str, str]:
     factor = DISPLAY[unit][1]
     mean, rms, largest = (
-        _number(factor * value) for value in (accuracy.mean, accuracy.rms, accuracy.max)
+        number(factor * value) for value in (accuracy.mean, accuracy.rms, accuracy.max)
     )
     return mean, rms, largest
-
-
-def _estimate(item: ParameterEstimate | CoupledGroup) -> tuple[str, str, str]:
-    """Value, standard deviation and unit of a parameter or a group."""
-    unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
-    sigma = "-" if item.sigma is None else f"{factor * item.sigma:.4f}"
-    return f"{factor * item.value:+.4f}", sigma, unit
-
-
-def _number(value: float) -> str:
-    """Four significant digits, plain where that is short."""
-    if not math.isfinite(value):
-        return "inf" if value > 0 else "unknown"
-    size = abs(value)
-    if size == 0.0 or 1e-3 <= size < 1.0:
-        return f"{value:.4f}"
-    if 1.0 <= size < 1e5:
-        return f"{value:.{max(0, 3 - int(math.log10(size)))}f}"
-    return f"{value:.1e}"
-
-
-def _listed(meaning: str, names: Sequence[str]) -> Iterator[RenderableType]:
-    """Names under a heading, if there are any."""
-    if names:
-        yield ""
-        yield Text(f"{meaning}:", style="bold")
-        for line in _compressed(names):
-            yield Padding(line, (0, 0, 0, 2))
-
-
-def _compressed(names: Sequence[str]) -> Iterator[str]:
-    """Names with the components of one owner and kind on one line."""
-    together: dict[str, list[str]] = {}
-    for name in names:
-        stem, component = name.rsplit(".", 1)
-        together.setdefault(stem, []).append(component)
-    for stem, components in together.items():
-        yield f"{stem}.{'|'.join(components)}"

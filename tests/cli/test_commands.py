@@ -108,7 +108,14 @@ def test_help(run):
     result = run("--help")
     assert result.status == 0
     assert "..." not in result.out.replace("[ARGS]...", "")  # nothing is cut off
-    for command in ("calibrate", "identify", "evaluate", "simulate", "robots"):
+    for command in (
+        "calibrate",
+        "identify",
+        "evaluate",
+        "simulate",
+        "plan",
+        "robots",
+    ):
         assert f"\n  {command} " in result.out
 
 
@@ -136,6 +143,14 @@ def test_help(run):
             "ROBOT",
             "-o --model --count --configurations --errors --seed --noise --repeats "
             "--average --truth --setup --base --tip --parameters --force",
+        ),
+        (
+            "plan",
+            "ROBOT",
+            "-o --model --count --add --to --criterion --method --candidates --tests "
+            "--seed --limits --distance --srdf --package-dir --clearance "
+            "--ignore-collisions --setup --base --tip --parameters --force --quiet "
+            "--json",
         ),
         ("robots", "", ""),
     ],

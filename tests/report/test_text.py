@@ -13,11 +13,11 @@ from rich.console import Console
 from calib_pin.calibration import calibrate, evaluate, identify, nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.io.urdf import load_robot, parse_robot
+from calib_pin.report.tables import plain_text
 from calib_pin.report.text import (
     evaluation_report,
     format_report,
     identification_report,
-    plain_text,
     report,
 )
 from calib_pin.result import Accuracy, CalibrationResult, Outlier

@@ -1,0 +1,349 @@
+"""`calib-pin plan`: which configurations to measure."""
+
+from __future__ import annotations
+
+import signal
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib_pin.cli.files import (
+    check_outputs,
+    open_chain,
+    open_measurements,
+    open_setup,
+    require_distinct,
+    require_model,
+)
+from calib_pin.cli.options import (
+    OUTPUT,
+    Base,
+    Force,
+    Json,
+    Model,
+    Parameters,
+    Quiet,
+    RobotName,
+    SetupFile,
+    Tip,
+    number,
+)
+from calib_pin.cli.printing import notice, progress_bar, show
+
+if TYPE_CHECKING:
+    from calib_pin.chain import Chain
+    from calib_pin.collision import Collisions
+    from calib_pin.setup import Setup
+
+__all__ = ["plan"]
+
+PLAN = "Plan"
+WORKSPACE = "Where configurations may be"
+"""Headings of `--help`."""
+
+COUNT = number(int, "--count", "1 to 1000", 1, 1000)
+
+
+def plan(
+    context: typer.Context,
+    robot: RobotName,
+    output: Annotated[
+        Path,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="CSV",
+            help="File of configurations to write.",
+            rich_help_panel=OUTPUT,
+        ),
+    ],
+    model: Model = None,
+    count: Annotated[
+        int | None,
+        typer.Option(
+            "--count",
+            metavar="N",
+            help="Number of configurations.",
+            parser=COUNT,
+            rich_help_panel=PLAN,
+        ),
+    ] = None,
+    add: Annotated[
+        str | None,
+        typer.Option(
+            "--add",
+            metavar="[N]",
+            help="Number of configurations beside those that are measured already;",
+            rich_help_panel=PLAN,
+        ),
+    ] = None,
+    to: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--to",
+            metavar="CSV",
+            help="measurements that are there already; may be repeated.",
+            rich_help_panel=PLAN,
+        ),
+    ] = None,
+    criterion: Annotated[
+        str,
+        typer.Option(
+            "--criterion",
+            metavar="NAME",
+            help="prediction (default: the error of the tip that noise leaves), "
+            "condition, O1 to O5.",
+            rich_help_panel=PLAN,
+        ),
+    ] = "prediction",
+    method: Annotated[
+        str,
+        typer.Option(
+            "--method",
+            metavar="NAME",
+            help="auto (default: exchange, then gradient), exchange, greedy, pso, ga, "
+            "gradient.",
+            rich_help_panel=PLAN,
+        ),
+    ] = "auto",
+    candidates: Annotated[
+        int,
+        typer.Option(
+            "--candidates",
+            metavar="N",
+            help="Quasi-random configurations to choose from; default 1000.",
+            parser=number(int, "--candidates", "1 to 100000", 1, 1e5),
+            rich_help_panel=PLAN,
+        ),
+    ] = 1000,
+    tests: Annotated[
+        Path | None,
+        typer.Option(
+            "--tests",
+            metavar="CSV",
+            help="Configurations where the tip is to be accurate; default everywhere.",
+            rich_help_panel=PLAN,
+        ),
+    ] = None,
+    seed: Annotated[
+        int,
+        typer.Option(
+            "--seed",
+            metavar="N",
+            help="Seed of all that is random.",
+            parser=number(int, "--seed", "0, 1, 2, ...", 0),
+            rich_help_panel=PLAN,
+        ),
+    ] = 0,
+    limits: Annotated[
+        list[str] | None,
+        typer.Option(
+            "--limits",
+            metavar="JOINT=A:B",
+            help="Narrower joint limits, such as 'joint_*=-2:2' or "
+            "'elbow=-120:120 [deg]'; may be repeated.",
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = None,
+    distance: Annotated[
+        float,
+        typer.Option(
+            "--distance",
+            metavar="D",
+            help="Least distance between configurations: the largest movement of a "
+            "joint [rad, m].",
+            parser=number(float, "--distance", "0 to 10", 0.0, 10.0),
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = 0.0,
+    srdf: Annotated[
+        Path | None,
+        typer.Option(
+            "--srdf",
+            metavar="FILE",
+            help="SRDF that names the links that need no check against each other.",
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = None,
+    package_dir: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--package-dir",
+            metavar="DIR",
+            help="Folder of the packages of collision meshes; may be repeated.",
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = None,
+    clearance: Annotated[
+        float | None,
+        typer.Option(
+            "--clearance",
+            metavar="S",
+            help="Distance kept from everything [m]; default 0.01.",
+            parser=number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = None,
+    ignore_collisions: Annotated[
+        bool,
+        typer.Option(
+            "--ignore-collisions",
+            help="Check no collisions.",
+            rich_help_panel=WORKSPACE,
+        ),
+    ] = False,
+    setup: SetupFile = None,
+    base: Base = None,
+    tip: Tip = None,
+    parameters: Parameters = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Choose the configurations that tell most about the robot.
+
+    They keep the joint limits, collide with nothing, lie in the region of the setup
+    file, and come in an order of short travel. The table shows what more or fewer of
+    them would reach. Ctrl-C ends the search with the best plan so far.
+    """
+    from dataclasses import replace
+
+    from calib_pin.cli.limits import parse_limits
+    from calib_pin.errors import OptionError
+    from calib_pin.io.documents import encode, plan_document
+    from calib_pin.io.measurements import read_configurations, write_configurations
+    from calib_pin.planning.plan import plan as run
+    from calib_pin.report.plan_text import plan_report
+    from calib_pin.solvers import Status
+
+    stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
+    stated = replace(stated, limits={**stated.limits, **parse_limits(limits or [])})
+    wanted = _count(count, add, to)
+    require_distinct(to or [])
+    check_outputs((output,), (robot, setup, srdf, tests, *(to or [])), force)
+    if ignore_collisions and (srdf is not None or package_dir or clearance is not None):
+        raise OptionError(
+            "--ignore-collisions leaves nothing to do for --srdf, --package-dir and "
+            "--clearance"
+        )
+    chain = open_chain(robot, stated)
+    rows = None
+    if to:
+        rows = open_measurements(to, chain, stated, quiet=quiet).split()[0]
+        stated = replace(stated, model=rows.model)
+    measured = require_model(stated)
+    collisions = None
+    if not ignore_collisions:
+        told = None if quiet else notice
+        collisions = _collisions(
+            chain, stated, srdf, package_dir or [], clearance, told
+        )
+    poses = None
+    if tests is not None:
+        poses = read_configurations(tests, chain, stated.joints)
+    with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
+        found = run(
+            chain,
+            measured,
+            wanted,
+            stated,
+            criterion=criterion,
+            method=method,
+            measured=rows,
+            collisions=collisions,
+            candidates=candidates,
+            distance=distance,
+            tests=poses,
+            seed=seed,
+            progress=progress,
+        )
+    import shlex
+
+    # `--force` is left out: it changes nothing of what follows.
+    words = [word for word in context.obj if word != "--force"]
+    write_configurations(
+        output,
+        chain,
+        found.q,
+        found.target if len(set(found.target)) > 1 else (),
+        joints=stated.joints,
+        comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
+        force=force,
+    )
+    if json:
+        typer.echo(encode(plan_document(found)).decode(), nl=False)
+    elif not quiet:
+        show(plan_report(found))
+        typer.echo(f"wrote {len(found.q)} configurations to {output}")
+    if found.status is Status.STOPPED:
+        notice("interrupted: this is the best plan found so far")
+    return 0
+
+
+def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:
+    """Number of configurations: `--count N`, or `--add N --to CSV`."""
+    from calib_pin.errors import OptionError
+
+    if add is not None and not to:
+        raise OptionError("--add needs the measurements to add to: --to CSV")
+    if to and add is None:
+        raise OptionError("--to names measurements; say how many to add with --add N")
+    if add:
+        added = number(int, "--add", "1 to 1000", 1, 1000)(add)
+        if count is not None and count != added:
+            raise OptionError(
+                f"--add {added} and --count {count} contradict each other"
+            )
+        return added
+    if count is None:
+        raise OptionError("say how many configurations to plan with --count N")
+    return count
+
+
+def _collisions(
+    chain: Chain,
+    setup: Setup,
+    srdf: Path | None,
+    package_dirs: list[Path],
+    clearance: float | None,
+    told: Callable[[str], None] | None,
+) -> Collisions | None:
+    from calib_pin.io.collision import CLEARANCE, load_collisions
+
+    return load_collisions(
+        chain,
+        setup.obstacles,
+        srdf=srdf,
+        package_dirs=package_dirs,
+        clearance=CLEARANCE if clearance is None else clearance,
+        notice=told,
+        file=setup.file,
+    )
+
+
+@contextmanager
+def _interruptible(
+    bar: Callable[[str, float], None] | None,
+) -> Iterator[Callable[[str, float], bool]]:
+    """Progress that asks to stop after Ctrl-C; a second one ends the program."""
+    asked = False
+
+    def interrupt(signum: int, frame: object) -> None:
+        nonlocal asked
+        if asked:
+            raise KeyboardInterrupt
+        asked = True
+
+    def progress(stage: str, part: float) -> bool:
+        if bar is not None:
+            bar(stage, part)
+        return asked
+
+    before = signal.signal(signal.SIGINT, interrupt)
+    try:
+        yield progress
+    finally:
+        signal.signal(signal.SIGINT, before)

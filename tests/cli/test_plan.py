@@ -1,0 +1,699 @@
+"""`calib-pin plan` as users run it."""
+
+from __future__ import annotations
+
+import json
+import os
+import select
+import signal
+import subprocess
+import sys
+import time
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.io.measurements import read_configurations, read_targets
+from calib_pin.io.setup import read_setup
+
+QUICK = "--method greedy --candidates 100 --ignore-collisions"
+PLAN = f"plan arm.urdf --model position --setup setup.yaml {QUICK}"
+ADD = f"plan arm.urdf --setup setup.yaml {QUICK}"
+
+BOXES = """<?xml version="1.0"?>
+<robot name="boxes">
+  <link name="base_link"><collision><geometry><box size="0.2 0.2 0.4"/></geometry>
+  </collision></link>
+  <link name="link1"/>
+  <link name="link2"><collision><origin xyz="0.25 0 0"/><geometry>
+    <box size="0.5 0.08 0.08"/></geometry></collision></link>
+  <link name="tool"><collision><origin xyz="0.2 0 0"/><geometry>
+    <box size="0.4 0.06 0.06"/></geometry></collision></link>
+  <joint name="pan" type="revolute"><origin xyz="0 0 0.4"/>
+    <parent link="base_link"/><child link="link1"/><axis xyz="0 0 1"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="lift" type="revolute"><origin xyz="0 0 0.1"/>
+    <parent link="link1"/><child link="link2"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+  <joint name="elbow" type="revolute"><origin xyz="0.5 0 0"/>
+    <parent link="link2"/><child link="tool"/><axis xyz="0 1 0"/>
+    <limit lower="-3" upper="3" effort="1" velocity="1"/></joint>
+</robot>
+"""
+CELL = """\
+parameters: [joint-offset]
+frames: {tool: {xyz: [0.4, 0.05, 0.02]}}
+obstacles: [{box: [2, 2, 0.02], xyz: [0, 0, 0.15]}]
+region: {box: [[0.2, -0.6, 0.2], [1.2, 0.6, 1.4]]}
+limits: {pan: [-1, 1]}
+"""
+
+
+def table(file: str) -> tuple[list[str], list[list[str]]]:
+    header, *rows = [
+        row.split(",")
+        for row in Path(file).read_text().splitlines()
+        if not row.startswith("#")
+    ]
+    return header, rows
+
+
+def positions(file: str, robot: str = "arm.urdf", **joints: object) -> np.ndarray:
+    return read_configurations(file, calib_pin.load_chain(robot), **joints)
+
+
+# --- what it writes ----------------------------------------------------------------
+
+
+def test_what_is_written_and_printed(here, run):
+    words = f"{PLAN} --count 8 -o plan.csv"
+    result = run(words)
+    assert (result.status, result.err) == (0, "")
+    header, rows = table("plan.csv")
+    assert header == ["joint1", "joint2", "joint3", "joint4"]
+    assert len(rows) == 8
+    text = Path("plan.csv").read_text()
+    assert text.startswith(f"# planned by: calib-pin {words}\n")
+    assert result.out.startswith("arm: 4 joints from base_link to tool; position, 8 c")
+    assert result.out.endswith("wrote 8 configurations to plan.csv\n")
+    assert "8  this plan" in result.out
+    assert "8  at random" in result.out
+    assert "Collisions are not checked." in result.out
+    assert max(map(len, result.out.splitlines())) <= 80
+
+
+def test_the_file_is_what_the_next_commands_take(here, run):
+    assert run(f"{PLAN} --count 12 -o plan.csv").status == 0
+    words = (
+        "simulate arm.urdf --setup setup.yaml --model position --configurations "
+        "plan.csv --errors errors.yaml -o measured.csv"
+    )
+    result = run(words)
+    assert (result.status, result.err) == (0, "")
+    np.testing.assert_array_equal(positions("measured.csv"), positions("plan.csv"))
+    result = run("calibrate arm.urdf measured.csv --setup setup.yaml")
+    assert result.status == 0
+    assert result.out.startswith("GOOD: ")
+    # The plan promised what the fit then knew.
+    result = run(f"{ADD} --add 4 --to measured.csv -o more.csv")
+    assert (result.status, result.err) == (0, "")
+    assert "4 configurations beside 12 measured" in " ".join(result.out.split())
+    assert len(table("more.csv")[1]) == 4
+
+
+@pytest.mark.parametrize(
+    "words",
+    [
+        "--add 4 --to rows.csv",
+        "--add --count 4 --to rows.csv",
+        "--count 4 --add --to rows.csv",
+        "--add=4 --to rows.csv",
+        "--add 4 --count 4 --to rows.csv --to new.csv",
+    ],
+)
+def test_additions_in_every_form(words, here, run):
+    result = run(f"{ADD} {words} -o more.csv")
+    assert (result.status, result.err) == (0, "")
+    assert len(table("more.csv")[1]) == 4
+    measured = 65 if "new.csv" in words else 40
+    assert f"beside {measured} measured" in " ".join(result.out.split())
+    # It starts with nothing: the table shows what is there already.
+    (line,) = [line for line in result.out.splitlines() if line.startswith("0 ")]
+    assert float(line.split()[1]) > 0.0
+
+
+def test_validation_rows_are_not_counted(here, run):
+    comment, header, *rows = Path("rows.csv").read_text().splitlines()
+    marks = ["validate" if k % 4 == 0 else "train" for k in range(len(rows))]
+    marked = [f"{row},{mark}" for row, mark in zip(rows, marks, strict=True)]
+    Path("rows.csv").write_text("\n".join([comment, f"{header},set", *marked]) + "\n")
+    result = run(f"{ADD} --add 4 --to rows.csv -o more.csv --json")
+    assert json.loads(result.out)["measured"] == 30
+
+
+def test_the_same_words_give_the_same_bytes(here, run):
+    words = f"{PLAN} --count 8 --seed 3 -o plan.csv"
+    assert run(words).status == 0
+    first = Path("plan.csv").read_bytes()
+    result = run(words)
+    assert (result.status, result.out) == (1, "")
+    assert result.err == ("calib-pin: plan.csv: exists already; --force replaces it\n")
+    assert run(f"{words} --force").status == 0
+    assert Path("plan.csv").read_bytes() == first
+    assert run(f"{words.replace('seed 3', 'seed 4')} --force").status == 0
+    assert Path("plan.csv").read_bytes() != first
+
+
+def test_json(here, run):
+    result = run(f"{PLAN} --count 8 --criterion O1 -o plan.csv --json")
+    assert (result.status, result.err) == (0, "")
+    found = json.loads(result.out)
+    assert found["joints"] == ["joint1", "joint2", "joint3", "joint4"]
+    np.testing.assert_array_equal(found["configurations"], positions("plan.csv"))
+    assert found["criterion"]["name"] == "O1"
+    assert found["criterion"]["value"] > found["random"] > 0.0
+    assert (found["method"], found["status"]) == ("greedy", "converged")
+    assert found["collisions"] == {"checked": False, "blocked_moves": []}
+    assert found["candidates"] == 100
+    counts = [step["count"] for step in found["steps"]]
+    assert counts == list(range(counts[0], 17))
+    predicted = found["predicted"]
+    assert predicted["rank"] == predicted["structural_rank"] == 11
+    assert 0.0 < predicted["position"] < 1e-3
+    names = {p["name"] for p in predicted["parameters"]}
+    assert {"base.frame.x", "joint2.joint-offset.q", "tool.frame.z"} <= names
+
+
+def test_quiet(here, run):
+    # Neither the table nor the remark on collisions.
+    words = PLAN.replace("--ignore-collisions", "")
+    result = run(f"{words} --count 8 -o plan.csv")
+    assert result.status == 0
+    assert "no collision geometry" in result.err
+    result = run(f"{words} --count 8 -o quiet.csv --quiet")
+    assert (result.status, result.out, result.err) == (0, "", "")
+    assert positions("quiet.csv").tolist() == positions("plan.csv").tolist()
+
+
+def test_inputs_stay_as_they_are(here, run, listing):
+    before = listing(here)
+    for words in (
+        f"{PLAN} --count 8 --tests new.csv -o out.csv",
+        f"{ADD} --add 4 --to rows.csv -o more.csv",
+    ):
+        assert run(words).status == 0
+    after = listing(here)
+    assert {name: after[name] for name in before} == before
+    assert set(after) - set(before) == {"out.csv", "more.csv"}
+
+
+def test_joint_maps_give_what_the_controller_needs(here, run):
+    assert run(f"{PLAN} --count 8 -o plan.csv").status == 0
+    Path("mapped.yaml").write_text(
+        Path("setup.yaml").read_text()
+        + """joints:
+  A1: {joint: joint1, sign: -1, offset: 0.3}
+  A2: {joint: joint2, gear: 0.01}
+  A3: {joint: joint3, coupled: {A2: 0.02, track: 3.0}}
+"""
+    )
+    words = PLAN.replace("setup.yaml", "mapped.yaml")
+    result = run(f"{words} --count 8 -o mapped.csv")
+    assert (result.status, result.err) == (0, "")
+    header, rows = table("mapped.csv")
+    assert header == ["A1", "A2", "A3", "joint4", "track"]
+    q, values = positions("plan.csv"), np.array(rows, float)
+    # By hand: what the controller shows while the robot stands there.
+    np.testing.assert_allclose(values[:, 0], -(q[:, 0] - 0.3), atol=1e-12)
+    np.testing.assert_allclose(values[:, 1], q[:, 1] / 0.01, atol=1e-9)
+    np.testing.assert_allclose(values[:, 2], q[:, 2] - 0.02 * values[:, 1], atol=1e-9)
+    assert (values[:, 4] == 0.0).all()
+    joints = read_setup("mapped.yaml").joints
+    np.testing.assert_allclose(positions("mapped.csv", joints=joints), q, atol=1e-12)
+
+
+def test_limits_of_the_command_line(here, run):
+    Path("cell.yaml").write_text(
+        Path("setup.yaml").read_text() + "limits: {joint1: [-1, 0.5], joint4: [0, 1]}\n"
+    )
+    words = PLAN.replace("setup.yaml", "cell.yaml").split()
+    limits = ["--limits", "joint[12]=-30:20 [deg]", "--limits", "joint4=-1:0.5"]
+    result = run([*words, *limits, "--count", "8", "-o", "plan.csv"])
+    assert (result.status, result.err) == (0, "")
+    q = positions("plan.csv")
+    low, high = np.radians([-30.0, 20.0])
+    assert (q[:, :2] >= low - 1e-6).all() and (q[:, :2] <= high + 1e-6).all()
+    # The flag wins over the file where both name the same joint.
+    assert q[:, 3].min() < 0.0 and q[:, 3].max() <= 0.5
+    assert np.abs(q[:, 2]).max() > 1.0
+    # The line at the head of the file can be pasted into a shell.
+    assert "--limits 'joint[12]=-30:20 [deg]'" in Path("plan.csv").read_text()
+
+
+def test_a_held_joint(here, run):
+    result = run(
+        [
+            *PLAN.split(),
+            "--limits",
+            "joint2=0.25:0.25",
+            "--count",
+            "9",
+            "-o",
+            "plan.csv",
+        ]
+    )
+    assert (result.status, result.err) == (0, "")
+    assert (positions("plan.csv")[:, 1] == 0.25).all()
+
+
+def test_planes_are_named(here, run):
+    Path("planes.yaml").write_text(
+        "model: plane-distance\nparameters: [joint-offset]\n"
+        "planes:\n  wall: {normal: [1, 0.2, 0.3], offset: -1.8}\n"
+        "  floor: {normal: [0.1, 0, 1], offset: 0.3}\n"
+    )
+    words = f"plan arm.urdf --setup planes.yaml {QUICK} --count 30 -o plan.csv"
+    result = run(words)
+    assert (result.status, result.err) == (0, "")
+    targets = read_targets(Path("plan.csv"))
+    assert set(targets) == {"wall", "floor"}
+    result = run(
+        "simulate arm.urdf --setup planes.yaml --configurations plan.csv -o out.csv"
+    )
+    assert (result.status, result.err) == (0, "")
+    # Each configuration looks at the plane that it was planned for.
+    assert read_targets(Path("out.csv")) == targets
+    # One plane needs no name.
+    words = f"plan arm.urdf --setup plane.yaml {QUICK} --count 30 -o one.csv"
+    assert run(words).status == 0
+    assert "target" not in table("one.csv")[0]
+
+
+def test_obstacles_region_and_limits_of_the_setup_file(here, run):
+    Path("boxes.urdf").write_text(BOXES)
+    Path("cell.yaml").write_text(CELL)
+    words = (
+        "plan boxes.urdf --model position --setup cell.yaml --count 8 --candidates 60 "
+        "--method exchange --distance 0.2 -o plan.csv --json"
+    )
+    result = run(words)
+    assert (result.status, result.err) == (0, "")
+    assert json.loads(result.out)["collisions"]["checked"] is True
+    chain = calib_pin.load_chain("boxes.urdf")
+    q = positions("plan.csv", "boxes.urdf")
+    tool = chain.poses(q)
+    point = tool[:, :3, :3] @ [0.4, 0.05, 0.02] + tool[:, :3, 3]
+    assert ((point >= [0.2, -0.6, 0.2]) & (point <= [1.2, 0.6, 1.4])).all()
+    assert np.abs(q[:, 0]).max() <= 1.0
+    # The end of the last box stays above the table, whose top is at 0.16.
+    corners = [(0.4, y, z) for y in (-0.03, 0.03) for z in (-0.03, 0.03)]
+    for corner in corners:
+        height = tool[:, 2, :3] @ corner + tool[:, 2, 3]
+        assert height.min() >= 0.16 + 0.009
+    between = np.abs(q[:, None] - q[None]).max(axis=2)
+    np.fill_diagonal(between, np.inf)
+    assert between.min() >= 0.2
+
+
+# --- while it runs -----------------------------------------------------------------
+
+
+def read_until(master: int, wanted: bytes, seconds: float) -> bytes:
+    """What a terminal shows until a word appears, or the other end is closed."""
+    shown, deadline = b"", time.monotonic() + seconds
+    while wanted not in shown and time.monotonic() < deadline:
+        if not select.select([master], [], [], 0.2)[0]:
+            continue
+        try:
+            part = os.read(master, 65536)
+        except OSError:  # The process is gone.
+            break
+        if not part:
+            break
+        shown += part
+    return shown
+
+
+def started(words: str, master: int, slave: int) -> subprocess.Popen[str]:
+    os.set_blocking(master, True)
+    process = subprocess.Popen(
+        [sys.executable, "-m", "calib_pin.cli", *words.split()],
+        stdout=subprocess.PIPE,
+        stderr=slave,
+        text=True,
+        env={**os.environ, "TERM": "xterm", "COLUMNS": "100"},
+    )
+    os.close(slave)
+    return process
+
+
+def test_ctrl_c_writes_the_best_plan_so_far(here):
+    """The bar on the terminal says when the search runs; it would take minutes."""
+    words = (
+        "plan arm.urdf --model position --setup setup.yaml --count 40 "
+        "--candidates 20000 --method ga --ignore-collisions -o plan.csv"
+    )
+    master, slave = os.openpty()
+    process = started(words, master, slave)
+    try:
+        shown = read_until(master, b"ga ", 60.0)
+        assert b"ga " in shown, shown
+        begin = time.monotonic()
+        process.send_signal(signal.SIGINT)
+        shown += read_until(master, b"so far", 60.0)
+        out, _ = process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(master)
+    assert process.returncode == 0, shown
+    assert time.monotonic() - begin < 30.0
+    assert b"calib-pin: note: interrupted: this is the best plan found so far" in shown
+    assert b"Traceback" not in shown
+    assert "(stopped: the best so far)" in out
+    q = positions("plan.csv")
+    assert q.shape == (40, 4)
+    assert len(np.unique(q, axis=0)) == 40
+    chain = calib_pin.load_chain("arm.urdf")
+    assert (q >= chain.lower).all() and (q <= chain.upper).all()
+
+
+def test_ctrl_c_without_a_terminal(here):
+    """No bar; the note comes all the same, and the JSON says how it ended."""
+    words = (
+        "plan arm.urdf --model position --setup setup.yaml --count 40 "
+        "--candidates 20000 --method ga --ignore-collisions --json -o plan.csv"
+    )
+    program = (
+        "import signal, sys, threading, os\n"
+        "from calib_pin.cli import main\n"
+        "from calib_pin.planning import search\n"
+        "told = search.Search._told\n"
+        "def once(self, stage, part):\n"
+        "    search.Search._told = told\n"
+        "    os.kill(os.getpid(), signal.SIGINT)\n"
+        "    return told(self, stage, part)\n"
+        "search.Search._told = once\n"
+        f"sys.exit(main({words.split()!r}))\n"
+    )
+    result = subprocess.run(
+        [sys.executable, "-c", program],
+        capture_output=True,
+        text=True,
+        timeout=120,
+        check=False,
+    )
+    assert result.returncode == 0, result.stderr
+    assert result.stderr == (
+        "calib-pin: note: interrupted: this is the best plan found so far\n"
+    )
+    assert json.loads(result.stdout)["status"] == "stopped"
+    assert len(table("plan.csv")[1]) == 40
+
+
+def test_the_handler_of_ctrl_c_is_put_back(here, run):
+    before = signal.getsignal(signal.SIGINT)
+    assert run(f"{PLAN} --count 8 -o plan.csv").status == 0
+    assert signal.getsignal(signal.SIGINT) is before
+    assert run(f"{PLAN} --count 2 -o other.csv").status == 1
+    assert signal.getsignal(signal.SIGINT) is before
+
+
+@pytest.mark.parametrize("quiet", ["", "--quiet"])
+def test_a_progress_bar_on_a_terminal(quiet, here):
+    words = f"{PLAN.replace('greedy', 'exchange')} --count 12 -o plan.csv {quiet}"
+    master, slave = os.openpty()
+    process = started(words, master, slave)
+    try:
+        shown = read_until(master, b"never shown", 60.0)
+        process.communicate(timeout=60.0)
+    finally:
+        process.kill()
+        process.wait()
+        os.close(master)
+    assert process.returncode == 0, shown
+    assert (b"exchange" in shown) == (not quiet)
+    # What is left of it is an empty line, in color or not.
+    assert Path("plan.csv").exists()
+
+
+def test_no_bar_where_nobody_looks(here, run):
+    assert run(f"{PLAN} --count 8 -o plan.csv").err == ""
+
+
+# --- what cannot be ----------------------------------------------------------------
+
+
+SRDF = '<robot name="{}"><disable_collisions link1="base_link" link2="link2"/></robot>'
+BOX = "plan boxes.urdf --model position --parameters joint-offset --candidates 50"
+
+# (command, files to write first, what the line must contain)
+CASES = {
+    "unknown criterion": (
+        f"{PLAN} --count 8 --criterion conditions -o out.csv",
+        {},
+        "unknown criterion 'conditions'|did you mean 'condition'|prediction",
+    ),
+    "unknown method": (
+        f"{PLAN} --count 8 --method exchnge -o out.csv",
+        {},
+        "unknown method 'exchnge'|did you mean 'exchange'|gradient",
+    ),
+    "unknown model": (
+        f"plan arm.urdf --model positions {QUICK} --count 8 -o out.csv",
+        {},
+        "'positions'|did you mean 'position'",
+    ),
+    "no model": (f"plan arm.urdf {QUICK} --count 8 -o out.csv", {}, "--model|pose"),
+    "no count": (f"{PLAN} -o out.csv", {}, "--count N"),
+    "no output": (f"{PLAN} --count 8", {}, "--output"),
+    "no robot": ("plan --count 8 -o out.csv", {}, "ROBOT|plan --help"),
+    "count of zero": (f"{PLAN} --count 0 -o out.csv", {}, "--count|'0'|1 to 1000"),
+    "count is no number": (f"{PLAN} --count 8.5 -o out.csv", {}, "--count|'8.5'"),
+    "more than a thousand": (f"{PLAN} --count 1001 -o out.csv", {}, "--count|'1001'"),
+    "no candidates": (
+        f"{PLAN} --count 8 --candidates 0 -o out.csv",
+        {},
+        "--candidates",
+    ),
+    "joint of limits": (
+        f"{PLAN} --count 8 --limits joit1=0:1 -o out.csv",
+        {},
+        "no joint of the chain: 'joit1'|did you mean 'joint1'|joint1, joint2",
+    ),
+    "limits without a joint": (
+        f"{PLAN} --count 8 --limits 0:1 -o out.csv",
+        {},
+        "--limits|'0:1'|JOINT=LOWER:UPPER",
+    ),
+    "limits without an end": (
+        f"{PLAN} --count 8 --limits joint1=0.5 -o out.csv",
+        {},
+        "--limits|'joint1=0.5'|JOINT=LOWER:UPPER",
+    ),
+    "limits of words": (
+        f"{PLAN} --count 8 --limits joint1=low:high -o out.csv",
+        {},
+        "--limits|'joint1=low:high'",
+    ),
+    "limits in another unit": (
+        [*PLAN.split(), "--count", "8", "--limits", "joint1=-1:1 [cm]", "-o", "o.csv"],
+        {},
+        "--limits|'joint1=-1:1 [cm]'|rad, deg, mrad, m, mm, um, in",
+    ),
+    "limits in degrees": (
+        f"{PLAN} --count 8 --limits joint1=-120:120 -o out.csv",
+        {},
+        "--limits|'joint1=-120:120'|[deg]",
+    ),
+    "crossed limits": (
+        f"{PLAN} --count 8 --limits joint1=1:-1 -o out.csv",
+        {},
+        "--limits|'joint1=1:-1'|LOWER",
+    ),
+    "limits of nothing": (
+        f"{PLAN} --count 8 --limits joint1=nan:1 -o out.csv",
+        {},
+        "--limits|'joint1=nan:1'",
+    ),
+    "limits beyond those of the robot": (
+        f"{PLAN} --count 8 --limits joint2=2.5:3 -o out.csv",
+        {},
+        "'joint2'|leave nothing|[2.5, 3.0]|-2 to 2",
+    ),
+    "crossed limits in the setup": (
+        f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
+        {"bad.yaml": "parameters: [joint-offset]\nlimits: {joint1: [1, -1]}\n"},
+        "bad.yaml:2|limits.joint1|lower < upper",
+    ),
+    "limits beyond the robot in the setup": (
+        f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
+        {"bad.yaml": "parameters: [joint-offset]\nlimits: {joint2: [3, 4]}\n"},
+        "'joint2'|leave nothing|[3.0, 4.0]",
+    ),
+    "add without to": (f"{PLAN} --add 4 -o out.csv", {}, "--add|--to CSV"),
+    "to without add": (
+        f"{ADD} --count 4 --to rows.csv -o out.csv",
+        {},
+        "--to|--add N",
+    ),
+    "add without a number": (
+        f"{ADD} --add --to rows.csv -o out.csv",
+        {},
+        "--count N",
+    ),
+    "add and count": (
+        f"{ADD} --add 4 --count 5 --to rows.csv -o out.csv",
+        {},
+        "--add 4|--count 5|contradict",
+    ),
+    "add no number": (
+        f"{ADD} --add four --to rows.csv -o out.csv",
+        {},
+        "--add|'four'|1 to 1000",
+    ),
+    "rows twice": (
+        f"{ADD} --add 4 --to rows.csv --to ./rows.csv -o out.csv",
+        {},
+        "rows.csv|twice",
+    ),
+    "rows of another kind": (
+        f"{PLAN} --add 4 --to distances.csv -o out.csv",
+        {},
+        "distances.csv:2|'position'|x, y, z",
+    ),
+    "too few for the rank": (
+        f"{PLAN} --count 3 -o out.csv",
+        {},
+        "3 configurations cannot determine the 11 identifiable parameters|4 or more",
+    ),
+    "too few candidates for the rank": (
+        "plan arm.urdf --model position --count 3 --candidates 3 --setup setup.yaml "
+        "--ignore-collisions -o out.csv",
+        {},
+        "3 configurations cannot determine",
+    ),
+    "empty region": (
+        f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
+        {"bad.yaml": "region: {sphere: {center: [9, 0, 0], radius: 0.5}}\n"},
+        "none of 20000 configurations|20000 outside the region",
+    ),
+    "region without extent": (
+        f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
+        {"bad.yaml": "region: {box: [[0, 0, 0], [1, 1, 0]]}\n"},
+        "bad.yaml:1|region.box|[lower, upper]",
+    ),
+    "obstacles that swallow the robot": (
+        f"{BOX} --setup bad.yaml --count 8 -o out.csv",
+        {
+            "boxes.urdf": BOXES,
+            "bad.yaml": "obstacles: [{sphere: 0.35, xyz: [0, 0, 0.5]}]\n",
+        },
+        "none of|configurations|in collision",
+    ),
+    "missing SRDF": (
+        f"{BOX} --srdf none.srdf --count 8 -o out.csv",
+        {"boxes.urdf": BOXES},
+        "none.srdf|no such file",
+    ),
+    "missing SRDF of a robot without solids": (
+        "plan arm.urdf --model position --setup setup.yaml --srdf none.srdf --count 8 "
+        "-o out.csv --quiet",
+        {},
+        "none.srdf|no such file",
+    ),
+    "SRDF of another robot": (
+        f"{BOX} --srdf other.srdf --count 8 -o out.csv",
+        {"boxes.urdf": BOXES, "other.srdf": SRDF.format("crates")},
+        "other.srdf|another robot|'crates'|boxes",
+    ),
+    "URDF for an SRDF": (
+        f"{BOX} --srdf boxes2.urdf --count 8 -o out.csv",
+        {"boxes.urdf": BOXES, "boxes2.urdf": BOXES},
+        "boxes2.urdf|not an SRDF|URDF",
+    ),
+    "SRDF that is no XML": (
+        f"{BOX} --srdf rows.csv --count 8 -o out.csv",
+        {"boxes.urdf": BOXES},
+        "rows.csv|not an SRDF",
+    ),
+    "missing mesh": (
+        f"{BOX} --count 8 -o out.csv",
+        {
+            "boxes.urdf": BOXES.replace(
+                '<box size="0.2 0.2 0.4"/>', '<mesh filename="package://x/base.stl"/>'
+            )
+        },
+        "boxes.urdf|'base_link'|package://x/base.stl|--package-dir|--ignore-collisions",
+    ),
+    "missing mesh of an obstacle": (
+        f"{BOX} --setup bad.yaml --count 8 -o out.csv",
+        {"boxes.urdf": BOXES, "bad.yaml": "obstacles: [{mesh: table.stl}]\n"},
+        "bad.yaml|table.stl|obstacle 1|does not exist",
+    ),
+    "negative distance": (
+        f"{PLAN} --count 8 --distance -1 -o out.csv",
+        {},
+        "--distance",
+    ),
+    "distance too large": (
+        f"{PLAN} --count 8 --distance 5 -o out.csv",
+        {},
+        "may be measured, fewer than the 8 wanted|a shorter distance",
+    ),
+    "clearance too large": (
+        f"{PLAN.replace('--ignore-collisions', '')} --count 8 --clearance 2 -o out.csv",
+        {},
+        "--clearance|'2'|0 to 1 m",
+    ),
+    "collisions that are ignored and described": (
+        f"{PLAN} --count 8 --clearance 0.1 -o out.csv",
+        {},
+        "--ignore-collisions|--clearance",
+    ),
+    "tests of another robot": (
+        f"{PLAN} --count 8 --tests tests.csv -o out.csv",
+        {"tests.csv": "axis1,axis2,axis3,axis4\n0,0,0,0\n"},
+        "tests.csv:1|joint1",
+    ),
+    "tests without rows": (
+        f"{PLAN} --count 8 --tests tests.csv -o out.csv",
+        {"tests.csv": "joint1,joint2,joint3,joint4\n"},
+        "tests.csv|no rows",
+    ),
+    "missing tests": (f"{PLAN} --count 8 --tests none.csv -o out.csv", {}, "none.csv"),
+    "output is the robot": (
+        f"{PLAN} --count 8 -o arm.urdf --force",
+        {},
+        "arm.urdf|input",
+    ),
+    "output is the rows": (
+        f"{ADD} --add 4 --to rows.csv -o rows.csv --force",
+        {},
+        "rows.csv|input",
+    ),
+    "output is the tests": (
+        f"{PLAN} --count 8 --tests new.csv -o ./new.csv --force",
+        {},
+        "new.csv|input",
+    ),
+    "output is the setup": (
+        f"{PLAN} --count 8 -o setup.yaml --force",
+        {},
+        "setup.yaml|input",
+    ),
+    "output is a folder": (f"{PLAN} --count 8 -o done", {}, "done"),
+    "couplings that cannot be undone": (
+        f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
+        {
+            "bad.yaml": "parameters: [joint-offset]\njoints:\n"
+            "  A1: {joint: joint1, coupled: {A2: 1}}\n"
+            "  A2: {joint: joint2, coupled: {A1: 1}}\n"
+        },
+        "couplings|joints",
+    ),
+}
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_wrong_input(name, here, run, listing):
+    command, files, parts = CASES[name]
+    for file, content in files.items():
+        Path(file).write_text(content)
+    before = listing(here)
+    begin = time.monotonic()
+
+    result = run(command)
+
+    assert time.monotonic() - begin < 15.0
+    assert result.out == ""
+    assert result.err.count("\n") == 1, result.err
+    assert result.err.startswith("calib-pin: ")
+    assert "internal error" not in result.err
+    for part in parts.split("|"):
+        assert part in result.err
+    assert len(result.err) < 500
+    assert result.status == 1
+    assert listing(here) == before

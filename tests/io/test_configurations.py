@@ -1,0 +1,135 @@
+"""Files of configurations: what a controller needs, and back."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import numpy as np
+import pytest
+from hypothesis import given, settings
+from hypothesis import strategies as st
+
+import calib_pin
+from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.io.joint_columns import column_values, joint_sources
+from calib_pin.io.measurements import (
+    read_configurations,
+    read_targets,
+    write_configurations,
+)
+from calib_pin.setup import JointMap
+
+CHAIN = calib_pin.load_chain("space6")
+Q = CHAIN.random_configurations(7, np.random.default_rng(0))
+
+
+def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
+    file = tmp_path / "plan.csv"
+    write_configurations(file, CHAIN, Q, comments=["one\ntwo", ""])
+    lines = file.read_text().splitlines()
+    assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
+    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
+    assert read_targets(file) == ()
+
+
+def test_targets_read_back(tmp_path: Path) -> None:
+    names = ("wall", "floor, left", 'a "b"', "wall", "ä", "x", "wall")
+    file = tmp_path / "plan.csv"
+    write_configurations(file, CHAIN, Q, names)
+    assert read_targets(file) == names
+    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
+
+
+def test_targets_without_names_have_no_column(tmp_path: Path) -> None:
+    file = tmp_path / "plan.csv"
+    write_configurations(file, CHAIN, Q, ("",) * 7)
+    assert "target" not in file.read_text()
+
+
+@pytest.mark.parametrize("name", [" wall", "wall\n", "a\0b"])
+def test_targets_that_would_not_read_back(name: str, tmp_path: Path) -> None:
+    file = tmp_path / "plan.csv"
+    with pytest.raises(OutputError, match="would not read back"):
+        write_configurations(file, CHAIN, Q, ("wall",) * 6 + (name,))
+    assert not file.exists()
+
+
+def test_existing_files_stay_without_force(tmp_path: Path) -> None:
+    file = tmp_path / "plan.csv"
+    file.write_text("old")
+    with pytest.raises(OptionError, match="exists"):
+        write_configurations(file, CHAIN, Q)
+    assert file.read_text() == "old"
+    write_configurations(file, CHAIN, Q, force=True)
+    assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
+
+
+factor = st.floats(0.01, 100.0) | st.floats(-100.0, -0.01)
+
+
+@settings(max_examples=40, deadline=None)
+@given(
+    signs=st.lists(st.sampled_from([-1, 1]), min_size=6, max_size=6),
+    gears=st.lists(factor, min_size=6, max_size=6),
+    offsets=st.lists(st.floats(-3.0, 3.0), min_size=6, max_size=6),
+    couplings=st.lists(st.floats(-2.0, 2.0), min_size=15, max_size=15),
+)
+def test_joint_maps_are_undone(
+    signs: list[int], gears: list[float], offsets: list[float], couplings: list[float]
+) -> None:
+    """By the formula of the setup file; couplings to axes before can be undone."""
+    values = iter(couplings)
+    joints = {
+        f"A{k}": JointMap(
+            joint,
+            signs[k],
+            gears[k],
+            offsets[k],
+            {f"A{m}": next(values) for m in range(k)},
+        )
+        for k, joint in enumerate(CHAIN.joints)
+    }
+    found = column_values(Q, joint_sources(CHAIN, joints))
+    assert list(found) == [f"A{k}" for k in range(6)]
+    for k, (name, given_map) in enumerate(joints.items()):
+        inner = found[name] + sum(
+            c * found[other] for other, c in given_map.coupled.items()
+        )
+        position = given_map.sign * given_map.gear * inner + given_map.offset
+        size = 1.0 + np.abs(gears[k]) * max(np.abs(v).max() for v in found.values())
+        np.testing.assert_allclose(position, Q[:, k], atol=1e-12 * size)
+
+
+def test_mutual_couplings_are_undone(tmp_path: Path) -> None:
+    first, second, *others = CHAIN.joints
+    joints = {
+        "A": JointMap(first, coupled={"B": 0.5, "track": 2.0}),
+        "B": JointMap(second, sign=-1, coupled={"A": 0.25}),
+    }
+    file = tmp_path / "plan.csv"
+    write_configurations(file, CHAIN, Q, joints=joints)
+    header = file.read_text().splitlines()[0].split(",")
+    assert header == ["A", "B", *others, "track"]
+    np.testing.assert_allclose(
+        read_configurations(file, CHAIN, joints), Q, rtol=0.0, atol=1e-14
+    )
+
+
+def test_couplings_that_cannot_be_undone() -> None:
+    first, second, *_ = CHAIN.joints
+    joints = {
+        "A": JointMap(first, coupled={"B": 1.0}),
+        "B": JointMap(second, coupled={"A": 1.0}),
+    }
+    with pytest.raises(InputError, match="couplings in 'joints' cannot be undone"):
+        column_values(Q, joint_sources(CHAIN, joints))
+
+
+def test_positions_are_not_changed_by_a_map_of_other_joints() -> None:
+    joints = {"A": JointMap(CHAIN.joints[2], gear=0.1)}
+    before = Q.copy()
+    found = column_values(Q, joint_sources(CHAIN, joints))
+    assert Q.tobytes() == before.tobytes()
+    for k, name in enumerate(CHAIN.joints):
+        if k != 2:
+            assert found[name].tobytes() == np.ascontiguousarray(Q[:, k]).tobytes()

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import basic, evolution, rows
+from benchmarks import basic, evolution, planning, rows
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
@@ -12,6 +12,7 @@ BENCHMARKS = {
     "commands": basic.commands,
     "evolution": evolution.main,
     "rows": rows.main,
+    "planning": planning.main,
 }
 
 

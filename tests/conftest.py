@@ -1,6 +1,7 @@
 """What several tests need. Test modules cannot import each other, so all are fixtures.
 
-A test that asks for `example_robot` runs once for every URDF of example-robot-data.
+A test that asks for `example_robot` runs once for every URDF of example-robot-data, one
+that asks for `special_chain` once for every chain in `SPECIAL`.
 """
 
 from __future__ import annotations
@@ -21,7 +22,7 @@ import pytest
 
 from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf import load_chain, parse_robot
 from calib_pin.problem import Problem, frame_pose, observable_configurations
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
@@ -36,9 +37,41 @@ def example_robots() -> list[Path]:
     return [path for path in found if path.name != "ur3.urdf"]
 
 
+SPECIAL = {
+    "space6": (None, None),
+    # A prismatic joint, skewed frames, and a tip without a fixed joint.
+    "example:tiago_no_hand": (None, "arm_7_link"),
+    # Two branches: from one hand to the other.
+    "example:talos_reduced": ("gripper_right_base_link", "gripper_left_base_link"),
+}
+"""Chains, by base and tip, that together have all that makes derivatives hard."""
+
+
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
+    if "special_chain" in metafunc.fixturenames:
+        metafunc.parametrize("special_chain", SPECIAL, indirect=True)
     if "example_robot" in metafunc.fixturenames:
         metafunc.parametrize("example_robot", example_robots(), ids=lambda p: p.stem)
+
+
+@pytest.fixture(scope="session")
+def special_chain(request: pytest.FixtureRequest) -> Chain:
+    """Each of the chains in `SPECIAL`."""
+    base, tip = SPECIAL[request.param]
+    return load_chain(request.param, base=base, tip=tip)
+
+
+@pytest.fixture(scope="session")
+def framed() -> Setup:
+    """A setup with frames that are estimated and two planes."""
+    return Setup(
+        base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True),
+        tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3), estimate=True),
+        planes={
+            "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
+            "wall": PlaneSetup((1.0, 0.3, 0.2), -3.0),
+        },
+    )
 
 
 @pytest.fixture(scope="session")

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from pathlib import Path
-from typing import Annotated, TypeVar
+from typing import Annotated, Any, TypeVar
 
 import typer
 
@@ -23,7 +23,9 @@ __all__ = [
     "Seed",
     "SetupFile",
     "Tip",
+    "csv_file",
     "number",
+    "seed",
 ]
 
 ROBOT = "Robot"
@@ -113,16 +115,27 @@ Parameters = Annotated[
         rich_help_panel=ROBOT,
     ),
 ]
-Seed = Annotated[
-    int,
-    typer.Option(
+
+
+def seed(heading: str, what: str = "Seed of all that is random.") -> Any:
+    """The option `--seed` under a heading of `--help`."""
+    return typer.Option(
         "--seed",
         metavar="N",
-        help="Seed of all that is random.",
+        help=what,
         parser=number(int, "--seed", "0, 1, 2, ...", 0),
-        rich_help_panel=FIT,
-    ),
-]
+        rich_help_panel=heading,
+    )
+
+
+def csv_file(what: str) -> Any:
+    """The option `-o` of a command that writes one table."""
+    return typer.Option(
+        "-o", "--output", metavar="CSV", help=what, rich_help_panel=OUTPUT
+    )
+
+
+Seed = Annotated[int, seed(FIT)]
 Force = Annotated[
     bool,
     typer.Option("--force", help="Replace existing output.", rich_help_panel=OUTPUT),

@@ -19,7 +19,6 @@ from calib_pin.cli.files import (
     require_model,
 )
 from calib_pin.cli.options import (
-    OUTPUT,
     Base,
     Force,
     Json,
@@ -29,8 +28,10 @@ from calib_pin.cli.options import (
     RobotName,
     SetupFile,
     Tip,
+    csv_file,
     number,
 )
+from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice, progress_bar, show
 
 if TYPE_CHECKING:
@@ -50,16 +51,7 @@ COUNT = number(int, "--count", "1 to 1000", 1, 1000)
 def plan(
     context: typer.Context,
     robot: RobotName,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="CSV",
-            help="File of configurations to write.",
-            rich_help_panel=OUTPUT,
-        ),
-    ],
+    output: Annotated[Path, csv_file("File of configurations to write.")],
     model: Model = None,
     count: Annotated[
         int | None,
@@ -94,8 +86,8 @@ def plan(
         typer.Option(
             "--criterion",
             metavar="NAME",
-            help="prediction (default: the error of the tip that noise leaves), "
-            "condition, O1 to O5.",
+            help="prediction (the error of the tip that noise leaves), condition, "
+            "O1 to O5.",
             rich_help_panel=PLAN,
         ),
     ] = "prediction",
@@ -104,8 +96,7 @@ def plan(
         typer.Option(
             "--method",
             metavar="NAME",
-            help="auto (default: exchange, then gradient), exchange, greedy, pso, ga, "
-            "gradient.",
+            help="auto (exchange, then gradient), exchange, greedy, pso, ga, gradient.",
             rich_help_panel=PLAN,
         ),
     ] = "auto",
@@ -114,7 +105,7 @@ def plan(
         typer.Option(
             "--candidates",
             metavar="N",
-            help="Quasi-random configurations to choose from; default 1000.",
+            help="Quasi-random configurations to choose from.",
             parser=number(int, "--candidates", "1 to 100000", 1, 1e5),
             rich_help_panel=PLAN,
         ),
@@ -128,16 +119,7 @@ def plan(
             rich_help_panel=PLAN,
         ),
     ] = None,
-    seed: Annotated[
-        int,
-        typer.Option(
-            "--seed",
-            metavar="N",
-            help="Seed of all that is random.",
-            parser=number(int, "--seed", "0, 1, 2, ...", 0),
-            rich_help_panel=PLAN,
-        ),
-    ] = 0,
+    seed: Annotated[int, seed_option(PLAN)] = 0,
     limits: Annotated[
         list[str] | None,
         typer.Option(

@@ -21,8 +21,10 @@ from calib_pin.cli.options import (
     RobotName,
     SetupFile,
     Tip,
+    csv_file,
     number,
 )
+from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice
 
 __all__ = ["simulate"]
@@ -34,16 +36,7 @@ STUDY = "Simulation"
 def simulate(
     context: typer.Context,
     robot: RobotName,
-    output: Annotated[
-        Path,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="CSV",
-            help="Measurement file to write.",
-            rich_help_panel=OUTPUT,
-        ),
-    ],
+    output: Annotated[Path, csv_file("Measurement file to write.")],
     model: Annotated[
         str | None,
         typer.Option(
@@ -82,14 +75,7 @@ def simulate(
         ),
     ] = None,
     seed: Annotated[
-        int,
-        typer.Option(
-            "--seed",
-            metavar="N",
-            help="Seed of errors, configurations and noise.",
-            parser=number(int, "--seed", "0, 1, 2, ...", 0),
-            rich_help_panel=STUDY,
-        ),
+        int, seed_option(STUDY, "Seed of errors, configurations and noise.")
     ] = 0,
     noise: Annotated[
         float | None,

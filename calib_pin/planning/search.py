@@ -189,7 +189,7 @@ class Search:
             costs,
             len(self.table),
             self.count,
-            rng=self._rng,
+            self._rng,
             callback=lambda k, x, cost: self._told("ga", k / (k + 100.0)),
         )
         return self._of("ga", [int(k) for k in result.x], result.status)
@@ -203,9 +203,9 @@ class Search:
         result = particle_swarm(
             lambda members: self._costs_of_sets(members.reshape(-1, self.count, n)),
             np.tile(self._bounds, (self.count, 1)),
+            self._rng,
             options,
             x0=np.array([self.candidates.q[start].ravel() for start in starts]),
-            rng=self._rng,
             callback=lambda k, x, cost: self._told("pso", k / options.iterations),
         )
         if not result.fun < FORBIDDEN:

@@ -131,10 +131,10 @@ def genetic_selection(
     costs: SubsetCosts,
     size: int,
     count: int,
+    rng: Rng,
     options: Genetic = Genetic(),
     *,
     x0: Indices | None = None,
-    rng: Rng,
     callback: Callback | None = None,
 ) -> SelectionResult:
     """Select the items that together cost least.
@@ -145,10 +145,10 @@ def genetic_selection(
             or NaN is not feasible.
         size: Number of items.
         count: Number of items to select, 1 to size.
+        rng: Source of chance; the same seed gives the same result.
         options: Sizes, probabilities and stops.
         x0: Members of the first population, shape (S0, count), in any order, S0 up to
             the population size. The others are drawn by chance.
-        rng: Source of chance; the same seed gives the same result.
         callback: Called after each generation with its number, the best subset
             (count,) and its cost; returns True to stop.
 
@@ -162,7 +162,7 @@ def genetic_selection(
     Example:
         >>> values = np.array([3.0, 1.0, 4.0, 1.5, 5.0, 9.0, 2.0, 6.0])
         >>> result = genetic_selection(
-        ...     lambda x: -values[x].sum(axis=1), 8, 3, rng=np.random.default_rng(0)
+        ...     lambda x: -values[x].sum(axis=1), 8, 3, np.random.default_rng(0)
         ... )
         >>> result.status.value, result.x.tolist(), result.fun
         ('converged', [4, 5, 7], -20.0)

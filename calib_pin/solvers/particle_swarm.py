@@ -143,10 +143,10 @@ class ParticleSwarm:
 def particle_swarm(
     costs: Costs,
     bounds: Floats,
+    rng: Rng,
     options: ParticleSwarm = ParticleSwarm(),
     *,
     x0: Floats | None = None,
-    rng: Rng,
     callback: Callback | None = None,
 ) -> EvolutionResult:
     """Minimize a cost within bounds, without derivatives.
@@ -156,10 +156,10 @@ def particle_swarm(
             must not write to its argument. What is infinite or NaN is not feasible.
         bounds: Lower and upper bound of each component, shape (D, 2); where they are
             equal the component stays fixed.
+        rng: Source of chance; the same seed gives the same result.
         options: Sizes, pulls, probabilities and stops.
         x0: First places of some particles, shape (S0, D), S0 up to the number of
             particles. The others begin all over the box.
-        rng: Source of chance; the same seed gives the same result.
         callback: Called after each iteration with its number, the best place (D,) and
             its cost; returns True to stop.
 
@@ -177,7 +177,7 @@ def particle_swarm(
         >>> bounds = np.array([[-3.0, 3.0], [-3.0, 3.0]])
         >>> options = ParticleSwarm(particles=30, target=1e-6)
         >>> result = particle_swarm(
-        ...     costs, bounds, options, rng=np.random.default_rng(0)
+        ...     costs, bounds, np.random.default_rng(0), options
         ... )
         >>> result.status.value, result.x.round(3).tolist()
         ('cost target reached', [1.0, 1.0])

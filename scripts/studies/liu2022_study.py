@@ -201,8 +201,8 @@ def swarm(settings: Settings, seed: int) -> Record:
     found = particle_swarm(
         costs,
         np.tile(arm.bounds, (POSES, 1)),
+        np.random.default_rng(seed),
         ParticleSwarm(particles=settings.particles, iterations=settings.iterations),
-        rng=np.random.default_rng(seed),
     )
     history = found.best_history
     return Record(

@@ -37,8 +37,8 @@ def run(
         costs or determinant(20, 4),
         size,
         count,
+        rng,
         options,
-        rng=rng,
         **arguments,  # type: ignore[arg-type]
     )
 

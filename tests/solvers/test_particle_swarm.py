@@ -43,8 +43,8 @@ def run(
     return particle_swarm(
         costs,
         bounds,
+        rng,
         options,
-        rng=rng,
         **arguments,  # type: ignore[arg-type]
     )
 

@@ -13,8 +13,9 @@ With singular values s_1 >= ... >= s_m of the scaled identification matrix of th
 Trials of a search are exact and cheap. The determinant and the trace follow a rank-d
 change in closed form. The others need eigenvalues of the changed matrix, but not of
 every trial: in the eigenbasis of the matrix before the change, the diagonal of the
-changed one bounds the cost from below (its eigenvalues majorize it, Schur 1923), so
-that only trials whose bound beats the best cost so far are computed.
+changed one bounds the cost from below (its eigenvalues majorize it, Schur 1923), and so
+do, closer, the eigenvalues of a diagonal block. Only trials whose bounds beat the best
+cost so far are computed.
 """
 
 from __future__ import annotations
@@ -32,6 +33,9 @@ from calib_pin.spatial import Floats
 
 __all__ = ["CRITERIA", "Criterion", "Determinant", "Prediction", "Spectral"]
 
+
+PINCHED = 5
+"""Smallest eigenvalues whose coupling enters the closer bounds."""
 
 SHARPER = (4.0, 16.0, 64.0)
 """Exponents of power means in place of the largest and the smallest eigenvalue.
@@ -94,11 +98,12 @@ class Lazy:
 
     Attributes:
         bounds: Lower bounds of the costs, shape (T,); infinite where there is none.
-        exact: Costs of some trials by their positions; None where bounds are costs.
+        closer: Closer and closer bounds of some trials by their positions, the last
+            ones the costs themselves; none where the bounds are costs already.
     """
 
     bounds: Floats
-    exact: Callable[[NDArray[np.intp]], Floats] | None = None
+    closer: tuple[Callable[[NDArray[np.intp]], Floats], ...] = ()
 
     def best(self, barred: NDArray[np.bool_]) -> tuple[int, float]:
         """Position and cost of the best trial.
@@ -107,19 +112,23 @@ class Lazy:
             barred: True for trials that do not count, shape (T,).
         """
         bounds = np.where(barred | np.isnan(self.bounds), np.inf, self.bounds)
-        if self.exact is None:
+        if not self.closer:
             position = int(bounds.argmin())
             return position, float(bounds[position])
         order = np.argsort(bounds, kind="stable")
         best, least, begin, size = int(order[0]), np.inf, 0, 8
         order = order[np.isfinite(bounds[order])]
         while begin < len(order) and bounds[order[begin]] < least:
-            some = order[begin : begin + size]
-            costs = self.exact(some)
-            k = int(costs.argmin())
-            if costs[k] < least:
+            some, costs = order[begin : begin + size], np.empty(0)
+            for bound in self.closer:
+                costs = bound(some)
+                some, costs = some[costs < least], costs[costs < least]
+                if not len(some):
+                    break
+            else:
+                k = int(costs.argmin())
                 best, least = int(some[k]), float(costs[k])
-            begin, size = begin + size, 4 * size
+            begin, size = begin + size, 2 * size
         return best, least
 
 
@@ -153,7 +162,7 @@ class Spectral:
         return observability(s, count)[self.name]
 
     def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
-        """Bounds by the diagonal, costs by the eigenvalues."""
+        """Bounds by the diagonal, closer ones with a block, then the eigenvalues."""
         trials = found.trials(rows, sign)
         left, s, _ = found.svd
         eigenvalues = s**2
@@ -161,13 +170,23 @@ class Spectral:
         Z = trials.robot() @ (left * s)
         diagonal = eigenvalues + sign * np.einsum("dti,dti->ti", Z, Z)
 
-        def exact(some: NDArray[np.intp]) -> Floats:
-            chosen = Z[:, some]
-            changed = sign * np.einsum("dti,dtj->tij", chosen, chosen)
-            changed += np.diag(eigenvalues)
-            return self._guarded(np.linalg.eigvalsh(changed))
+        def changed(some: NDArray[np.intp], columns: slice) -> Floats:
+            """Eigenvalues of a block of the changed matrices."""
+            rows = np.swapaxes(Z[:, some, columns], 0, 1)
+            blocks = sign * (np.swapaxes(rows, 1, 2) @ rows)
+            blocks += np.diag(eigenvalues[columns])
+            return np.asarray(np.linalg.eigvalsh(blocks), float)
 
-        return Lazy(self._guarded(diagonal), exact)
+        def pinched(some: NDArray[np.intp]) -> Floats:
+            # Also the matrix without what couples a block to the rest is majorized.
+            rest = diagonal[some, :-PINCHED]
+            least = changed(some, slice(-PINCHED, None))
+            return self._guarded(np.concatenate([rest, least], axis=1))
+
+        def exact(some: NDArray[np.intp]) -> Floats:
+            return self._guarded(changed(some, slice(None)))
+
+        return Lazy(self._guarded(diagonal), (pinched, exact))
 
     def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
         """By the chain rule through eigenvalues, S and M."""

@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from fnmatch import fnmatchcase
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.collision import Collisions
@@ -24,6 +25,11 @@ DRAWS = 400
 
 LEAST_DRAWS = 20_000
 """Quasi-random configurations tried at least."""
+
+SWAY = np.array(
+    [pin.exp6(sway * twist).homogeneous for twist in np.eye(6) for sway in (-0.02, 0.02)]
+)
+"""Motions of the tool by 20 mm or 20 mrad, more than a robot's errors, (12, 4, 4)."""
 
 BLOCK = 1000
 """Configurations that are tried at once."""
@@ -189,7 +195,11 @@ class Workspace:
             refusals["outside the region"] = left & ~within
             left &= within
         T = problem.error.base.homogeneous @ tool
-        seen = problem.measurement.observable(T, own, target)
+        # The real robot must be seen there too, and it is not quite where it should be.
+        swaying = (T[:, None] @ SWAY).reshape(-1, 4, 4)
+        repeated = [name for name in target for _ in SWAY]
+        each = problem.measurement.observable(swaying, own, repeated)
+        seen = np.asarray(each.reshape(-1, len(SWAY)).all(axis=1))
         refusals["not measurable"] = left & ~seen
         left &= seen
         if self.collisions is not None:

@@ -173,3 +173,15 @@ def test_predicted_errors_are_those_of_monte_carlo(robots: list[Robot]) -> None:
     assert len(actual) == RUNS
     ratio = np.sqrt(np.sum(actual) / np.sum(predicted))
     assert ratio == pytest.approx(1.0, abs=0.05)
+
+
+def test_what_is_planned_for_a_ranger_can_be_measured_by_real_robots() -> None:
+    """Descents end at the edge of the window; a robot with errors looks beside it."""
+    chain = calib_pin.load_chain("space6")
+    setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
+    plan = calib_pin.plan(chain, "plane-distance", 30, setup, candidates=300)
+    for seed in range(30):
+        rng = np.random.default_rng(seed)
+        theta = calib_pin.draw_errors(plan.problem.parameters, rng)
+        rows = calib_pin.simulate(plan.problem, theta, rng, q=plan.q)
+        assert len(rows) == 30

@@ -65,6 +65,7 @@ class Chain:
         reversed: True for joints passed from child to parent, shape (n,).
         lower: Lower position limits, shape (n,) [rad, m]; -pi where there is none.
         upper: Upper position limits, shape (n,) [rad, m]; pi where there is none.
+        crossed: Names of joints whose limits in the URDF cross; they count as none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in the frame of the chain's joint before
             them in the tree, else in the root link at zero joint positions, n SE3.
@@ -143,7 +144,16 @@ class Chain:
         self._continuous = np.array([self._model.nqs[j] == 2 for j in self._ids])
         lower = self._model.lowerPositionLimit[self._q_index]
         upper = self._model.upperPositionLimit[self._q_index]
-        limited = ~self._continuous & (upper > lower) & (np.abs(upper - lower) < 1e6)
+        # Two zeros are what people write who mean no limit.
+        stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
+        limited = ~self._continuous & stated & (np.abs(upper - lower) < 1e6)
+        self.crossed: tuple[str, ...] = tuple(
+            name
+            for name, wrong in zip(
+                self.joints, ~self._continuous & (lower > upper), strict=True
+            )
+            if wrong
+        )
         self.lower: Floats = np.where(limited, lower, -np.pi)
         self.upper: Floats = np.where(limited, upper, np.pi)
         self.placements: tuple[pin.SE3, ...] = tuple(

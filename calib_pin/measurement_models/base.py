@@ -95,6 +95,11 @@ class MeasurementModel(Protocol):
         ...
 
     @property
+    def targets(self) -> Sequence[str]:
+        """Names of what rows can look at; empty where they need not say."""
+        ...
+
+    @property
     def parameters(self) -> Sequence[Parameter]:
         """The model's own parameters."""
         ...
@@ -257,6 +262,11 @@ class FreeInstrument:
     def missing(self) -> str:
         """Nothing."""
         return ""
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """None: all rows look at the tool."""
+        return ()
 
     @property
     def parameters(self) -> Sequence[Parameter]:

@@ -119,6 +119,11 @@ class PlaneDistance:
         return ""
 
     @property
+    def targets(self) -> Sequence[str]:
+        """Names of the planes."""
+        return tuple(plane.name for plane in self.planes)
+
+    @property
     def parameters(self) -> Sequence[Parameter]:
         """`<plane>.plane.u|v|f` of every plane."""
         return tuple(

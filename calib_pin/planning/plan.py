@@ -7,16 +7,18 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
 
-from calib_pin.assessment import estimates
+from calib_pin.assessment import estimates, registration_reason
 from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.collision import Collisions
 from calib_pin.directions import visible_directions, visible_nuisances
-from calib_pin.errors import OptionError, require_known
-from calib_pin.fit import structure_at
+from calib_pin.errors import InputError, OptionError, require_known
+from calib_pin.fit import register, structure_at
 from calib_pin.identifiability import Structure
 from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurements import Measurements
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.information import Information
@@ -26,7 +28,7 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
 from calib_pin.planning.workspace import Candidates, Workspace
-from calib_pin.problem import Problem, assumed_sigma
+from calib_pin.problem import Problem, assumed_sigma, frame_pose
 from calib_pin.result import CoupledGroup, ParameterEstimate
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
@@ -42,6 +44,12 @@ STRUCTURE = 300
 
 TESTS = 300
 """Candidates at which the tip's error is predicted where no test poses are given."""
+
+MORE = 40
+"""Most configurations beyond those wanted that the table looks at."""
+
+ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
+"""Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
 
 RANDOM_SETS = 25
 """Random sets that a plan is compared with."""
@@ -91,6 +99,8 @@ class Plan:
         checked: Whether collisions were checked.
         blocked: Places of the configurations, from 0, to which a straight line in the
             joints does not lead from the one before without a collision.
+        unseen: Targets that no configuration can measure.
+        assumed_tool: Whether the target's place on the tool is assumed.
         rank: Number of identifiable directions, frames included.
         predicted: What a fit will know.
         parameters: Predicted standard deviations of the parameters.
@@ -111,6 +121,8 @@ class Plan:
     tried: int
     checked: bool
     blocked: tuple[int, ...]
+    unseen: tuple[str, ...]
+    assumed_tool: bool
     rank: int
     predicted: Predicted
     parameters: tuple[ParameterEstimate, ...]
@@ -174,7 +186,8 @@ def plan(
             raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
     rng = np.random.default_rng(seed)
     problem = _problem(chain, model, setup, measured)
-    workspace = Workspace.create(problem, collisions, distance)
+    point = problem.error.tool if measured is not None else frame_pose(setup.tool_frame)
+    workspace = Workspace.create(problem, collisions, distance, point)
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, STRUCTURE)
     spread = workspace.candidates(wanted, rng, progress, least=count)
@@ -202,10 +215,32 @@ def _problem(
     chain: Chain, model: str, setup: Setup, measured: Measurements | None
 ) -> Problem:
     """The problem about the frames of the setup, or those that rows show."""
-    if measured is None:
-        return nominal_problem(chain, model, setup)
-    problem = make_problem(chain, measured, setup)
-    return problem.register(np.zeros(len(problem.parameters)))
+    if measured is not None:
+        problem = make_problem(chain, measured, setup)
+        found, result = register(problem, np.zeros(len(problem.parameters)))
+        if reason := registration_reason(found, result):
+            raise InputError(f"the rows to add to are too few: {reason}")
+        if isinstance(found.measurement, PlaneDistance):
+            # Rows may reach farther than the window that the setup states.
+            window = replace(found.measurement, reach=setup.ranger.range[1])
+            found = replace(found, measurement=window)
+        return found
+    problem = nominal_problem(chain, model, setup)
+    if assumes_tool(problem):
+        error = problem.error
+        problem = replace(problem, error=error.with_frames(error.base, ASSUMED_TOOL))
+    return problem
+
+
+def assumes_tool(problem: Problem) -> bool:
+    """Whether a point on the tool must be assumed where nobody has stated it.
+
+    At the tip itself, on the last axis, it would tell less than a real target does.
+    """
+    tool, measurement = problem.setup.tool_frame, problem.measurement
+    quantities = [quantity.name for quantity in measurement.quantities]
+    unknown = tool.xyz is None and tool.estimate is not False
+    return unknown and quantities == ["position"]
 
 
 def identification(
@@ -230,6 +265,11 @@ def identification(
     structure, J = structure_at(problem, zero, q, target)
     nuisances = visible_nuisances(J, problem.parameters)
     robot = visible_directions(J, problem.parameters)
+    if robot.shape[1] == 0:
+        raise OptionError(
+            "there is nothing of the robot to estimate: every parameter is fixed, or "
+            "none can be seen"
+        )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
     rows = IdentificationRows(
         problem=problem,
@@ -276,6 +316,7 @@ def _finished(
     target = tuple(best.target[k] for k in order)
     q = _rounded(workspace, best.q[order], target)
 
+    assert workspace.allowed(q, target).all(), "methods only end in allowed sets"
     U = rows.rows(q, target).reshape(-1, rows.basis.shape[1])
     M = search.known + U.T @ U
     information = Information.of(M, rows.nuisances)
@@ -297,6 +338,10 @@ def _finished(
         tried=search.candidates.tried,
         checked=workspace.collisions is not None,
         blocked=closed,
+        unseen=tuple(
+            name for name in workspace.targets if name not in search.candidates.target
+        ),
+        assumed_tool=measured is None and assumes_tool(problem),
         rank=rows.basis.shape[1],
         predicted=predicted,
         parameters=parameters,
@@ -335,8 +380,10 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     subset = selection(table, f, search.criterion, known, members, search.measured)
 
     def step() -> Step:
-        judged = selection(table, f, tip, known, subset.chosen)
-        return Step(len(subset.chosen), subset.value, judged.value)
+        U = table[subset.chosen].reshape(-1, table.shape[2])
+        found = Information.of(known + U.T @ U, f)
+        position = np.inf if found is None else tip.value(found, len(subset.chosen))
+        return Step(len(subset.chosen), subset.value, position)
 
     steps = [step()]
     while subset.chosen:
@@ -345,7 +392,11 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
             break
         steps.insert(0, step())
     subset.reset(list(members))
-    for _ in range(min(len(own), len(search.table))):
+    more = min(len(own), len(search.table), MORE)
+    for k in range(more):
+        # Who stops the search does not want to wait for what more would bring.
+        if search.told("table", k / more):
+            break
         subset.add(subset.best_to_add()[0])
         steps.append(step())
     return tuple(steps)

@@ -90,8 +90,7 @@ class Search:
         measured: Number of rows that the known information comes from.
 
     Raises:
-        OptionError: If there are fewer candidates than wanted, or so few
-            configurations cannot determine everything.
+        OptionError: If there are fewer candidates than wanted.
     """
 
     def __init__(
@@ -162,9 +161,7 @@ class Search:
         result = greedy(
             self.selection(chosen[:least]),
             self.count,
-            lambda steps, cost: self._told(
-                "greedy", steps / max(self.count - least, 1)
-            ),
+            lambda steps, cost: self.told("greedy", steps / max(self.count - least, 1)),
         )
         if len(result.chosen) < self.count:
             return self._of("greedy", chosen, result.status)
@@ -174,7 +171,7 @@ class Search:
         """DETMAX from the set that is best by its determinant."""
         result = exchange(
             self.selection(self._determined),
-            lambda steps, cost: self._told("exchange", steps / (steps + 200.0)),
+            lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
         )
         return self._of("exchange", result.chosen, result.status)
 
@@ -190,23 +187,28 @@ class Search:
             len(self.table),
             self.count,
             self._rng,
-            callback=lambda k, x, cost: self._told("ga", k / (k + 100.0)),
+            callback=lambda k, x, cost: self.told("ga", k / (k + 100.0)),
         )
         return self._of("ga", [int(k) for k in result.x], result.status)
 
     def by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""
         options = ParticleSwarm()
-        target = self.workspace.targets_of(self.count)
+        # All particles look at the same targets, those of a set that determines all.
+        target = tuple(self.candidates.target[k] for k in self._determined)
         n = len(self.workspace.lower)
         starts = [self._drawn(target) for _ in range(options.particles)]
+
+        def costs(members: Floats) -> Floats:
+            return self._costs_of_sets(members.reshape(-1, self.count, n), target)
+
         result = particle_swarm(
-            lambda members: self._costs_of_sets(members.reshape(-1, self.count, n)),
+            costs,
             np.tile(self._bounds, (self.count, 1)),
             self._rng,
             options,
             x0=np.array([self.candidates.q[start].ravel() for start in starts]),
-            callback=lambda k, x, cost: self._told("pso", k / options.iterations),
+            callback=lambda k, x, cost: self.told("pso", k / options.iterations),
         )
         if not result.fun < FORBIDDEN:
             return self._of("pso", self._determined, result.status)
@@ -215,42 +217,43 @@ class Search:
 
     def by_gradient(self) -> Found:
         """Descents along the gradient from random sets of candidates."""
-        return self._descended([], self._of("gradient", self._determined))
+        return self._descended(self._of("gradient", self._determined))
 
     def automatic(self) -> Found:
         """Exchange, then the gradient from its set and from random ones."""
         best = self.by_exchange()
         if self.stopped or not self.rows.differentiable:
             return best
-        return self._descended([(best.q, best.target)], best)
+        return self._descended(best)
 
-    def _descended(
-        self, starts: list[tuple[Floats, tuple[str, ...]]], best: Found
-    ) -> Found:
+    def _descended(self, best: Found) -> Found:
         """Go a little down from many sets, then to the ground from the best ones.
 
         Args:
-            starts: Sets to begin with, and their targets; random ones join them.
-            best: What there is already.
+            best: The first of these sets; the others are drawn among the candidates.
         """
-        target = self.workspace.targets_of(self.count)
         variables = self.count * len(self.workspace.lower)
-        for _ in range(min(self._starts, max(1, VARIABLES // variables))):
-            starts.append((self.candidates.q[self._drawn(target)], target))
+        drawn = range(min(self._starts, max(1, VARIABLES // variables)))
+        of, size = np.array(self.candidates.target), len(self.candidates.q)
+        sets = [(best.q, best.target)]
+        for _ in drawn:
+            chosen = self._rng.choice(size, self.count, replace=False)
+            sets.append((self.candidates.q[chosen], tuple(of[chosen].tolist())))
         stages = self.criterion.sharpnesses
-        total = len(starts) + FINALISTS * len(stages)
-        found = []
-        for k, (q, of) in enumerate(starts):
-            found.append(self._descent(q, of, stages[0], EXPLORING, k / total))
+        total = len(sets) + FINALISTS * len(stages)
+        found = [
+            self._descent(q, target, stages[0], EXPLORING, k / total)
+            for k, (q, target) in enumerate(sets)
+        ]
+        part = len(sets)
         for finalist in sorted(found, key=lambda one: one.cost)[:FINALISTS]:
             refined = finalist
             for sharpness in stages:
-                k += 1
-                part = k / total
                 refined = self._descent(
-                    refined.q, refined.target, sharpness, REFINING, part
+                    refined.q, refined.target, sharpness, REFINING, part / total
                 )
                 best = min(best, finalist, refined, key=lambda one: one.cost)
+                part += 1
         return best
 
     def _descent(
@@ -263,8 +266,8 @@ class Search:
     ) -> Found:
         """Go down from a set; what it may not reach it does not."""
         cost = self.cost(q, target)
-        start = Found(q, target, cost, "gradient", Status.STOPPED)
-        if self._told("gradient", part) or not np.isfinite(cost):
+        start = Found(q, target, cost, "gradient", Status.STALLED)
+        if self.told("gradient", part) or not np.isfinite(cost):
             return start
 
         def smooth(q: Floats) -> tuple[float, Floats]:
@@ -280,7 +283,7 @@ class Search:
             self._bounds,
             q,
             allowed=lambda q: self.workspace.allowed(q, target),
-            callback=lambda nit, x, fun: self._told("gradient", part),
+            callback=lambda nit, x, fun: self.told("gradient", part),
             tolerance=limits[0],
             max_iterations=limits[1],
         )
@@ -301,7 +304,12 @@ class Search:
         ridge = np.diag(RIDGE * mean)
         # The nuisances count here: a plane that nobody measures is not determined.
         subset = selection(self.table, 0, CRITERIA["O1"], self.known + ridge)
-        greedy(subset, self.count)
+
+        def told(steps: int, cost: float) -> None:
+            # A set that is too small is of no use to who stops the search.
+            self.told("start", steps / self.count)
+
+        greedy(subset, self.count, told)
         chosen = tuple(subset.chosen)
         if np.isfinite(self.selection(chosen).cost):
             return chosen
@@ -322,10 +330,9 @@ class Search:
         U = rows.reshape(-1, rows.shape[-1])
         return Information.of(self.known + U.T @ U, self.rows.nuisances)
 
-    def _costs_of_sets(self, sets: Floats) -> Floats:
-        """Costs of sets of configurations that look at targets in turn, (S, K, n)."""
+    def _costs_of_sets(self, sets: Floats, target: tuple[str, ...]) -> Floats:
+        """Costs of sets of configurations that look at given targets, (S, K, n)."""
         size, count, n = sets.shape
-        target = self.workspace.targets_of(count)
         allowed = self.workspace.inside(sets.reshape(-1, n), target * size)
         bad = ~allowed.reshape(size, count)
         bad |= ~np.array([self.workspace.apart(q) for q in sets])
@@ -343,13 +350,12 @@ class Search:
         return np.inf if found is None else self.criterion.cost(found)
 
     def _drawn(self, target: Sequence[str]) -> list[int]:
-        """Random candidates that look at given targets."""
-        of = np.array(self.candidates.target)
-        result: list[int] = []
+        """Random candidates that look at given targets; twice only if there are few."""
+        of, result = np.array(self.candidates.target), list[int]()
         for name in target:
-            fitting = np.setdiff1d(np.flatnonzero(of == name), result)
-            pool = fitting if len(fitting) else np.arange(len(of))
-            result.append(int(self._rng.choice(pool)))
+            fitting = np.flatnonzero(of == name)
+            fresh = np.setdiff1d(fitting, result)
+            result.append(int(self._rng.choice(fresh if len(fresh) else fitting)))
         return result
 
     def _of(
@@ -364,7 +370,8 @@ class Search:
             status=status,
         )
 
-    def _told(self, stage: str, part: float) -> bool:
+    def told(self, stage: str, part: float) -> bool:
+        """Tell the progress; whether the search is to stop."""
         if self._progress is not None and self._progress(stage, min(part, 1.0)):
             self.stopped = True
         return self.stopped

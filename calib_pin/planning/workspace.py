@@ -11,9 +11,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.collision import Collisions
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.problem import Problem
-from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 
 __all__ = ["Candidates", "Workspace"]
@@ -23,11 +22,21 @@ Booleans = NDArray[np.bool_]
 DRAWS = 400
 """Quasi-random configurations tried for each candidate that is wanted."""
 
-LEAST_DRAWS = 20_000
-"""Quasi-random configurations tried at least."""
+LEAST_DRAWS = 60_000
+"""Quasi-random configurations tried before the first that is allowed."""
+
+MARGIN = 0.01
+"""Distance kept from the limits of the URDF, at most 1 % of the range [rad, m]."""
+
+TIDY = 1e6
+"""Reciprocal of the last digit of planned joint positions [1/rad, 1/m]."""
 
 SWAY = np.array(
-    [pin.exp6(sway * twist).homogeneous for twist in np.eye(6) for sway in (-0.02, 0.02)]
+    [
+        pin.exp6(sway * twist).homogeneous
+        for twist in np.eye(6)
+        for sway in (-0.02, 0.02)
+    ]
 )
 """Motions of the tool by 20 mm or 20 mrad, more than a robot's errors, (12, 4, 4)."""
 
@@ -62,6 +71,7 @@ class Workspace:
         problem: Chain, frames and instrument; its data name the targets.
         lower: Lower position limits, shape (n,) [rad, m].
         upper: Upper position limits, shape (n,) [rad, m].
+        point: The measured point in the tip, whose place the region limits, SE3.
         collisions: What must not touch; None where nothing is known of shapes.
         distance: Least distance between two configurations of a set: the largest
             difference of a joint [rad, m].
@@ -70,16 +80,27 @@ class Workspace:
     problem: Problem
     lower: Floats
     upper: Floats
+    point: pin.SE3
     collisions: Collisions | None = None
     distance: float = 0.0
 
     @staticmethod
     def create(
-        problem: Problem, collisions: Collisions | None = None, distance: float = 0.0
+        problem: Problem,
+        collisions: Collisions | None = None,
+        distance: float = 0.0,
+        point: pin.SE3 | None = None,
     ) -> Workspace:
         """The workspace of a problem, with the limits of its setup.
 
+        Args:
+            problem: Chain, frames and instrument.
+            collisions: What must not touch.
+            distance: Least distance between configurations [rad, m].
+            point: The measured point in the tip; default the origin of the tool.
+
         Raises:
+            RobotError: If limits of the URDF cross.
             OptionError: If limits of the setup match no joint or leave nothing, or
                 the distance is negative.
         """
@@ -90,17 +111,13 @@ class Workspace:
                 allowed="0 or more",
             )
         lower, upper = _limits(problem)
-        return Workspace(problem, lower, upper, collisions, distance)
+        point = problem.error.tool if point is None else point
+        return Workspace(problem, lower, upper, point, collisions, distance)
 
     @property
     def targets(self) -> tuple[str, ...]:
         """The targets that configurations look at in turn."""
-        return tuple(dict.fromkeys(self.problem.data.target)) or ("",)
-
-    def targets_of(self, count: int) -> tuple[str, ...]:
-        """Targets of a number of configurations, in turn."""
-        names = self.targets
-        return tuple(names[k % len(names)] for k in range(count))
+        return tuple(self.problem.measurement.targets) or ("",)
 
     def inside(self, q: Floats, target: Sequence[str]) -> Booleans:
         """Whether each configuration may be measured.
@@ -178,7 +195,8 @@ class Workspace:
             reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
-                f"planned: {reasons}"
+                f"planned: {reasons}",
+                allowed="wider limits, a larger region, or fewer obstacles",
             )
         return Candidates(found, tuple(targets), taken)
 
@@ -189,12 +207,14 @@ class Workspace:
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
         left = ~beyond
-        tool = problem.error.tip_poses(q, of_robot) @ problem.error.tool.homogeneous
+        F = problem.error.tip_poses(q, of_robot)
         if problem.setup.region is not None:
-            within = problem.setup.region.contains(tool[:, :3, 3])
+            measured = F @ self.point.homogeneous
+            within = problem.setup.region.contains(measured[:, :3, 3])
             refusals["outside the region"] = left & ~within
             left &= within
-        T = problem.error.base.homogeneous @ tool
+        error = problem.error
+        T = error.base.homogeneous @ F @ error.tool.homogeneous
         # The real robot must be seen there too, and it is not quite where it should be.
         swaying = (T[:, None] @ SWAY).reshape(-1, 4, 4)
         repeated = [name for name in target for _ in SWAY]
@@ -228,10 +248,16 @@ class Workspace:
 def _limits(problem: Problem) -> tuple[Floats, Floats]:
     """Joint limits of the chain, narrowed by the setup."""
     chain, setup = problem.error.chain, problem.setup
-    lower, upper = chain.lower.copy(), chain.upper.copy()
+    if chain.crossed:
+        raise RobotError(
+            f"the limits of joint '{chain.crossed[0]}' cross, lower is above upper",
+            file=chain.robot.file,
+        )
+    # Controllers complain at the very limit.
+    margin = np.minimum(MARGIN, 0.01 * (chain.upper - chain.lower))
+    lower, upper = chain.lower + margin, chain.upper - margin
     for pattern, (low, high) in setup.limits.items():
-        matches = _matches(pattern, chain.joints, setup)
-        for k in matches:
+        for k in _matches(pattern, chain.joints):
             lower[k], upper[k] = max(lower[k], low), min(upper[k], high)
             if lower[k] > upper[k]:
                 raise OptionError(
@@ -239,10 +265,13 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
                     value=[low, high],
                     allowed=f"a part of {chain.lower[k]:.4g} to {chain.upper[k]:.4g}",
                 )
-    return lower, upper
+    # Rounded inwards, where there is room: people read these numbers.
+    tidy = np.ceil(lower * TIDY) / TIDY, np.floor(upper * TIDY) / TIDY
+    room = tidy[0] < tidy[1]
+    return np.where(room, tidy[0], lower), np.where(room, tidy[1], upper)
 
 
-def _matches(pattern: str, joints: Sequence[str], setup: Setup) -> list[int]:
+def _matches(pattern: str, joints: Sequence[str]) -> list[int]:
     if pattern in joints:  # The name of a joint may hold brackets.
         return [joints.index(pattern)]
     found = [k for k, joint in enumerate(joints) if fnmatchcase(joint, pattern)]

@@ -54,6 +54,16 @@ def _subject(plan: Plan) -> Iterator[RenderableType]:
         f"{plan.tried} tried.",
         style="dim",
     )
+    if plan.assumed_tool:
+        yield Text(
+            "Where the target sits on the tool is not stated (frames.tool.xyz in a "
+            "setup file); it is assumed to be 6 cm beside the tip.",
+            style="dim",
+        )
+    if plan.unseen:
+        yield Text(
+            f"No configuration can measure {', '.join(plan.unseen)}.", style="bold red"
+        )
     if not plan.checked:
         moves = "Collisions are not checked."
     elif plan.blocked:
@@ -113,7 +123,8 @@ def _tip(plan: Plan) -> Iterator[RenderableType]:
     yield Text(f"  tip error that noise leaves  {tip}   (rms over test poses)")
     remark = ""
     if weak := directions.weak.shape[1]:
-        remark = f"   ({weak} directions too weak, left at nominal)"
+        remark = f"   ({weak} directions too weak, left at nominal: their part of the "
+        remark += "tip error comes on top)"
     yield Text(
         f"  rank                         {directions.count} of {plan.rank}{remark}"
     )

@@ -107,10 +107,11 @@ def test_error_of_the_tip_is_that_of_the_covariance(name: str) -> None:
 
 def test_test_poses_are_those_given() -> None:
     chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "position", Setup())
+    setup = Setup(tool_frame=FrameSetup((0.05, 0.03, 0.1)))
+    problem = nominal_problem(chain, "position", setup)
     q = chain.random_configurations(20, np.random.default_rng(1))
     found = calib_pin.plan(
-        chain, "position", COUNT, method="greedy", candidates=200, tests=q
+        chain, "position", COUNT, setup, method="greedy", candidates=200, tests=q
     )
     zero = np.zeros(len(problem.error.screws))
     _, J = problem.error.jacobian(q, zero)

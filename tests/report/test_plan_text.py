@@ -169,7 +169,7 @@ def test_weak_directions_are_named(plan: Plan) -> None:
     report = text(
         plan, predicted=replace(plan.predicted, directions=weak), parameters=parameters
     )
-    assert "(2 directions too weak, left at nominal)" in " ".join(report.split())
+    assert "(2 directions too weak, left at nominal:" in " ".join(report.split())
     assert f"{plan.rank - 2} of {plan.rank}" in report
     assert "weak (the plan tells too little; they stay at nominal)" in report
     owner, kind, first = parameters[7].name.split(".")

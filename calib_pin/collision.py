@@ -45,12 +45,13 @@ class Collisions:
         geometry: The solids on `chain.robot.model`, and the pairs of them that may
             not touch; those that the chain does not move against each other are left
             out. The pairs that touch most often come first for speed.
-        clearance: Distance that is kept [m].
+        clearance: Distance that is kept [m]: one of all pairs, or one of each.
 
     Attributes:
         pairs: Names of the two solids of each pair that is checked: the link of a
             solid that the URDF describes, else the solid's own name. A link of
             several solids stands in several pairs.
+        clearances: Distance that each of them keeps, shape (number of pairs,) [m].
 
     Example:
         >>> from calib_pin.io.collision import load_collisions
@@ -61,26 +62,28 @@ class Collisions:
     """
 
     def __init__(
-        self, chain: Chain, geometry: pin.GeometryModel, clearance: float = 0.0
+        self,
+        chain: Chain,
+        geometry: pin.GeometryModel,
+        clearance: float | Sequence[float] | Floats = 0.0,
     ) -> None:
         """Choose the pairs and build the hulls."""
         model = chain.robot.model
         ids = [model.getJointId(name) for name in chain.joints]
         self._chain = chain
-        self._clearance = clearance
         self._model, self._data = model, model.createData()
         self._q_index = np.array([model.idx_qs[joint] for joint in ids])
         self._continuous = np.array([model.nqs[joint] == 2 for joint in ids])
         solids = geometry.geometryObjects
-        pairs = [
-            (pair.first, pair.second)
-            for pair in geometry.collisionPairs
-            if _moves(model, solids[pair.first], solids[pair.second], ids)
-        ]
+        every = [(pair.first, pair.second) for pair in geometry.collisionPairs]
+        moving = [_moves(model, solids[a], solids[b], ids) for a, b in every]
+        pairs = [pair for pair, moves in zip(every, moving, strict=True) if moves]
+        kept = np.broadcast_to(np.asarray(clearance, float), len(every))
+        self.clearances: Floats = kept[np.array(moving, bool)]
         self._meshes = _with_pairs(geometry.copy(), pairs)
-        self._found = _results(self._meshes, clearance)
+        self._found = _results(self._meshes, self.clearances)
         self._hulls = _with_pairs(_hulls(geometry), pairs)
-        self._met = _results(self._hulls, clearance + SLACK)
+        self._met = _results(self._hulls, self.clearances + SLACK)
         # The simplest of Pinocchio's managers, which tries every pair of bounding
         # boxes, is also the fastest for the few dozen solids of a robot.
         self._boxes = pin.BroadPhaseManager_NaiveCollisionManager(
@@ -91,7 +94,7 @@ class Collisions:
         )
 
     def free(self, q: Floats) -> NDArray[np.bool_]:
-        """Where no pair is closer than the clearance.
+        """Where no pair is closer than its clearance.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
@@ -102,7 +105,7 @@ class Collisions:
         return np.array([self._is_free(full) for full in self._configurations(q)], bool)
 
     def contacts(self, q: Floats) -> NDArray[np.bool_]:
-        """Which pairs are closer than the clearance.
+        """Which pairs are closer than their clearance.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
@@ -118,7 +121,7 @@ class Collisions:
         return found
 
     def touching(self, q: Floats) -> list[tuple[str, str]]:
-        """Names of the pairs that are closer than the clearance, for messages.
+        """Names of the pairs that are closer than their clearance, for messages.
 
         Args:
             q: Joint positions, shape (n,) [rad, m].
@@ -126,16 +129,20 @@ class Collisions:
         (found,) = self.contacts(q[None])
         return list(dict.fromkeys(self.pairs[k] for k in np.flatnonzero(found)))
 
-    def only(self, kept: Iterable[int]) -> Collisions:
+    def only(self, kept: Iterable[int], clearances: Floats | None = None) -> Collisions:
         """The same for some of the pairs.
 
         Args:
             kept: Their places in `pairs`, in the order in which they are to be checked.
+            clearances: Distance that each of `pairs` is to keep instead, shape (number
+                of pairs,) [m].
         """
+        places = [int(k) for k in kept]
         pairs = self._meshes.collisionPairs
-        chosen = [(pairs[k].first, pairs[k].second) for k in map(int, kept)]
+        chosen = [(pairs[k].first, pairs[k].second) for k in places]
         geometry = _with_pairs(self._meshes.copy(), chosen)
-        return Collisions(self._chain, geometry, self._clearance)
+        distances = self.clearances if clearances is None else clearances
+        return Collisions(self._chain, geometry, distances[places])
 
     def _is_free(self, full: Floats) -> bool:
         if not pin.computeCollisions(self._model, self._data, self._boxes, full, True):
@@ -183,12 +190,12 @@ def _with_pairs(
     return geometry
 
 
-def _results(geometry: pin.GeometryModel, clearance: float) -> pin.GeometryData:
+def _results(geometry: pin.GeometryModel, clearances: Floats) -> pin.GeometryData:
     """Where the results of the pairs go, with what is asked about each of them."""
     results = geometry.createData()
-    for request in results.collisionRequests:
+    for request, clearance in zip(results.collisionRequests, clearances, strict=True):
         request.enable_contact = False
-        request.security_margin = clearance + ROUNDING
+        request.security_margin = float(clearance) + ROUNDING
     return results
 
 

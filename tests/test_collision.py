@@ -272,6 +272,71 @@ def test_some_of_the_pairs(chain: Chain, collisions: Collisions) -> None:
     np.testing.assert_array_equal(some.contacts(q), collisions.contacts(q)[:, kept])
 
 
+def test_a_clearance_of_each_pair() -> None:
+    chain = load_chain("example:ur10_robot", tip="tool0")
+    collisions = load_collisions(chain, OBSTACLES)
+    assert collisions is not None
+    assert set(collisions.clearances) == {0.01}
+    q = chain.random_configurations(60, np.random.default_rng(3))
+    every = range(len(collisions.pairs))
+    distances = np.where(np.arange(len(every)) % 2, 0.1, 0.0)
+    mixed = collisions.only(every, distances)
+    near, bare = (
+        collisions.only(every, np.full(len(every), d)).contacts(q) for d in (0.1, 0.0)
+    )
+    assert (near != bare).any()
+    found = mixed.contacts(q)
+    np.testing.assert_array_equal(found, np.where(distances > 0.0, near, bare))
+    # The hulls know them too, and so does a part of the pairs.
+    np.testing.assert_array_equal(mixed.free(q), ~found.any(axis=1))
+    kept = [7, 0, 4]
+    some = mixed.only(kept)
+    assert some.clearances.tolist() == distances[kept].tolist()
+    np.testing.assert_array_equal(some.contacts(q), found[:, kept])
+    np.testing.assert_array_equal(some.free(q), ~found[:, kept].any(axis=1))
+
+
+def test_clearances_of_pairs_that_the_chain_does_not_move() -> None:
+    """They go with their pairs, also where some of those are left out."""
+    chain = load_chain("example:ur10_robot", tip="forearm_link")
+    geometry = reference_of(chain).geometry
+    distances = 0.001 * np.arange(len(geometry.collisionPairs))
+    collisions = Collisions(chain, geometry, distances)
+    solids = geometry.geometryObjects
+    names = {
+        (solids[pair.first].name, solids[pair.second].name): distance
+        for pair, distance in zip(geometry.collisionPairs, distances, strict=True)
+    }
+    assert len(collisions.pairs) < len(names)
+    for pair, distance in zip(collisions.pairs, collisions.clearances, strict=True):
+        first, second = (n if "obstacle" in n else f"{n}_0" for n in pair)
+        assert distance == names[first, second]
+
+
+@pytest.mark.parametrize("obstacles", [(), OBSTACLES])
+def test_a_larger_clearance_switches_nothing_off(
+    obstacles: tuple[Obstacle, ...],
+) -> None:
+    chain = load_chain("example:ur10_robot", tip="tool0")
+    bare, wide = (
+        load_collisions(chain, obstacles, clearance=distance) for distance in (0.0, 0.2)
+    )
+    assert bare is not None
+    assert wide is not None
+    assert sorted(wide.pairs) == sorted(bare.pairs)
+    q = chain.random_configurations(600, np.random.default_rng(4))
+    contacts, free = bare.contacts(q), wide.free(q)
+    assert contacts.any(axis=1).sum() > 20
+    assert not contacts[free].any()
+    np.testing.assert_array_equal(free, ~wide.contacts(q).any(axis=1))
+    # What is far by design keeps all of it, and so do the obstacles.
+    assert set(wide.clearances) == {0.0, 0.2}
+    for pair, distance in zip(wide.pairs, wide.clearances, strict=True):
+        assert distance == 0.2 or "obstacle" not in pair[1]
+    if not obstacles:
+        assert free.any()
+
+
 @pytest.mark.parametrize("kind", ["mesh", "box", "tilted mesh"])
 def test_flat_obstacles(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "square.obj"

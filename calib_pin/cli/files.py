@@ -153,8 +153,8 @@ def check_outputs(
         force: Whether existing outputs may be replaced.
 
     Raises:
-        OptionError: If an output exists without `force`, is an input, or is given
-            twice.
+        OptionError: If an output exists without `force`, is a folder or an input, or
+            is given twice.
     """
     from calib_pin.errors import OptionError
     from calib_pin.io.urdf import locate_robot
@@ -172,6 +172,8 @@ def check_outputs(
             )
         if any(path.absolute() == other.absolute() for other in written):
             raise OptionError("two outputs would go to this file", file=path)
+        if exists(path) and path.is_dir():
+            raise OptionError("is a folder, not a file", file=path)
         if exists(path) and not force:
             raise OptionError("exists already; --force replaces it", file=path)
         written.append(path)

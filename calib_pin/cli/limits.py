@@ -3,21 +3,30 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from fnmatch import fnmatchcase
+from typing import TYPE_CHECKING
+
+if TYPE_CHECKING:
+    from calib_pin.chain import Chain
 
 __all__ = ["parse_limits"]
 
 
-def parse_limits(words: Sequence[str]) -> dict[str, tuple[float, float]]:
+def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:
     """Limits by joint name or glob [rad, m].
 
     Args:
         words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
+        chain: The chain; whether a name is one of its joints is checked later.
 
     Raises:
-        OptionError: If a word is not of this form, or the limits cross.
+        OptionError: If a word is not of this form, the limits cross, or the unit is
+            none of a joint that is meant.
 
     Example:
-        >>> parse_limits(["elbow=-90:90 [deg]", "lift=0:0.35"])["lift"]
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> parse_limits(["joint_1=-90:90 [deg]", "joint_2=0:0.35"], chain)["joint_2"]
         (0.0, 0.35)
     """
     from calib_pin.errors import OptionError
@@ -28,6 +37,7 @@ def parse_limits(words: Sequence[str]) -> dict[str, tuple[float, float]]:
     for word in words:
         # The name of a joint may hold a sign of equality, an interval cannot.
         joint, _, rest = word.rpartition("=")
+        joint = joint.strip()
         interval, unit = split_header(rest)
         low, _, high = interval.partition(":")
         try:
@@ -35,7 +45,7 @@ def parse_limits(words: Sequence[str]) -> dict[str, tuple[float, float]]:
             lower, upper = factor * float(low), factor * float(high)
         except (KeyError, ValueError):
             joint = ""
-        if not joint.strip():
+        if not joint:
             raise OptionError(
                 f"--limits cannot be {word!r}",
                 allowed="JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
@@ -48,5 +58,21 @@ def parse_limits(words: Sequence[str]) -> dict[str, tuple[float, float]]:
                 allowed=f"LOWER up to UPPER, at most {ANGLE.largest:.4g} rad or m; "
                 "other units in brackets: [deg]",
             )
-        limits[joint.strip()] = (lower, upper)
+        for name, revolute in _meant(joint, chain):
+            kind = ANGLE if revolute else LENGTH
+            if unit is not None and unit not in kind.units:
+                raise OptionError(
+                    f"--limits cannot be {word!r}: joint '{name}' is "
+                    f"{'revolute' if revolute else 'prismatic'}",
+                    allowed=", ".join(kind.units),
+                )
+        limits[joint] = (lower, upper)
     return limits
+
+
+def _meant(pattern: str, chain: Chain) -> list[tuple[str, bool]]:
+    """The joints that a name or glob means, and whether each is revolute."""
+    joints = dict(zip(chain.joints, map(bool, chain.revolute), strict=True))
+    if pattern in joints:  # The name of a joint may hold brackets.
+        return [(pattern, joints[pattern])]
+    return [pair for pair in joints.items() if fnmatchcase(pair[0], pattern)]

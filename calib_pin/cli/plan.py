@@ -68,7 +68,7 @@ def plan(
         typer.Option(
             "--add",
             metavar="[N]",
-            help="Number of configurations beside those that are measured already;",
+            help="Number of configurations to add to the measurements of --to.",
             rich_help_panel=PLAN,
         ),
     ] = None,
@@ -77,7 +77,7 @@ def plan(
         typer.Option(
             "--to",
             metavar="CSV",
-            help="measurements that are there already; may be repeated.",
+            help="Measurements that are there already; may be repeated.",
             rich_help_panel=PLAN,
         ),
     ] = None,
@@ -194,15 +194,22 @@ def plan(
     from dataclasses import replace
 
     from calib_pin.cli.limits import parse_limits
-    from calib_pin.errors import OptionError
+    from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import encode, plan_document
-    from calib_pin.io.measurements import read_configurations, write_configurations
+    from calib_pin.io.measurements import (
+        check_columns,
+        read_configurations,
+        write_configurations,
+    )
+    from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
+    from calib_pin.planning.search import METHODS
     from calib_pin.report.plan_text import plan_report
     from calib_pin.solvers import Status
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
-    stated = replace(stated, limits={**stated.limits, **parse_limits(limits or [])})
+    require_known("criterion", criterion, CRITERION_NAMES)
+    require_known("method", method, METHODS)
     wanted = _count(count, add, to)
     require_distinct(to or [])
     check_outputs((output,), (robot, setup, srdf, tests, *(to or [])), force)
@@ -212,11 +219,16 @@ def plan(
             "--clearance"
         )
     chain = open_chain(robot, stated)
+    narrower = parse_limits(limits or [], chain)
+    stated = replace(stated, limits={**stated.limits, **narrower})
     rows = None
     if to:
         rows = open_measurements(to, chain, stated, quiet=quiet).split()[0]
         stated = replace(stated, model=rows.model)
     measured = require_model(stated)
+    # Nothing of the file may turn out to be impossible after a long search.
+    planes = tuple(stated.planes) if measured == "plane-distance" else ()
+    check_columns(chain, stated.joints, planes)
     collisions = None
     if not ignore_collisions:
         told = None if quiet else notice
@@ -250,7 +262,7 @@ def plan(
         output,
         chain,
         found.q,
-        found.target if len(set(found.target)) > 1 else (),
+        found.target,
         joints=stated.joints,
         comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
         force=force,

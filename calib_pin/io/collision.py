@@ -31,8 +31,8 @@ SAMPLES = 200
 """Random configurations that show which pairs touch, and how often."""
 
 BY_DESIGN = 0.95
-"""Share of the configurations from which on two links touch because they are built
-so."""
+"""Share of the configurations from which on two links touch, or are close, because they
+are built so."""
 
 
 def load_collisions(
@@ -49,7 +49,8 @@ def load_collisions(
 
     Without an SRDF, links joined by one joint are not checked against each other, nor
     those that touch at nearly every configuration. With one, only what it disables is
-    left out.
+    left out. Links that are closer than the clearance at nearly every configuration
+    are only kept from touching; obstacles always keep it.
 
     Args:
         chain: The chain whose joints move.
@@ -58,7 +59,7 @@ def load_collisions(
         package_dirs: Folders that hold the packages of `package://` meshes; then come
             those of ROS and the folders above the URDF.
         clearance: Distance that is kept [m].
-        notice: Told in one line each what is not checked.
+        notice: Told in one line each what is not checked, or not as asked.
         file: Where the obstacles are stated, for messages.
 
     Returns:
@@ -103,23 +104,53 @@ def load_collisions(
             "no two solids that may not touch move against each other, so "
             "no collision is checked"
         )
-    # The same pairs are left out at every run, whatever the seed of the plan.
+    return _as_built(chain, collisions, srdf is None, tell)
+
+
+def _as_built(
+    chain: Chain, collisions: Collisions, guess: bool, tell: Callable[[str], None]
+) -> Collisions:
+    """What a robot can keep: not a clearance that its links never have.
+
+    Args:
+        chain: The chain of the robot.
+        collisions: All pairs that may not touch.
+        guess: Whether links that touch at nearly every configuration are left out.
+        tell: Told in one line each what changes.
+    """
+    # The same pairs come out at every run, whatever the seed of the plan.
     q = chain.random_configurations(SAMPLES, np.random.default_rng(0))
-    contacts = collisions.contacts(q)
-    left_out = _by_design(collisions, contacts, robot) if srdf is None else []
+    contacts, clearances = collisions.contacts(q), collisions.clearances.copy()
+    close = _by_design(collisions.pairs, contacts, chain.robot)
+    places = [k for k, pair in enumerate(collisions.pairs) if pair in close]
+    # What touches by design does so without any clearance, however large it is.
+    bare = collisions.only(places, np.zeros(len(clearances)))
+    touches = bare.contacts(q)
+    touching = _by_design(bare.pairs, touches, chain.robot)
+    left_out = touching if guess else []
     if left_out:
-        tell(_left_out(left_out))
+        tell(
+            "links that touch at nearly every configuration are not checked against "
+            f"each other: {_listed(left_out)}"
+        )
+    near = [pair for pair in close if pair not in touching]
+    if near:
+        tell(
+            "links that are always closer than the clearance are only kept from "
+            f"touching: {_listed(near)}"
+        )
+    for place, touched in zip(places, touches.T, strict=True):
+        if collisions.pairs[place] in near:
+            clearances[place], contacts[:, place] = 0.0, touched
     order = np.argsort(-contacts.mean(axis=0), kind="stable")
-    return collisions.only(k for k in order if collisions.pairs[k] not in left_out)
+    kept = (k for k in order if collisions.pairs[k] not in left_out)
+    return collisions.only(kept, clearances)
 
 
-def _left_out(pairs: Sequence[tuple[str, str]]) -> str:
+def _listed(pairs: Sequence[tuple[str, str]]) -> str:
     named = "; ".join(f"{first} and {second}" for first, second in pairs[:3])
     count = "1 pair" if len(pairs) == 1 else f"{len(pairs)} pairs"
-    return (
-        "links that touch at nearly every configuration are not checked against each "
-        f"other: {count} ({named}{'; ...' if len(pairs) > 3 else ''})"
-    )
+    return f"{count} ({named}{'; ...' if len(pairs) > 3 else ''})"
 
 
 def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryModel:
@@ -280,11 +311,11 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
 
 
 def _by_design(
-    collisions: Collisions, contacts: NDArray[np.bool_], robot: Robot
+    pairs: Sequence[tuple[str, str]], contacts: NDArray[np.bool_], robot: Robot
 ) -> list[tuple[str, str]]:
-    """Links that touch at nearly every configuration."""
+    """Links that are in contact at nearly every configuration."""
     together: dict[tuple[str, str], list[int]] = {}
-    for k, pair in enumerate(collisions.pairs):
+    for k, pair in enumerate(pairs):
         if set(pair) <= set(robot.links):  # Not an obstacle.
             together.setdefault(pair, []).append(k)
     return [

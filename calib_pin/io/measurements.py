@@ -39,6 +39,7 @@ from calib_pin.measurements import Measurements
 from calib_pin.setup import JointMap
 
 __all__ = [
+    "check_columns",
     "read_configurations",
     "read_measurements",
     "read_targets",
@@ -145,6 +146,29 @@ def read_targets(path: str | Path) -> tuple[str, ...]:
     return table.texts("target") if "target" in table else ()
 
 
+def check_columns(
+    chain: Chain, joints: Mapping[str, JointMap] = {}, targets: Sequence[str] = ()
+) -> None:
+    r"""Refuse what `write_configurations` could not write, before there is anything.
+
+    Args:
+        chain: The chain.
+        joints: How file columns become joints.
+        targets: Names that targets may have.
+
+    Raises:
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back.
+
+    Example:
+        >>> import calib_pin
+        >>> check_columns(calib_pin.load_chain("space6"), targets=["wall\n"])
+        Traceback (most recent call last):
+        calib_pin.errors.OutputError: target 'wall\n' would not read back
+    """
+    _configuration_columns(chain, np.empty((0, len(chain.joints))), targets, joints)
+
+
 def write_configurations(
     path: Path,
     chain: Chain,
@@ -161,7 +185,7 @@ def write_configurations(
         path: File to write.
         chain: The chain.
         q: Joint positions, shape (N, n) [rad, m].
-        target: Target of each, where there are several.
+        target: Target of each; no column where none is named.
         joints: How file columns become joints; the file holds what a controller
             needs.
         comments: Lines for the head of the file.
@@ -181,11 +205,7 @@ def write_configurations(
         ...     file.read_text().splitlines()[1]
         '0.0,0.0,0.0,0.5,0.0,0.0'
     """
-    columns: dict[str, Sequence[float] | Sequence[str]] = {}
-    for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[_writable(name)] = values.tolist()
-    if any(target):
-        columns["target"] = _writable_targets(target)
+    columns = _configuration_columns(chain, q, target, joints)
     _write_table(path, columns, comments, force)
 
 
@@ -303,6 +323,18 @@ def _columns(
         yield "target", _writable_targets(measurements.target)
     if measurements.validate.any():
         yield "set", ["validate" if late else "train" for late in measurements.validate]
+
+
+def _configuration_columns(
+    chain: Chain, q: Floats, target: Sequence[str], joints: Mapping[str, JointMap]
+) -> dict[str, Sequence[float] | Sequence[str]]:
+    """Names and cells of the columns that hold configurations."""
+    columns: dict[str, Sequence[float] | Sequence[str]] = {}
+    for name, values in column_values(q, joint_sources(chain, joints)).items():
+        columns[_writable(name)] = values.tolist()
+    if any(target):
+        columns["target"] = _writable_targets(target)
+    return columns
 
 
 def _writable(joint: str) -> str:

@@ -191,6 +191,7 @@ def plan(
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, STRUCTURE)
     spread = workspace.candidates(wanted, rng, progress, least=count)
+    spread.require(count)
     found = spread.first(max(candidates, count))
     structure, rows, known = identification(problem, spread, measured)
     tip = _tip_rows(rows)

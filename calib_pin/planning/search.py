@@ -114,12 +114,7 @@ class Search:
         self.stopped = False
         self._rng, self._progress, self._starts = rng, progress, starts
         self._bounds = np.column_stack([workspace.lower, workspace.upper])
-        if len(candidates.q) < count:
-            raise OptionError(
-                f"{len(candidates.q)} of the tried configurations may be measured, "
-                f"fewer than the {count} wanted",
-                allowed="fewer configurations, wider limits, or a shorter distance",
-            )
+        candidates.require(count)
 
     def run(self, method: str) -> Found:
         """Search with a method of `METHODS`.

@@ -58,6 +58,19 @@ class Candidates:
     target: tuple[str, ...]
     tried: int
 
+    def require(self, count: int) -> None:
+        """Check that there are enough of them.
+
+        Raises:
+            OptionError: If there are fewer than wanted.
+        """
+        if len(self.q) < count:
+            raise OptionError(
+                f"{len(self.q)} of the tried configurations may be measured, fewer "
+                f"than the {count} wanted",
+                allowed="fewer configurations, wider limits, or a shorter distance",
+            )
+
     def first(self, count: int) -> Candidates:
         """The first of them; a part of an even spread is one too."""
         return replace(self, q=self.q[:count], target=self.target[:count])

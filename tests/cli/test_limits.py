@@ -6,8 +6,33 @@ import math
 
 import pytest
 
+from calib_pin.chain import Chain
 from calib_pin.cli.limits import parse_limits
 from calib_pin.errors import OptionError
+from calib_pin.io.urdf import parse_robot
+
+JOINTS = {
+    "elbow": "revolute",
+    "lift": "prismatic",
+    "wrist_1": "revolute",
+    "wrist_2": "continuous",
+    "joint[12]": "prismatic",
+    "joint1": "revolute",
+    "a=b": "revolute",
+}
+
+
+@pytest.fixture(scope="module")
+def chain() -> Chain:
+    links = [f'<link name="link_{k}"/>' for k in range(len(JOINTS) + 1)]
+    joints = [
+        f'<joint name="{name}" type="{kind}"><parent link="link_{k}"/>'
+        f'<child link="link_{k + 1}"/><axis xyz="0 0 1"/>'
+        '<limit lower="-1" upper="1" effort="1" velocity="1"/></joint>'
+        for k, (name, kind) in enumerate(JOINTS.items())
+    ]
+    text = "".join(['<robot name="arm">', *links, *joints, "</robot>"])
+    return Chain(parse_robot(text.encode(), "arm.urdf"))
 
 
 @pytest.mark.parametrize(
@@ -20,21 +45,45 @@ from calib_pin.errors import OptionError
         ("lift=0:350 [mm]", "lift", (0.0, 0.35)),
         ("joint_*=-1e-3:+2", "joint_*", (-1e-3, 2.0)),
         ("joint[12]=0:1", "joint[12]", (0.0, 1.0)),
+        # The name of a joint comes first: the glob would mean a revolute one.
+        ("joint[12]=0:350 [mm]", "joint[12]", (0.0, 0.35)),
+        ("wrist_*=-90:180 [deg]", "wrist_*", (-math.pi / 2, math.pi)),
+        ("*=-1:1", "*", (-1.0, 1.0)),
+        # What means no joint is told where limits are used.
+        ("neck=0:1 [mm]", "neck", (0.0, 1e-3)),
         ("a=b=0:1", "a=b", (0.0, 1.0)),
         ("axis 1=0.25:0.25", "axis 1", (0.25, 0.25)),
     ],
 )
-def test_words(word: str, name: str, limits: tuple[float, float]) -> None:
-    found = parse_limits([word])
+def test_words(word: str, name: str, limits: tuple[float, float], chain: Chain) -> None:
+    found = parse_limits([word], chain)
     assert list(found) == [name]
     assert found[name] == pytest.approx(limits, rel=1e-12)
 
 
-def test_several_words_and_none() -> None:
-    assert parse_limits([]) == {}
-    assert list(parse_limits(["b=0:1", "a=0:1"])) == ["b", "a"]
+@pytest.mark.parametrize(
+    ("word", "message"),
+    [
+        ("elbow=-90:90 [mm]", "joint 'elbow' is revolute; allowed: rad, deg, mrad"),
+        ("wrist_*=0:1 [in]", "joint 'wrist_1' is revolute; allowed: rad, deg, mrad"),
+        ("wrist_2=0:1 [m]", "joint 'wrist_2' is revolute; allowed: rad, deg, mrad"),
+        ("lift=0:1 [deg]", "joint 'lift' is prismatic; allowed: m, mm, um, in"),
+        ("joint[12]=0:1 [rad]", "joint 'joint[12]' is prismatic; allowed: m, mm, "),
+        ("*=-90:90 [deg]", "joint 'lift' is prismatic; allowed: m, mm, um, in"),
+        ("*=-90:90 [mm]", "joint 'elbow' is revolute; allowed: rad, deg, mrad"),
+    ],
+)
+def test_units_of_another_kind_of_joint(word: str, message: str, chain: Chain) -> None:
+    with pytest.raises(OptionError) as caught:
+        parse_limits([word], chain)
+    assert str(caught.value).startswith(f"--limits cannot be {word!r}: {message}")
+
+
+def test_several_words_and_none(chain: Chain) -> None:
+    assert parse_limits([], chain) == {}
+    assert list(parse_limits(["b=0:1", "a=0:1"], chain)) == ["b", "a"]
     # The later one of the same joint holds, as for every other option.
-    assert parse_limits(["a=0:1", "a=0:2"]) == {"a": (0.0, 2.0)}
+    assert parse_limits(["a=0:1", "a=0:2"], chain) == {"a": (0.0, 2.0)}
 
 
 @pytest.mark.parametrize(
@@ -55,9 +104,9 @@ def test_several_words_and_none() -> None:
         "elbow:0=1",
     ],
 )
-def test_malformed_words(word: str) -> None:
+def test_malformed_words(word: str, chain: Chain) -> None:
     with pytest.raises(OptionError, match="JOINT=LOWER:UPPER") as caught:
-        parse_limits([word])
+        parse_limits([word], chain)
     assert repr(word) in str(caught.value)
 
 
@@ -72,7 +121,7 @@ def test_malformed_words(word: str) -> None:
         "elbow=-120:120",
     ],
 )
-def test_limits_that_cannot_be_meant(word: str) -> None:
+def test_limits_that_cannot_be_meant(word: str, chain: Chain) -> None:
     with pytest.raises(OptionError, match="LOWER up to UPPER") as caught:
-        parse_limits([word])
+        parse_limits([word], chain)
     assert repr(word) in str(caught.value)

@@ -265,10 +265,36 @@ def test_planes_are_named(here, run):
     assert (result.status, result.err) == (0, "")
     # Each configuration looks at the plane that it was planned for.
     assert read_targets(Path("out.csv")) == targets
-    # One plane needs no name.
-    words = f"plan arm.urdf --setup plane.yaml {QUICK} --count 30 -o one.csv"
+
+
+@pytest.mark.parametrize(
+    ("setup", "names"),
+    [("plane.yaml", {"wall"}), ("planes.yaml", {"wall", "floor"})],
+)
+def test_configurations_that_name_planes_are_what_the_next_commands_take(
+    setup, names, here, run
+):
+    Path("planes.yaml").write_text(
+        Path("plane.yaml").read_text() + "  floor: {normal: [0.1, 0, 1], offset: 0.3}\n"
+    )
+    words = f"plan arm.urdf --setup {setup} {QUICK} --count 30 -o plan.csv"
     assert run(words).status == 0
-    assert "target" not in table("one.csv")[0]
+    # Which plane is told even where there is one: others may come later.
+    assert table("plan.csv")[0][-1] == "target"
+    targets = read_targets(Path("plan.csv"))
+    assert set(targets) == names
+    result = run(
+        f"simulate arm.urdf --setup {setup} --configurations plan.csv --noise 1e-4 "
+        "--errors errors.yaml -o measured.csv"
+    )
+    assert (result.status, result.err) == (0, "")
+    assert read_targets(Path("measured.csv")) == targets
+    result = run(f"calibrate arm.urdf measured.csv --setup {setup}")
+    assert result.status == 0
+    assert result.out.startswith("GOOD: ")
+    words = f"plan arm.urdf --setup {setup} {QUICK} --add 4 --to measured.csv -o a.csv"
+    assert run(words).status == 0
+    assert set(read_targets(Path("a.csv"))) <= names
 
 
 def test_obstacles_region_and_limits_of_the_setup_file(here, run):
@@ -370,12 +396,12 @@ def test_ctrl_c_without_a_terminal(here):
         "import signal, sys, threading, os\n"
         "from calib_pin.cli import main\n"
         "from calib_pin.planning import search\n"
-        "told = search.Search._told\n"
+        "told = search.Search.told\n"
         "def once(self, stage, part):\n"
-        "    search.Search._told = told\n"
+        "    search.Search.told = told\n"
         "    os.kill(os.getpid(), signal.SIGINT)\n"
         "    return told(self, stage, part)\n"
-        "search.Search._told = once\n"
+        "search.Search.told = once\n"
         f"sys.exit(main({words.split()!r}))\n"
     )
     result = subprocess.run(
@@ -403,7 +429,9 @@ def test_the_handler_of_ctrl_c_is_put_back(here, run):
 
 @pytest.mark.parametrize("quiet", ["", "--quiet"])
 def test_a_progress_bar_on_a_terminal(quiet, here):
-    words = f"{PLAN.replace('greedy', 'exchange')} --count 12 -o plan.csv {quiet}"
+    # The bar is drawn ten times a second, so the search must take longer than that.
+    plan = PLAN.replace("greedy", "exchange").replace("100", "5000")
+    words = f"{plan} --count 40 -o plan.csv {quiet}"
     master, slave = os.openpty()
     process = started(words, master, slave)
     try:
@@ -483,6 +511,19 @@ CASES = {
         {},
         "--limits|'joint1=-1:1 [cm]'|rad, deg, mrad, m, mm, um, in",
     ),
+    "limits in the unit of another kind of joint": (
+        [
+            *PLAN.split(),
+            "--count",
+            "8",
+            "--limits",
+            "joint1=-90:90 [mm]",
+            "-o",
+            "o.csv",
+        ],
+        {},
+        "--limits|'joint1=-90:90 [mm]'|'joint1' is revolute|rad, deg, mrad",
+    ),
     "limits in degrees": (
         f"{PLAN} --count 8 --limits joint1=-120:120 -o out.csv",
         {},
@@ -558,7 +599,7 @@ CASES = {
     "empty region": (
         f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
         {"bad.yaml": "region: {sphere: {center: [9, 0, 0], radius: 0.5}}\n"},
-        "none of 20000 configurations|20000 outside the region",
+        "none of|outside the region|a larger region",
     ),
     "region without extent": (
         f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
@@ -619,9 +660,9 @@ CASES = {
         "--distance",
     ),
     "distance too large": (
-        f"{PLAN} --count 8 --distance 5 -o out.csv",
+        f"{PLAN} --count 60 --distance 3 -o out.csv",
         {},
-        "may be measured, fewer than the 8 wanted|a shorter distance",
+        "may be measured, fewer than the 60 wanted|a shorter distance",
     ),
     "clearance too large": (
         f"{PLAN.replace('--ignore-collisions', '')} --count 8 --clearance 2 -o out.csv",
@@ -664,7 +705,16 @@ CASES = {
         {},
         "setup.yaml|input",
     ),
-    "output is a folder": (f"{PLAN} --count 8 -o done", {}, "done"),
+    "output is a folder": (
+        f"{PLAN} --count 8 -o done",
+        {},
+        "done: is a folder, not a file",
+    ),
+    "output is a folder, by force": (
+        f"{PLAN} --count 8 -o done --force",
+        {},
+        "done: is a folder, not a file",
+    ),
     "couplings that cannot be undone": (
         f"plan arm.urdf --model position --setup bad.yaml {QUICK} --count 8 -o out.csv",
         {
@@ -675,6 +725,47 @@ CASES = {
         "couplings|joints",
     ),
 }
+
+
+UNDOABLE = """joints:
+  A1: {joint: joint1, coupled: {A2: 1}}
+  A2: {joint: joint2, coupled: {A1: 1}}
+"""
+EARLY = {
+    "criterion": ("--criterion condtion", "", "unknown criterion 'condtion'"),
+    "method": ("--method exchnge", "", "unknown method 'exchnge'"),
+    "couplings": ("", UNDOABLE, "cannot be undone"),
+    "joint": (
+        "",
+        "joints: {'A1 [deg]': {joint: joint1}}\n",
+        "joint 'A1 [deg]' cannot be the name of a column",
+    ),
+    "plane": ("", "planes: {' w': {normal: [1, 0, 0], offset: -2}}\n", "target ' w'"),
+}
+
+
+@pytest.mark.parametrize("name", EARLY)
+def test_what_no_search_could_change_is_said_before_it(name, here, run, monkeypatch):
+    flags, text, message = EARLY[name]
+    Path("bad.yaml").write_text("parameters: [joint-offset]\n" + text)
+
+    def late(*args: object, **options: object) -> None:
+        raise AssertionError("too late")
+
+    monkeypatch.setattr("calib_pin.io.collision.load_collisions", late)
+    monkeypatch.setattr("calib_pin.planning.plan.plan", late)
+    model = "plane-distance" if name == "plane" else "position"
+    words = f"plan arm.urdf --model {model} --setup bad.yaml --count 8 -o out.csv"
+    result = run(f"{words} {flags}")
+    assert (result.status, result.out, result.err.count("\n")) == (1, "", 1)
+    assert message in result.err
+    assert not Path("out.csv").exists()
+
+
+def test_help_of_additions(run):
+    words = " ".join(run("plan --help").out.replace("\u2502", " ").split())
+    assert "Number of configurations to add to the measurements of --to." in words
+    assert "Measurements that are there already; may be repeated." in words
 
 
 @pytest.mark.parametrize("name", CASES)

@@ -125,6 +125,62 @@ def test_links_that_always_touch_are_not_checked(
     ]
 
 
+@pytest.mark.parametrize("with_srdf", [False, True])
+def test_links_that_are_always_close_are_kept_from_touching(
+    chain_in: Callable[..., Chain], file_of: Callable[..., Path], with_srdf: bool
+) -> None:
+    # Links two joints apart are at most 0.6 m away from each other.
+    chain = chain_in(urdf(*[sphere(0.1)] * 6))
+    neighbors = "".join(
+        f'<disable_collisions link1="link_{k}" link2="link_{k + 1}"/>' for k in range(5)
+    )
+    file = file_of("arm.srdf", f'<robot name="arm">{neighbors}</robot>')
+    notices: list[str] = []
+    collisions, bare = (
+        load_collisions(
+            chain,
+            srdf=file if with_srdf else None,
+            clearance=clearance,
+            notice=notices.append,
+        )
+        for clearance in (0.41, 0.0)
+    )
+    assert collisions is not None
+    assert bare is not None
+    assert sorted(collisions.pairs) == sorted(bare.pairs)
+    kept = dict(zip(collisions.pairs, collisions.clearances, strict=True))
+    assert {pair for pair, distance in kept.items() if distance == 0.0} == {
+        ("link_0", "link_2"),
+        ("link_1", "link_3"),
+        ("link_2", "link_4"),
+        ("link_3", "link_5"),
+    }
+    assert kept["link_0", "link_3"] == 0.41
+    assert notices == [
+        "links that are always closer than the clearance are only kept from touching: "
+        "4 pairs (link_0 and link_2; link_1 and link_3; link_2 and link_4; ...)"
+    ]
+    # A straight arm is closer everywhere, a folded one touches.
+    straight, folded = np.zeros(5), np.array([2.9, 0.0, 0.0, 0.0, 0.0])
+    assert ("link_0", "link_2") not in collisions.touching(straight)
+    assert ("link_0", "link_2") in collisions.touching(folded)
+
+
+def test_obstacles_that_are_always_close_keep_the_clearance(
+    chain_in: Callable[..., Chain],
+) -> None:
+    notices: list[str] = []
+    table = Obstacle("box", (9.0, 9.0, 0.1), xyz=(0.0, 0.0, -0.2))
+    chain = chain_in(urdf("", sphere(0.1)))
+    for clearance, free in ((0.04, True), (0.06, False)):
+        collisions = load_collisions(
+            chain, [table], clearance=clearance, notice=notices.append
+        )
+        assert collisions is not None
+        assert collisions.free(np.zeros((1, 1))).tolist() == [free]
+    assert notices == []
+
+
 def test_obstacles_that_always_touch_are_checked(
     chain_in: Callable[..., Chain],
 ) -> None:

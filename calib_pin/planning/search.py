@@ -146,26 +146,17 @@ class Search:
 
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""
-        chosen = self._determined
-        # Before everything is determined, only the determinant tells what is better.
-        least = next(
-            k
-            for k in range(len(chosen) + 1)
-            if np.isfinite(self.selection(chosen[:k]).cost)
-        )
-        result = greedy(
-            self.selection(chosen[:least]),
-            self.count,
-            lambda steps, cost: self.told("greedy", steps / max(self.count - least, 1)),
-        )
-        if len(result.chosen) < self.count:
-            return self._of("greedy", chosen, result.status)
-        return self._of("greedy", result.chosen, result.status)
+        return self._of("greedy", self._greedy("greedy"))
 
     def by_exchange(self) -> Found:
-        """DETMAX from the set that is best by its determinant."""
+        """DETMAX, from what is best greedily or by its determinant."""
+        start = min(
+            self._greedy("start"),
+            self._determined,
+            key=lambda chosen: self.selection(chosen).cost,
+        )
         result = exchange(
-            self.selection(self._determined),
+            self.selection(start),
             lambda steps, cost: self.told("exchange", steps / (steps + 200.0)),
         )
         return self._of("exchange", result.chosen, result.status)
@@ -287,6 +278,23 @@ class Search:
         if not self.workspace.allowed(result.x, target).all():
             return start
         return Found(result.x, target, cost, "gradient", result.status)
+
+    def _greedy(self, stage: str) -> tuple[int, ...]:
+        """The set that grows by the best candidate; where stopped, `_determined`."""
+        chosen = self._determined
+        # Before everything is determined, only the determinant tells what is better.
+        least = next(
+            k
+            for k in range(len(chosen) + 1)
+            if np.isfinite(self.selection(chosen[:k]).cost)
+        )
+        more = max(self.count - least, 1)
+        result = greedy(
+            self.selection(chosen[:least]),
+            self.count,
+            lambda steps, cost: self.told(stage, steps / more),
+        )
+        return result.chosen if len(result.chosen) == self.count else chosen
 
     @cached_property
     def _determined(self) -> tuple[int, ...]:

@@ -6,7 +6,7 @@ what each entry means. A new set is made wherever something changes.
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
 from functools import cached_property
@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, nearest
 from calib_pin.spatial import Floats
 
-__all__ = ["Parameter", "ParameterSet"]
+__all__ = ["Parameter", "ParameterSet", "matching"]
 
 
 @dataclass(frozen=True)
@@ -190,14 +190,12 @@ class ParameterSet:
         )
 
     def _match(self, pattern: str) -> set[int]:
-        if pattern in self._positions:  # The name of a joint may hold brackets.
-            return {self._positions[pattern]}
-        found = {k for k, p in enumerate(self) if fnmatchcase(p.name, pattern)}
+        found = matching(pattern, self.names)
         if not found:
             raise OptionError(
                 f"no parameter matches '{pattern}'{nearest(pattern, self.names)}"
             )
-        return found
+        return set(found)
 
     def _replace(self, changes: Mapping[int, Mapping[str, float]]) -> ParameterSet:
         return ParameterSet(
@@ -206,3 +204,15 @@ class ParameterSet:
                 for k, p in enumerate(self.parameters)
             )
         )
+
+
+def matching(pattern: str, names: Sequence[str]) -> list[int]:
+    """Positions of the names that a name or glob of a setup file means.
+
+    Example:
+        >>> matching("arm[1]", ["arm[1]", "arm1"]), matching("arm*", ["arm[1]", "leg"])
+        ([0], [0])
+    """
+    if pattern in names:  # The name of a joint may hold brackets.
+        return [names.index(pattern)]
+    return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)]

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from fnmatch import fnmatchcase
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
@@ -31,6 +30,7 @@ def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, f
     """
     from calib_pin.errors import OptionError
     from calib_pin.io.columns import ANGLE, LENGTH, split_header
+    from calib_pin.parameters import matching
 
     units = {**ANGLE.units, **LENGTH.units}
     limits = {}
@@ -58,21 +58,13 @@ def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, f
                 allowed=f"LOWER up to UPPER, at most {ANGLE.largest:.4g} rad or m; "
                 "other units in brackets: [deg]",
             )
-        for name, revolute in _meant(joint, chain):
-            kind = ANGLE if revolute else LENGTH
+        for k in matching(joint, chain.joints):
+            kind = ANGLE if chain.revolute[k] else LENGTH
             if unit is not None and unit not in kind.units:
                 raise OptionError(
-                    f"--limits cannot be {word!r}: joint '{name}' is "
-                    f"{'revolute' if revolute else 'prismatic'}",
+                    f"--limits cannot be {word!r}: joint '{chain.joints[k]}' is "
+                    f"{'revolute' if chain.revolute[k] else 'prismatic'}",
                     allowed=", ".join(kind.units),
                 )
         limits[joint] = (lower, upper)
     return limits
-
-
-def _meant(pattern: str, chain: Chain) -> list[tuple[str, bool]]:
-    """The joints that a name or glob means, and whether each is revolute."""
-    joints = dict(zip(chain.joints, map(bool, chain.revolute), strict=True))
-    if pattern in joints:  # The name of a joint may hold brackets.
-        return [(pattern, joints[pattern])]
-    return [pair for pair in joints.items() if fnmatchcase(pair[0], pattern)]

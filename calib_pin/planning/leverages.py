@@ -14,6 +14,7 @@ so both have their leverages here.
 from __future__ import annotations
 
 from collections.abc import Sequence
+from copy import copy
 
 import numpy as np
 
@@ -55,10 +56,9 @@ class Leverages:
 
     def copy(self) -> Leverages:
         """A copy that changes on its own."""
-        result = object.__new__(Leverages)
-        result._columns, result._lower = self._columns, self._lower
+        result = copy(self)
         result._inverses = [inverse.copy() for inverse in self._inverses]
-        result._leverages, result.volume = self._leverages.copy(), self.volume
+        result._leverages = self._leverages.copy()
         return result
 
     def volumes(self, sign: float, some: Sequence[int] | slice = slice(None)) -> Floats:

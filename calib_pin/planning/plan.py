@@ -21,7 +21,6 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurements import Measurements
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
-from calib_pin.planning.information import Information
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.prediction import Predicted, TipTests, predict
 from calib_pin.planning.rows import IdentificationRows
@@ -318,11 +317,9 @@ def _finished(
     q = _rounded(workspace, best.q[order], target)
 
     assert workspace.allowed(q, target).all(), "methods only end in allowed sets"
-    U = rows.rows(q, target).reshape(-1, rows.basis.shape[1])
-    M = search.known + U.T @ U
-    information = Information.of(M, rows.nuisances)
+    information = search.information(rows.rows(q, target))
     assert information is not None, "the search only ends in sets that determine all"
-    predicted = predict(information, M, rows.basis, tests, problem.parameters)
+    predicted = predict(information, rows.basis, tests, problem.parameters)
     parameters, groups = estimates(problem.parameters, structure, predicted)
     return Plan(
         problem=problem,
@@ -377,12 +374,18 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     own = search.rows.rows(best.q, best.target)
     table = np.concatenate([own, search.table])
     members = tuple(range(len(own)))
-    tip, f, known = Prediction(tests.position), search.rows.nuisances, search.known
-    subset = selection(table, f, search.criterion, known, members, search.measured)
+    tip = Prediction(tests.position)
+    subset = selection(
+        table,
+        search.rows.nuisances,
+        search.criterion,
+        search.known,
+        members,
+        search.measured,
+    )
 
     def step() -> Step:
-        U = table[subset.chosen].reshape(-1, table.shape[2])
-        found = Information.of(known + U.T @ U, f)
+        found = search.information(table[subset.chosen])
         position = np.inf if found is None else tip.value(found, len(subset.chosen))
         return Step(len(subset.chosen), subset.value, position)
 

@@ -67,13 +67,12 @@ class Predicted:
 
 
 def predict(
-    found: Information, M: Floats, basis: Floats, tests: TipTests, of: ParameterSet
+    found: Information, basis: Floats, tests: TipTests, of: ParameterSet
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
     Args:
-        found: The factored information.
-        M: The information matrix, shape (m, m).
+        found: The information.
         basis: Its columns in parameters, shape (P, m).
         tests: Where the tip's error is predicted.
         of: The parameters.
@@ -82,7 +81,8 @@ def predict(
     _, s, right = found.svd
     strong = s * WEAK > 1.0
     kept = block_diag(np.eye(f), right[:, strong])
-    covariance = kept @ np.linalg.inv(kept.T @ M @ kept) @ kept.T
+    R = found.factor @ kept
+    covariance = kept @ np.linalg.inv(R.T @ R) @ kept.T
     scaled = basis / of.scales[:, None]
     robot = scaled[:, f:] @ right
     return Predicted(

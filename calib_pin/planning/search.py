@@ -107,6 +107,7 @@ class Search:
         measured: int = 0,
     ) -> None:
         """Compute the rows of the candidates."""
+        candidates.require(count)
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.known, self.candidates, self.count = known, candidates, count
         self.measured = measured
@@ -114,7 +115,6 @@ class Search:
         self.stopped = False
         self._rng, self._progress, self._starts = rng, progress, starts
         self._bounds = np.column_stack([workspace.lower, workspace.upper])
-        candidates.require(count)
 
     def run(self, method: str) -> Found:
         """Search with a method of `METHODS`.
@@ -141,8 +141,13 @@ class Search:
 
     def cost(self, q: Floats, target: Sequence[str]) -> float:
         """Cost of a set of configurations."""
-        found = self._information(self.rows.rows(q, target))
+        found = self.information(self.rows.rows(q, target))
         return np.inf if found is None else self.criterion.cost(found)
+
+    def information(self, rows: Floats) -> Information | None:
+        """Information of rows (..., m) together with what is known."""
+        U = rows.reshape(-1, rows.shape[-1])
+        return Information.of(self.known + U.T @ U, self.rows.nuisances)
 
     def by_greedy(self) -> Found:
         """Add the best candidate until there are enough."""
@@ -258,7 +263,7 @@ class Search:
 
         def smooth(q: Floats) -> tuple[float, Floats]:
             rows, pullback = self.rows.linearize(q, target)
-            found = self._information(rows)
+            found = self.information(rows)
             if found is None:
                 return np.inf, np.zeros_like(q)
             cost, by_M = self.criterion.slope(found, sharpness)
@@ -328,11 +333,6 @@ class Search:
             allowed=allowed,
         )
 
-    def _information(self, rows: Floats) -> Information | None:
-        """Information of rows (..., m) together with what is known."""
-        U = rows.reshape(-1, rows.shape[-1])
-        return Information.of(self.known + U.T @ U, self.rows.nuisances)
-
     def _costs_of_sets(self, sets: Floats, target: tuple[str, ...]) -> Floats:
         """Costs of sets of configurations that look at given targets, (S, K, n)."""
         size, count, n = sets.shape
@@ -349,7 +349,7 @@ class Search:
         return np.asarray(costs)
 
     def _cost_of(self, rows: Floats) -> float:
-        found = self._information(rows)
+        found = self.information(rows)
         return np.inf if found is None else self.criterion.cost(found)
 
     def _drawn(self, target: Sequence[str]) -> list[int]:

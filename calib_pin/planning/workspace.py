@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
-from fnmatch import fnmatchcase
 
 import numpy as np
 import pinocchio as pin
@@ -12,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.collision import Collisions
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
+from calib_pin.parameters import matching
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 
@@ -81,7 +81,7 @@ class Workspace:
     """The configurations that may be measured.
 
     Attributes:
-        problem: Chain, frames and instrument; its data name the targets.
+        problem: Chain, frames and instrument.
         lower: Lower position limits, shape (n,) [rad, m].
         upper: Upper position limits, shape (n,) [rad, m].
         point: The measured point in the tip, whose place the region limits, SE3.
@@ -215,18 +215,17 @@ class Workspace:
 
     def _refusals(self, q: Floats, target: Sequence[str]) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
-        problem = self.problem
+        problem, error = self.problem, self.problem.error
         of_robot, own = problem.split(np.zeros(len(problem.parameters)))
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
         left = ~beyond
-        F = problem.error.tip_poses(q, of_robot)
+        F = error.tip_poses(q, of_robot)
         if problem.setup.region is not None:
             measured = F @ self.point.homogeneous
             within = problem.setup.region.contains(measured[:, :3, 3])
             refusals["outside the region"] = left & ~within
             left &= within
-        error = problem.error
         T = error.base.homogeneous @ F @ error.tool.homogeneous
         # The real robot must be seen there too, and it is not quite where it should be.
         swaying = (T[:, None] @ SWAY).reshape(-1, 4, 4)
@@ -270,7 +269,14 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
     margin = np.minimum(MARGIN, 0.01 * (chain.upper - chain.lower))
     lower, upper = chain.lower + margin, chain.upper - margin
     for pattern, (low, high) in setup.limits.items():
-        for k in _matches(pattern, chain.joints):
+        meant = matching(pattern, chain.joints)
+        if not meant:
+            raise OptionError(
+                f"limits match no joint of the chain: '{pattern}'"
+                f"{nearest(pattern, chain.joints)}",
+                allowed=", ".join(chain.joints),
+            )
+        for k in meant:
             lower[k], upper[k] = max(lower[k], low), min(upper[k], high)
             if lower[k] > upper[k]:
                 raise OptionError(
@@ -282,19 +288,6 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
     tidy = np.ceil(lower * TIDY) / TIDY, np.floor(upper * TIDY) / TIDY
     room = tidy[0] < tidy[1]
     return np.where(room, tidy[0], lower), np.where(room, tidy[1], upper)
-
-
-def _matches(pattern: str, joints: Sequence[str]) -> list[int]:
-    if pattern in joints:  # The name of a joint may hold brackets.
-        return [joints.index(pattern)]
-    found = [k for k, joint in enumerate(joints) if fnmatchcase(joint, pattern)]
-    if not found:
-        raise OptionError(
-            f"limits match no joint of the chain: '{pattern}'"
-            f"{nearest(pattern, joints)}",
-            allowed=", ".join(joints),
-        )
-    return found
 
 
 def _quasi_random(shift: Floats, begin: int, count: int) -> Floats:

@@ -329,7 +329,7 @@ def settings_of(settings: Settings) -> dict[str, object]:
         "plane_box": "box_plane_u_rad_v_rad_f_m",
         "target": "target_m2",
     }
-    return {names.get(key, key): value for key, value in asdict(settings).items()}
+    return shared.renamed(settings, names)
 
 
 def numbers_of(outcome: Outcome) -> dict[str, float]:

@@ -364,7 +364,7 @@ def settings_of(settings: Settings) -> dict[str, object]:
         "acceleration": "acceleration_rad_per_s2",
         "period": "period_s",
     }
-    return {names.get(key, key): value for key, value in asdict(settings).items()}
+    return shared.renamed(settings, names)
 
 
 def search_of(search: Record) -> dict[str, object]:

@@ -12,7 +12,7 @@ import textwrap
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
@@ -169,6 +169,11 @@ def versions() -> dict[str, str]:
     packages = ("calib-pin", "numpy", "pin", "numba", "matplotlib")
     python = {"python": platform.python_version(), "machine": platform.machine()}
     return python | {name: version(name) for name in packages}
+
+
+def renamed(settings: Any, names: Mapping[str, str]) -> dict[str, object]:
+    """Settings by name, some under other names, with their units."""
+    return {names.get(key, key): value for key, value in asdict(settings).items()}
 
 
 def write_json(path: Path, document: Mapping[str, object]) -> None:

@@ -7,11 +7,10 @@ calibration on other data. `identify` looks at the structure without measurement
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.assessment import (
     estimates,
@@ -22,12 +21,11 @@ from calib_pin.assessment import (
     verdict,
 )
 from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError, OptionError
-from calib_pin.fit import Fit, analyze_structure, fit, register
-from calib_pin.measurement_models import measurement_model
+from calib_pin.fit import analyze_structure, register
+from calib_pin.ladder import climb
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem, frame_pose
+from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.result import (
     Accuracy,
     CalibratedModel,
@@ -38,34 +36,21 @@ from calib_pin.result import (
 )
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
+from calib_pin.training import (
+    FOLDS,
+    Stages,
+    Trained,
+    Unseen,
+    cross_validate,
+    folds,
+    geometry_alone,
+    named,
+    portion,
+    shuffled_groups,
+    train,
+)
 
-__all__ = ["calibrate", "evaluate", "identify", "make_problem", "nominal_problem"]
-
-FOLDS = 5
-"""Parts of a cross-validation."""
-
-FEWEST = 4
-"""Configurations of every target without which there is no cross-validation."""
-
-
-def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
-    """Error model, measurement model and data of a setup put together.
-
-    A measuring frame of its own exists for positions and poses. A ranger measures
-    against a plane given in the base, which is known unless the setup frees it.
-
-    Raises:
-        OptionError: If a name in the setup does not exist.
-    """
-    model = measurement_model(data.model, setup, data.target)
-    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
-    error = ErrorModel.create(
-        chain,
-        setup.parameters,
-        estimate_base=model.measuring_frame if base is None else base,
-        estimate_tool=True if tool is None else tool,
-    )
-    return Problem(error, model, data, setup)
+__all__ = ["calibrate", "evaluate", "identify"]
 
 
 def calibrate(
@@ -76,8 +61,9 @@ def calibrate(
     validation: Measurements | None = None,
     holdout: float | None = None,
     validate: bool = True,
+    ladder: bool = False,
     seed: int = 0,
-    progress: Callable[[str, float], None] | None = None,
+    progress: Stages | None = None,
 ) -> CalibrationResult:
     """Calibrate a chain.
 
@@ -90,6 +76,9 @@ def calibrate(
         holdout: Part of the rows, 0 to 1, that is set aside for validation.
         validate: Whether to check the fit on unseen rows; without any of the above
             by cross-validation.
+        ladder: Judge models from joint offsets to a learned correction by
+            cross-validation, and calibrate with the simplest of the best; see
+            `ladder.climb`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
 
@@ -98,8 +87,8 @@ def calibrate(
 
     Raises:
         InputError: If the measurements do not fit the model.
-        OptionError: If a name in the setup does not exist or the holdout is not
-            between 0 and 1.
+        OptionError: If a name in the setup does not exist, the holdout is not
+            between 0 and 1, or the rows are too few for what is to be learned.
 
     Example:
         >>> import calib_pin
@@ -114,40 +103,41 @@ def calibrate(
     """
     setup = setup or Setup()
     training, unseen, method = _split(measurements, validation, holdout, seed)
-    stages = 1 if unseen is not None or not validate else 1 + FOLDS
+    climbed = climb(chain, training, setup, seed, progress) if ladder else None
+    alone = unseen is not None or not validate
+    share = 1.0 if alone else 1.0 / (1 + FOLDS)
+    if climbed is not None:
+        trained = climbed.trained
+    else:
+        tell = portion(named(progress, "fit"), 0.0, share)
+        trained = train(chain, training, setup, seed, tell)
 
-    def run(rows: Measurements, stage: int) -> Fit:
-        furthest = 0.0
+    def checking(stage: str, part: float) -> None:
+        if progress is not None:
+            progress(stage, share + (1.0 - share) * part)
 
-        def report(part: float) -> None:
-            # A solver may search several times.
-            nonlocal furthest
-            furthest = max(furthest, part)
-            if progress is not None:
-                name = f"check {stage} of {FOLDS}" if stage else "fit"
-                progress(name, (stage + furthest) / stages)
-
-        report(0.0)
-        problem = make_problem(chain, rows, setup)
-        return fit(problem, np.random.default_rng(seed), progress=report)
-
-    fitted = run(training, 0)
     checks: list[tuple[Floats, Floats]] = []
     if not validate:
         method = "none"
     elif unseen is not None:
-        checks = [_unseen_errors(fitted, unseen)]
+        checks = [trained.errors(unseen)]
     else:
-        folds = _folds(training, fitted, seed)
-        for k, rows in enumerate(folds, 1):
-            part = run(training.rows(~rows), k)
-            checks.append(_unseen_errors(part, training.rows(rows)))
-        method = f"{len(folds)}-fold" if folds else "none"
-    errors = tuple(_quantity_errors(fitted, checks))
+        parts: Iterable[Unseen] = ()
+        if climbed is not None:
+            parts = climbed.unseen
+        elif masks := folds(training, trained.fit, seed):
+            parts = cross_validate(chain, training, setup, masks, seed, checking)
+        checks = [(part.before, part.after) for part in parts]
+        method = f"{len(checks)}-fold" if checks else "none"
+    fitted = trained.fit
+    geometric, geometry = trained.problem.error.geometric, trained
+    if not geometric:
+        geometry = geometry_alone(chain, training, fitted.problem.setup, seed)
+    errors = tuple(_quantity_errors(trained, checks))
     status, reason = verdict(fitted, errors)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
-        model=CalibratedModel.create(fitted.problem, fitted.theta),
+        model=CalibratedModel.create(trained.problem, trained.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
         verdict=status,
         reason=reason,
@@ -183,6 +173,9 @@ def calibrate(
             )
             if name
         ),
+        ladder=None if climbed is None else climbed.ladder,
+        geometry=CalibratedModel.create(geometry.problem, geometry.theta),
+        urdf=() if geometric else _urdf_errors(geometry, unseen),
     )
 
 
@@ -207,8 +200,10 @@ def evaluate(
     Raises:
         InputError: If the measurements do not fit the model.
     """
+    outside = 0
     if isinstance(robot, CalibratedModel):
         problem = robot.problem(measurements)
+        outside = int(robot.outside(measurements.q).sum())
         theta = np.concatenate(
             [robot.theta, np.zeros(len(robot.measurement.parameters))]
         )
@@ -234,6 +229,7 @@ def evaluate(
         registered=registration,
         verdict="untrusted" if reason else "good",
         reason=reason,
+        outside=outside,
     )
 
 
@@ -266,27 +262,6 @@ def identify(
     )
 
 
-def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
-    """A problem without rows, about the frames and instrument that the setup gives.
-
-    Raises:
-        OptionError: If the instrument needs a reference that the setup lacks.
-    """
-    data = Measurements(
-        joints=chain.joints,
-        q=np.zeros((len(setup.planes) or 1, len(chain.joints))),
-        model=model,
-        values=np.zeros((len(setup.planes) or 1, 1)),
-        target=tuple(setup.planes) or ("",),
-    )
-    problem = make_problem(chain, data, setup)
-    missing = problem.measurement.missing
-    if missing:
-        raise OptionError(f"a {model} study without measurements: {missing}")
-    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
-    return replace(problem, error=problem.error.with_frames(*frames))
-
-
 def _split(
     measurements: Measurements,
     validation: Measurements | None,
@@ -313,7 +288,7 @@ def _split(
             raise OptionError(
                 "holdout is out of range", value=holdout, allowed="between 0 and 1"
             )
-        labels, order = _shuffled_groups(training, seed)
+        labels, order = shuffled_groups(training, seed)
         count = max(1, round(holdout * len(training)))
         size = np.cumsum(np.bincount(labels)[order])
         chosen = np.zeros(len(order), bool)
@@ -325,54 +300,27 @@ def _split(
     return training, unseen if len(unseen) else None, "set"
 
 
-def _shuffled_groups(
-    rows: Measurements, seed: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Group of each row, (N,), and the groups of repetitions in random order."""
-    order = np.random.default_rng(seed).permutation(rows.configurations)
-    return rows.groups(), order
-
-
-def _folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
-    """Masks of the parts of a cross-validation; none where the rows do not suffice.
-
-    What is fitted without a part must still determine the robot and every plane.
-    """
-    labels, order = _shuffled_groups(rows, seed)
-    if len(order) < FOLDS:
-        return []
-    fold = np.empty(len(order), np.int64)
-    fold[order] = np.arange(len(order)) % FOLDS
-    targets = np.array(rows.target)
-    masks = []
-    for k in range(FOLDS):
-        mask = fold[labels] == k
-        rest = rows.rows(~mask)
-        values = rest.configurations * fitted.problem.components
-        if values <= fitted.structure.rank or any(
-            rows.rows(~mask & (targets == name)).configurations < FEWEST
-            for name in set(rows.target)
-        ):
-            return []
-        masks.append(mask)
-    return masks
-
-
-def _unseen_errors(part: Fit, rows: Measurements) -> tuple[Floats, Floats]:
-    """Errors of unseen rows before and after a fit, shape (N, d) each."""
-    problem = replace(part.problem, data=rows)
-    return problem.errors(part.before), problem.errors(part.theta)
+def _urdf_errors(
+    geometry: Trained, unseen: Measurements | None
+) -> tuple[tuple[str, str, Accuracy], ...]:
+    """Accuracy of the geometry alone, which is all that a URDF can hold."""
+    rows = geometry.problem.data if unseen is None else unseen
+    _, errors = geometry.errors(rows)
+    return tuple(
+        (quantity.name, quantity.unit, Accuracy.of(quantity.errors(errors)))
+        for quantity in geometry.problem.measurement.quantities
+    )
 
 
 def _quantity_errors(
-    fitted: Fit, checks: Sequence[tuple[Floats, Floats]]
+    trained: Trained, unseen: Sequence[tuple[Floats, Floats]]
 ) -> Iterator[QuantityErrors]:
     """Accuracy before and after, on the fitted and on the unseen rows."""
-    stages = [fitted.problem.errors(theta) for theta in (fitted.before, fitted.theta)]
-    unseen = [np.concatenate(parts) for parts in zip(*checks, strict=True)]
-    for quantity in fitted.problem.measurement.quantities:
+    stages = trained.errors(trained.fit.problem.data)
+    parts = [np.concatenate(part) for part in zip(*unseen, strict=True)]
+    for quantity in trained.problem.measurement.quantities:
         before, after = (Accuracy.of(quantity.errors(errors)) for errors in stages)
-        accuracies = [Accuracy.of(quantity.errors(errors)) for errors in unseen]
+        accuracies = [Accuracy.of(quantity.errors(errors)) for errors in parts]
         yield QuantityErrors(
             quantity.name, quantity.unit, before, after, *(accuracies or (None, None))
         )

@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, nearest
+from calib_pin.setup import Payload
 from calib_pin.spatial import Floats, adjoint, invert
 
 __all__ = ["Chain", "Robot"]
@@ -200,6 +201,84 @@ class Chain:
         if R_base is not None:
             R_tip -= adjoint(invert(T)) @ R_base
         return T, R_tip[:, :, self._columns]
+
+    def jacobian(
+        self, q: Floats, placements: Sequence[pin.SE3] | None = None
+    ) -> tuple[Floats, Floats]:
+        """Tip poses and their derivative by the joint positions.
+
+        The columns of the regressor along the joints' own motions, in less time.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            placements: Joint placements in chain order; default the nominal ones.
+
+        Returns:
+            `T_base_tip`, shape (N, 4, 4), and body twists of the tip, (N, 6, n).
+        """
+        model, data = self._model, self._data
+        self._place(placements)
+        shape = (len(q), 6, len(self.joints))
+        T, J = np.empty((len(q), 4, 4)), np.empty(shape)
+        J_base = np.empty(shape) if self.reversed.any() else None
+        base = np.empty((len(q) if self.reversed.any() else min(len(q), 1), 4, 4))
+        order = [model.idx_vs[joint] for joint in self._ids]
+        for i, configuration in enumerate(self._configurations(q)):
+            pin.computeJointJacobians(model, data, configuration)
+            T[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
+            J[i] = pin.getFrameJacobian(model, data, self._tip_id, pin.LOCAL)[:, order]
+            if i < len(base):
+                placed = pin.updateFramePlacement(model, data, self._base_id)
+                base[i] = placed.homogeneous
+            if J_base is not None:
+                of_base = pin.getFrameJacobian(model, data, self._base_id, pin.LOCAL)
+                J_base[i] = of_base[:, order]
+        T = invert(base) @ T
+        if J_base is not None:
+            J -= adjoint(invert(T)) @ J_base
+        return T, J
+
+    @property
+    def motions(self) -> Floats:
+        """Unit twists of the joints' own motions in the joint frames, shape (n, 6)."""
+        result = np.zeros((len(self.joints), 6))
+        result[self.revolute, 3:] = self.axes[self.revolute]
+        result[~self.revolute, :3] = self.axes[~self.revolute]
+        return result
+
+    def gravity_torques(
+        self, q: Floats, gravity: Sequence[float], payload: Payload | None = None
+    ) -> Floats:
+        """Torques that gravity exerts on the joints at nominal geometry.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            gravity: Its acceleration in the base link at zero joint positions, (3,)
+                [m/s^2]; the root of the robot stands still.
+            payload: Carried by the tip.
+
+        Returns:
+            Torques, shape (N, n) [Nm, N for joints that slide].
+        """
+        self._place(None)
+        model = self._model.copy()
+        (zero,) = self._configurations(np.zeros((1, len(self.joints))))
+        data = model.createData()
+        pin.forwardKinematics(model, data, zero)
+        base = pin.updateFramePlacement(model, data, self._base_id)
+        model.gravity.linear = base.rotation @ np.asarray(gravity, float)
+        if payload is not None:
+            tip = model.frames[self._tip_id]
+            mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
+            model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
+        data = model.createData()
+        # Joint velocities are not unit columns of q where a joint is continuous.
+        order = [model.idx_vs[joint] for joint in self._ids]
+        torques = np.empty((len(q), len(self.joints)))
+        for i, configuration in enumerate(self._configurations(q)):
+            holding = pin.computeGeneralizedGravity(model, data, configuration)
+            torques[i] = -holding[order]
+        return torques
 
     def joint_frames(self) -> Floats:
         """Joint frames in the base frame at zero joint positions, shape (n, 4, 4)."""

@@ -212,7 +212,10 @@ def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combi
 
     def weight(term: tuple[int, float]) -> float:
         position, coefficient = term
-        return abs(coefficient) * expected_size(parameters[position].unit)
+        parameter = parameters[position]
+        # The scale of a frame is that of an unknown stand, not of an error.
+        size = expected_size(parameter.unit) if parameter.nuisance else parameter.scale
+        return abs(coefficient) * size
 
     heaviest = max(map(weight, terms))
     terms = [term for term in terms if weight(term) > CRUMB * heaviest]

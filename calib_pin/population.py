@@ -27,12 +27,13 @@ class PopulationCost:
         threads: Number of threads; default one per available core.
 
     Attributes:
-        evaluator: `kernel`, or `loop` where the measurement model has no batch form
-            and the members are evaluated one by one.
+        evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
+            measurement model has no batch form, or the joints have corrections, which
+            give every member other joint motions.
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.calibration import nominal_problem
+        >>> from calib_pin.problem import nominal_problem
         >>> from calib_pin.setup import Setup
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())
@@ -48,7 +49,7 @@ class PopulationCost:
         self._threads = Threads(threads)
         measurement = problem.measurement
         self.evaluator: Literal["kernel", "loop"] = "loop"
-        if isinstance(measurement, BatchedModel):
+        if isinstance(measurement, BatchedModel) and problem.error.geometric:
             self.evaluator = "kernel"
             self._segments = Segments.of(problem.error)
             self._batch = measurement.batch(problem.data, 1.0 / problem.sigma)

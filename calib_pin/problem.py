@@ -11,9 +11,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError, OptionError
-from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurement_models import MeasurementModel, measurement_model
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup, Setup
@@ -22,7 +23,14 @@ from calib_pin.spatial import Floats
 if TYPE_CHECKING:
     from calib_pin.many_rows import ManyRows
 
-__all__ = ["Problem", "assumed_sigma", "frame_pose", "observable_configurations"]
+__all__ = [
+    "Problem",
+    "assumed_sigma",
+    "frame_pose",
+    "make_problem",
+    "nominal_problem",
+    "observable_configurations",
+]
 
 DRAWS = 200
 """Random configurations tried for each one that is wanted."""
@@ -128,7 +136,7 @@ class Problem:
         of_robot, own = self.split(theta)
         if self._many is not None:
             return self._many.errors(of_robot, own)
-        T = self.error.poses(self.data.q, of_robot)
+        T = self.error.poses(self.data.q, of_robot, self._factors)
         return self.measurement.residual(T, own, self.data)
 
     def residual(self, theta: Floats) -> Floats:
@@ -165,7 +173,7 @@ class Problem:
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` row by row, however many there are."""
         of_robot, own = self.split(theta)
-        poses = self.error.linearize(self.data.q, of_robot)
+        poses = self.error.linearize(self.data.q, of_robot, self._factors)
         linear = self.measurement.linearize(poses.T, own, self.data)
         weight = 1.0 / self.sigma[:, :, None]
         blocks = [poses.derivative(linear.by_twist * weight)]
@@ -187,9 +195,15 @@ class Problem:
         return self._many is not None
 
     @cached_property
+    def _factors(self) -> Floats:
+        """Those of the joint corrections, which depend on commands alone, (N, C)."""
+        return self.error.factors(self.data.q)
+
+    @cached_property
     def _many(self) -> ManyRows | None:
         """The compiled kernels where a Jacobian would be too large to be handy."""
-        if len(self.data) * self.components * len(self.parameters) < MANY:
+        size = len(self.data) * self.components * len(self.parameters)
+        if size < MANY or not self.error.geometric:
             return None
         from calib_pin.many_rows import ManyRows
 
@@ -253,6 +267,26 @@ class Problem:
         free = parameters.free[part]
         return bool(free.any() and (tied or not free.all()))
 
+    def at(self, theta: Floats) -> tuple[Problem, Floats]:
+        """The same problem about other values of frames and instrument.
+
+        Args:
+            theta: Parameter values, shape (P,).
+
+        Returns:
+            The problem with these in its references, and values about them, shape
+            (P,): zero for frames and instrument, those of the robot as they are.
+        """
+        of_robot, own = self.split(theta)
+        error, products = self.error, self.error.corrections(of_robot)
+        frames = error.base * products[0], error.tool * products[-1]
+        moved = replace(
+            self,
+            error=error.with_frames(*frames),
+            measurement=self.measurement.about(own),
+        )
+        return moved, np.where(self.parameters.nuisance, 0.0, theta)
+
     def about(self, theta: Floats, q: Floats, target: Sequence[str]) -> Problem:
         """The problem with noise-free data of the model at other rows.
 
@@ -276,6 +310,51 @@ class Problem:
         """Values of the error model and of the measurement model, (..., P) each."""
         count = len(self.error.screws)
         return theta[..., :count], theta[..., count:]
+
+
+def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
+    """Error model, measurement model and data of a setup put together.
+
+    A measuring frame of its own exists for positions and poses. A ranger measures
+    against a plane given in the base, which is known unless the setup frees it.
+
+    Raises:
+        OptionError: If a name in the setup does not exist.
+    """
+    model = measurement_model(data.model, setup, data.target)
+    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
+    try:
+        error = ErrorModel.create(
+            chain,
+            setup.parameters,
+            setup=setup,
+            estimate_base=model.measuring_frame if base is None else base,
+            estimate_tool=True if tool is None else tool,
+        )
+    except OptionError as mistake:
+        raise mistake.within(setup.file) from None
+    return Problem(error, model, data, setup)
+
+
+def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
+    """A problem without rows, about the frames and instrument that the setup gives.
+
+    Raises:
+        OptionError: If the instrument needs a reference that the setup lacks.
+    """
+    data = Measurements(
+        joints=chain.joints,
+        q=np.zeros((len(setup.planes) or 1, len(chain.joints))),
+        model=model,
+        values=np.zeros((len(setup.planes) or 1, 1)),
+        target=tuple(setup.planes) or ("",),
+    )
+    problem = make_problem(chain, data, setup)
+    missing = problem.measurement.missing
+    if missing:
+        raise OptionError(f"a {model} study without measurements: {missing}")
+    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
+    return replace(problem, error=problem.error.with_frames(*frames))
 
 
 def _joined(blocks: list[Floats], axis: int) -> Floats:

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
+from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
@@ -24,9 +26,11 @@ __all__ = [
     "Evaluation",
     "Identifiability",
     "Identification",
+    "Ladder",
     "Outlier",
     "ParameterEstimate",
     "QuantityErrors",
+    "Rung",
 ]
 
 
@@ -154,6 +158,48 @@ class Identification:
 
 
 @dataclass(frozen=True)
+class Rung:
+    """One step of the model ladder, judged by cross-validation.
+
+    Attributes:
+        name: What it adds.
+        parameters: Names of its parameterizations.
+        learned: Its residual model, None for none.
+        rank: Practical rank of its fit; 0 where it could not be tried.
+        errors: Name, unit and mean error on unseen rows of every quantity.
+        score: Mean error on unseen rows, root mean square of the components in standard
+            deviations; NaN where it could not be tried.
+        deviation: Standard error of the score.
+        helps: Whether it lowers the errors of the rungs that it stands on by more than
+            the standard error of the difference.
+        reason: Why it could not be tried; empty where it was.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    learned: str | None
+    rank: int = 0
+    errors: tuple[tuple[str, str, float], ...] = ()
+    score: float = float("nan")
+    deviation: float = float("nan")
+    helps: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The model ladder.
+
+    Attributes:
+        rungs: All of them, simplest first.
+        chosen: Position of the one that is kept.
+    """
+
+    rungs: tuple[Rung, ...]
+    chosen: int
+
+
+@dataclass(frozen=True)
 class CalibratedModel:
     """A robot with its calibration: what predicts measurements and corrects commands.
 
@@ -175,16 +221,12 @@ class CalibratedModel:
 
         Frames and instrument move into their references; the robot keeps its values.
         """
-        of_robot, own = problem.split(theta)
-        error = problem.error
-        products = error.corrections(of_robot)
+        moved, values = problem.at(theta)
         return CalibratedModel(
-            error=error.with_frames(
-                error.base * products[0], error.tool * products[-1]
-            ),
-            measurement=problem.measurement.about(own),
-            theta=np.where(error.parameters.nuisance, 0.0, of_robot),
-            setup=problem.setup,
+            error=moved.error,
+            measurement=moved.measurement,
+            theta=moved.split(values)[0],
+            setup=moved.setup,
         )
 
     @property
@@ -195,6 +237,30 @@ class CalibratedModel:
     def poses(self, q: Floats) -> Floats:
         """Predicted tool poses in the measuring frame, shape (N, n) -> (N, 4, 4)."""
         return self.error.poses(q, self.theta)
+
+    def outside(self, q: Floats) -> NDArray[np.bool_]:
+        """Where a learned correction fades, being far from its training, shape (N,).
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+        """
+        learned = self.error.learned
+        if not isinstance(learned, LearnedCorrection):
+            return np.zeros(len(q), bool)
+        return ~learned.model.region.inside(q)
+
+    @property
+    def geometric(self) -> bool:
+        """Whether there is nothing but geometry, which a URDF can hold."""
+        moved = self.theta[self.error.joint_corrections].any()
+        return self.error.learned is None and not moved
+
+    @property
+    def geometry(self) -> CalibratedModel:
+        """The model without what a URDF cannot hold."""
+        theta = self.theta.copy()
+        theta[self.error.joint_corrections] = 0.0
+        return replace(self, error=self.error.with_learned(None), theta=theta)
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""
@@ -234,6 +300,8 @@ class CalibrationResult(Identification):
 
     Attributes:
         model: The calibrated robot.
+        geometry: The same robot calibrated by its geometry alone, which is what a URDF
+            can hold; the model itself where there is nothing else.
         reference: The nominal robot about the registered frames and instrument that
             the values of their parameters deviate from.
         verdict: `good` or `untrusted`.
@@ -259,9 +327,14 @@ class CalibrationResult(Identification):
         seed: Seed of configurations and splits.
         covariance: Of the parameters, shape (P, P).
         files: Measurement files.
+        ladder: The model ladder, if one was climbed.
+        urdf: Name, unit and accuracy of every quantity with the geometry alone, on the
+            rows set aside for validation if there are any, else on the fitted ones;
+            empty where there is nothing but geometry.
     """
 
     model: CalibratedModel
+    geometry: CalibratedModel
     reference: CalibratedModel
     verdict: str
     reason: str
@@ -284,6 +357,8 @@ class CalibrationResult(Identification):
     seed: int
     covariance: Floats = field(repr=False)
     files: tuple[str, ...] = ()
+    ladder: Ladder | None = None
+    urdf: tuple[tuple[str, str, Accuracy], ...] = ()
 
 
 @dataclass(frozen=True)
@@ -297,6 +372,7 @@ class Evaluation:
             these rows.
         verdict: `good` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
+        outside: Number of rows that lie outside the region of a learned correction.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
@@ -304,3 +380,4 @@ class Evaluation:
     registered: bool
     verdict: str = "good"
     reason: str = ""
+    outside: int = 0

@@ -31,7 +31,9 @@ Factor: TypeAlias = "pin.SE3 | tuple[int, float]"
 
 @dataclass(frozen=True)
 class Segments:
-    """The segments of an error model with n joints and P parameters.
+    """The segments of an error model with n joints and P parameters of its geometry.
+
+    Joint corrections belong to the motions between them, not to a segment.
 
     Attributes:
         constants: Nominal links as rows of (R | p), shape (n + 1, 12).
@@ -122,7 +124,8 @@ def _split(model: ErrorModel) -> Iterator[list[Factor]]:
     chain = model.chain
     at: list[list[int]] = [[] for _ in range(model.places)]
     for k, screw in enumerate(model.screws):
-        at[screw.place].append(k)
+        if screw.factor is None:
+            at[screw.place].append(k)
     base, tip = chain.ends
     factors: list[Factor] = [model.base, *_applied(at[0]), base.inverse()]
     for i in range(len(chain.joints)):

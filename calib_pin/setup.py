@@ -15,6 +15,7 @@ __all__ = [
     "FrameSetup",
     "JointMap",
     "Obstacle",
+    "Payload",
     "PlaneSetup",
     "RangerSetup",
     "Region",
@@ -75,6 +76,19 @@ class JointMap:
     gear: float = 1.0
     offset: float = 0.0
     coupled: Mapping[str, float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Payload:
+    """What the robot carries.
+
+    Attributes:
+        mass: Mass [kg].
+        com: Center of mass in the tip frame [m].
+    """
+
+    mass: float
+    com: Triple = (0.0, 0.0, 0.0)
 
 
 @dataclass(frozen=True)
@@ -208,10 +222,16 @@ class Setup:
         tip: Link at which the chain ends; None for the only leaf.
         model: Measurement model; None to infer it from the columns.
         parameters: Names of the parameterizations, combined in this order.
+        learned: Residual model that learns what the parameters leave; None for none.
         base_frame: Pose of the base link in the measuring frame.
         tool_frame: Pose of the tool (target, beam) in the tip frame.
         planes: Planes by the name that rows give as their target.
         joints: Joint map by file column; empty where columns are URDF joint names.
+        gravity: Acceleration of gravity in the base link [m/s^2]; with a base that
+            moves against the root of the robot, in the base at zero joint positions.
+        payloads: What the robot carries, by name.
+        gear_ratios: Joint name or glob to the turns of the motor per turn of the joint
+            (rad/m for a joint that slides), where harmonics of the motor are sought.
         fixed: Globs of parameter names that are not estimated.
         bounds: Glob to the largest absolute value [SI], or to (lower, upper).
         prior: Glob to the prior standard deviation about zero [SI].
@@ -230,10 +250,14 @@ class Setup:
     tip: str | None = None
     model: str | None = None
     parameters: tuple[str, ...] = ("placement",)
+    learned: str | None = None
     base_frame: FrameSetup = FrameSetup()
     tool_frame: FrameSetup = FrameSetup()
     planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
     joints: Mapping[str, JointMap] = field(default_factory=dict)
+    gravity: Triple = (0.0, 0.0, -9.81)
+    payloads: Mapping[str, Payload] = field(default_factory=dict)
+    gear_ratios: Mapping[str, float] = field(default_factory=dict)
     fixed: tuple[str, ...] = ()
     bounds: Mapping[str, float | tuple[float, float]] = field(default_factory=dict)
     prior: Mapping[str, float] = field(default_factory=dict)

@@ -19,7 +19,8 @@ __all__ = ["draw_errors", "simulate"]
 def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     """True errors of a robot, uniform within plus and minus the scale, shape (P,).
 
-    Frames, planes and fixed parameters stay at zero.
+    Frames, planes and fixed parameters stay at zero, and no compliance is negative: a
+    joint does not rise under its load.
 
     Args:
         parameters: The parameters.
@@ -27,7 +28,8 @@ def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     """
     moved = parameters.free & ~parameters.nuisance
     drawn = rng.uniform(-1.0, 1.0, len(parameters)) * parameters.scales
-    return np.where(moved, drawn, 0.0)
+    loaded = np.array([p.unit in ("rad/Nm", "m/N") for p in parameters], bool)
+    return np.where(moved, np.where(loaded, np.abs(drawn), drawn), 0.0)
 
 
 def simulate(
@@ -65,7 +67,7 @@ def simulate(
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.calibration import nominal_problem
+        >>> from calib_pin.problem import nominal_problem
         >>> chain = calib_pin.load_chain("pa10")
         >>> problem = nominal_problem(chain, "position", calib_pin.Setup())
         >>> rng = np.random.default_rng(1)

@@ -61,6 +61,9 @@ EXACT = 1e-14
 ENOUGH = 1e-12
 """The same for very many rows; of a million it is a thousandth of a deviation."""
 
+INVISIBLE = 1e-3
+"""Gain in chi-square, in squared deviations of unit weight, that nobody can see."""
+
 NEGLIGIBLE = 0.01
 """Part of the cost that an evolution may leave to gain and yet have converged."""
 
@@ -205,9 +208,13 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
         start = gauss_newton(few.linearize, few.cost, start, basis).x
-    tolerance = ENOUGH if problem.many else EXACT
     return gauss_newton(
-        problem.linearize, problem.cost, start, basis, tolerance=tolerance
+        problem.linearize,
+        problem.cost,
+        start,
+        basis,
+        tolerance=ENOUGH if problem.many else EXACT,
+        worthwhile=INVISIBLE / max(problem.count, 1),
     )
 
 

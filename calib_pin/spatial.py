@@ -14,8 +14,10 @@ __all__ = [
     "Floats",
     "adjoint",
     "from_quaternion",
+    "interpolate",
     "invert",
     "nearest_rotation",
+    "se3_exp",
     "skew",
     "so3_exp",
     "so3_log",
@@ -63,6 +65,38 @@ def so3_exp(vector: Floats) -> Floats:
     first = np.sinc(angle / np.pi)
     second = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
     return np.asarray(np.eye(3) + first * K + second * (K @ K))
+
+
+def se3_exp(twist: Floats) -> Floats:
+    """Rigid motions of twists (linear, angular), shape (..., 6) -> (..., 4, 4)."""
+    vector = twist[..., 3:]
+    angle = np.linalg.norm(vector, axis=-1)[..., None, None]
+    K = skew(vector)
+    first = 0.5 * np.sinc(angle / (2.0 * np.pi)) ** 2
+    small = angle < 1e-2
+    safe = np.where(small, 1.0, angle)
+    # Series of (x - sin x) / x^3, which cancels at zero angle.
+    series = 1.0 / 6.0 - angle**2 / 120.0 + angle**4 / 5040.0
+    second = np.where(small, series, (safe - np.sin(safe)) / safe**3)
+    V = np.eye(3) + first * K + second * (K @ K)
+    result = np.zeros((*twist.shape[:-1], 4, 4))
+    result[..., :3, :3] = so3_exp(vector)
+    result[..., :3, 3] = (V @ twist[..., :3, None])[..., 0]
+    result[..., 3, 3] = 1.0
+    return result
+
+
+def interpolate(first: Floats, last: Floats, part: Floats) -> Floats:
+    """Poses between two, shape (..., 4, 4), by the part of the way, shape (...).
+
+    The origin goes straight, the rotation takes the shortest turn.
+    """
+    way = invert(first) @ last
+    result = np.zeros(np.broadcast_shapes(way.shape, (*part.shape, 4, 4)))
+    result[..., :3, :3] = so3_exp(part[..., None] * so3_log(way[..., :3, :3]))
+    result[..., :3, 3] = part[..., None] * way[..., :3, 3]
+    result[..., 3, 3] = 1.0
+    return np.asarray(first @ result)
 
 
 def so3_log(R: Floats) -> Floats:

@@ -20,11 +20,15 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.io.urdf import load_chain, parse_robot
-from calib_pin.problem import Problem, frame_pose, observable_configurations
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.problem import (
+    Problem,
+    frame_pose,
+    nominal_problem,
+    observable_configurations,
+)
+from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
 
 
 def example_robots() -> list[Path]:
@@ -63,7 +67,10 @@ def special_chain(request: pytest.FixtureRequest) -> Chain:
 
 @pytest.fixture(scope="session")
 def framed() -> Setup:
-    """A setup with frames that are estimated and two planes."""
+    """Frames that are estimated, two planes, a payload, and motors behind gears.
+
+    Gravity does not run along any axis, and what has no mass carries something.
+    """
     return Setup(
         base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4), estimate=True),
         tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3), estimate=True),
@@ -71,6 +78,9 @@ def framed() -> Setup:
             "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
             "wall": PlaneSetup((1.0, 0.3, 0.2), -3.0),
         },
+        gravity=(1.0, -2.0, -9.5),
+        payloads={"load": Payload(2.0, (0.05, -0.1, 0.2))},
+        gear_ratios={"*": -31.5},
     )
 
 
@@ -89,15 +99,16 @@ def urdf_of() -> Callable[..., str]:
     """Text of a URDF: `urdf_of({"name": "j", "parent": "a", "child": "b", ...}, ...)`.
 
     Further keys of a joint: `type` (revolute), `placement` (SE3), `axis` (0 0 1),
-    `limits` (lower, upper), `more` (XML inside the joint). Joints to come later in
-    the tree may come first.
+    `limits` (lower, upper), `more` (XML inside the joint), `mass` (kg and center of
+    the child). Joints to come later in the tree may come first.
     """
 
     def text(*joints: Mapping[str, Any]) -> str:
         links = dict.fromkeys(
             link for joint in joints for link in (joint["parent"], joint["child"])
         )
-        lines = [f'<link name="{link}"/>' for link in links]
+        masses = {j["child"]: _inertial(*j["mass"]) for j in joints if "mass" in j}
+        lines = [f'<link name="{link}">{masses.get(link, "")}</link>' for link in links]
         for joint in joints:
             kind = joint.get("type", "revolute")
             placement = joint.get("placement", pin.SE3.Identity())
@@ -205,6 +216,14 @@ def independent_poses() -> Callable[..., Any]:
         return [robot.get_transform(tip, base) for base, tip in frames]
 
     return poses
+
+
+def _inertial(mass: float, center: Sequence[float]) -> str:
+    inertia = 'ixx="1" ixy="0.1" ixz="0" iyy="2" iyz="0" izz="3"'
+    return (
+        f'<inertial><origin xyz="{_numbers(center)}"/><mass value="{mass}"/>'
+        f"<inertia {inertia}/></inertial>"
+    )
 
 
 def _numbers(values: Any) -> str:

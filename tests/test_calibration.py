@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.errors import InputError, OptionError
+from calib_pin.problem import nominal_problem
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 

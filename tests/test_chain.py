@@ -13,6 +13,7 @@ import pytest
 from calib_pin.chain import Chain, Robot
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+from calib_pin.setup import Payload
 
 UrdfOf = Callable[..., str]
 ChainOf = Callable[..., Chain]
@@ -337,6 +338,137 @@ def test_number_of_placements_is_checked() -> None:
     chain = load_chain("space6")
     with pytest.raises(ValueError, match="zip"):
         chain.poses(np.zeros((1, 6)), chain.placements[:5])
+
+
+# Gravity.
+
+GRAVITY = (1.0, -3.0, -9.0)
+LOAD = Payload(2.5, (0.1, -0.2, 0.3))
+MASSES = {
+    "b": (4.0, (0.1, 0.0, 0.2)),
+    "c": (3.0, (0.0, -0.3, 0.1)),
+    "d": (2.0, (0.2, 0.1, 0.0)),
+    "e": (1.0, (-0.1, 0.2, 0.4)),
+    "tool": (0.5, (0.0, 0.0, 0.2)),
+    "f": (1.5, (0.3, 0.0, 0.0)),
+    "g": (0.7, (0.0, 0.1, 0.0)),
+}
+
+
+@pytest.fixture
+def heavy_urdf(urdf_of: UrdfOf) -> str:
+    """Two branches with all kinds of joints; each link has a mass of its own."""
+    rng = np.random.default_rng(12)
+    joints = {
+        "above": ("a", "b", "revolute", (0, 1, 0)),
+        "one": ("b", "c", "continuous", (1, 2, 3)),
+        "two": ("c", "d", "prismatic", (0, 0, -1)),
+        "three": ("d", "e", "revolute", (1, 0, 0)),
+        "flange": ("e", "tool", "fixed", None),
+        "aside": ("b", "f", "continuous", (0, -1, 1)),
+        "beyond": ("f", "g", "revolute", (0, 0, 1)),
+    }
+    return urdf_of(
+        *(
+            {
+                "name": name,
+                "parent": parent,
+                "child": child,
+                "type": kind,
+                "axis": axis,
+                "placement": placement(rng),
+                "mass": MASSES[child],
+            }
+            for name, (parent, child, kind, axis) in joints.items()
+        )
+    )
+
+
+CHAINS_UNDER_GRAVITY = [
+    ("a", "tool"),
+    ("tool", "a"),
+    # The joint above is locked, and turns the frame that gravity is given in.
+    ("b", "e"),
+    ("e", "b"),
+    # Two branches, with a locked joint beyond the base.
+    ("f", "tool"),
+    ("tool", "g"),
+]
+
+
+@pytest.mark.parametrize("payload", [None, LOAD])
+@pytest.mark.parametrize(("base", "tip"), CHAINS_UNDER_GRAVITY)
+def test_torques_of_gravity_are_its_virtual_work(
+    base: str,
+    tip: str,
+    payload: Payload | None,
+    heavy_urdf: str,
+    chain_of: ChainOf,
+    independent_poses: IndependentPoses,
+) -> None:
+    chain = chain_of(heavy_urdf, base, tip)
+    loads = list(MASSES.items())
+    if payload is not None:
+        loads.append((tip, (payload.mass, payload.com)))
+    frames = [("a", link) for link, _ in loads]
+
+    def links(q: np.ndarray) -> list[np.ndarray]:
+        named = dict(zip(chain.joints, q, strict=True))
+        still = dict.fromkeys(("above", "one", "two", "three", "aside", "beyond"), 0.0)
+        return independent_poses(heavy_urdf.encode(), {**still, **named}, frames)
+
+    (stand,) = independent_poses(heavy_urdf.encode(), {}, [("a", base)])
+    gravity = stand[:3, :3] @ GRAVITY
+
+    def potential(q: np.ndarray) -> float:
+        return -sum(
+            mass * gravity @ (T @ [*center, 1.0])[:3]
+            for (_, (mass, center)), T in zip(loads, links(q), strict=True)
+        )
+
+    q = chain.random_configurations(2, np.random.default_rng(3))
+    found = chain.gravity_torques(q, GRAVITY, payload)
+    assert found.shape == q.shape
+    step = 2e-3
+    expected = np.empty_like(q)
+    for (i, k), _ in np.ndenumerate(q):
+        shift = step * np.eye(q.shape[1])[k]
+        near, far = (
+            potential(q[i] + s * shift) - potential(q[i] - s * shift) for s in (1, 2)
+        )
+        expected[i, k] = -(8.0 * near - far) / (12.0 * step)
+    assert np.abs(expected).max() > 5.0
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-8)
+
+
+def test_a_payload_on_the_root_bends_nothing(
+    heavy_urdf: str, chain_of: ChainOf
+) -> None:
+    chain = chain_of(heavy_urdf, "tool", "a")
+    q = chain.random_configurations(3, np.random.default_rng(0))
+    bare, loaded = (chain.gravity_torques(q, GRAVITY, load) for load in (None, LOAD))
+    np.testing.assert_array_equal(loaded, bare)
+
+
+def test_torques_are_those_of_nominal_geometry(
+    heavy_urdf: str, chain_of: ChainOf
+) -> None:
+    chain = chain_of(heavy_urdf, "f", "tool")
+    rng = np.random.default_rng(0)
+    q = chain.random_configurations(4, rng)
+    T, torques = chain.poses(q), chain.gravity_torques(q, GRAVITY, LOAD)
+    chain.poses(q, [placement(rng) for _ in chain.joints])
+    np.testing.assert_array_equal(chain.gravity_torques(q, GRAVITY, LOAD), torques)
+    # Neither masses nor gravity stay behind.
+    chain.gravity_torques(q, (0.0, 0.0, 5.0), Payload(100.0))
+    np.testing.assert_array_equal(chain.gravity_torques(q, GRAVITY, LOAD), torques)
+    np.testing.assert_array_equal(chain.poses(q), T)
+    assert chain.gravity_torques(q[:0], GRAVITY).shape == (0, len(chain.joints))
+    # A turn more of a joint without limits is the same place.
+    turned = q + 2.0 * np.pi * np.isin(chain.joints, ("one", "aside"))
+    np.testing.assert_allclose(
+        chain.gravity_torques(turned, GRAVITY, LOAD), torques, rtol=0, atol=1e-12
+    )
 
 
 # Names.

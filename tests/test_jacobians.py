@@ -9,11 +9,10 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.problem import Problem, observable_configurations
+from calib_pin.problem import Problem, nominal_problem, observable_configurations
 from calib_pin.setup import Setup
 
 
@@ -22,9 +21,24 @@ from calib_pin.setup import Setup
 def test_jacobian_agrees_with_central_differences(
     name: str, model: str, special_chain: Chain, framed: Setup
 ) -> None:
+    check_jacobian(special_chain, model, framed, (name,))
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_joint_corrections_among_errors_of_the_geometry(
+    model: str, special_chain: Chain, framed: Setup
+) -> None:
+    """The screws of a place stand before its joint's motion, whatever their order."""
+    names = ("transmission", "placement", "compliance", "joint-offset")
+    check_jacobian(special_chain, model, framed, names)
+
+
+def check_jacobian(
+    chain: Chain, model: str, framed: Setup, parameterizations: tuple[str, ...]
+) -> None:
     rng = np.random.default_rng(3)
-    setup = replace(framed, parameters=(name,), prior={"*": 0.01})
-    problem = nominal_problem(special_chain, model, setup)
+    setup = replace(framed, parameters=parameterizations, prior={"*": 0.01})
+    problem = nominal_problem(chain, model, setup)
     theta = rng.normal(size=len(problem.parameters)) * 0.02
     q, target = observable_configurations(problem, theta, 6, rng)
     # Measured values away from the prediction: the residual's own curvature counts.

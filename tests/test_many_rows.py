@@ -9,14 +9,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.fit import Fit, fit
 from calib_pin.io.urdf import load_chain
 from calib_pin.kernels import BLOCK
 from calib_pin.many_rows import ManyRows
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, nominal_problem
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.solve import least_squares
 from calib_pin.solvers import Status
@@ -160,6 +159,33 @@ def test_problems_with_very_many_rows(
         np.testing.assert_allclose(r[-6:], plain.prior_rows(theta), rtol=1e-15)
         np.testing.assert_array_equal(J[-6:], plain.linearize(theta)[1][-6:])
         assert_same_system(bare.linearize(theta), (r[:-6], J[:-6]), 1e-11)
+
+
+@pytest.mark.parametrize("kind", ["transmission", "compliance"])
+def test_joint_corrections_go_row_by_row(
+    kind: str, measured: Measured, framed: Setup, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """However many rows there are, the kernels know nothing of them."""
+
+    def refuse(*_: object) -> None:
+        raise AssertionError("the kernels were asked")
+
+    chain = load_chain("space6")
+    stated = {"payloads": framed.payloads, "gear_ratios": framed.gear_ratios}
+    plain = measured(chain, "pose", ["placement", kind], 300, **stated)
+    theta = parameters_of(plain)
+    expected = plain.cost(theta), *plain.linearize(theta)
+    monkeypatch.setattr("calib_pin.many_rows.ManyRows.__init__", refuse)
+    chunked = through_kernels(plain, monkeypatch)
+    assert not chunked.many
+    assert chunked.cost(theta) == expected[0]
+    for call in (chunked.linearize, chunked.factorize):
+        for found, rows in zip(call(theta), expected[1:], strict=True):
+            np.testing.assert_array_equal(found, rows)
+    # Without them the same problem would be one for the kernels.
+    bare = measured(chain, "pose", ["placement"], 300)
+    with pytest.raises(AssertionError, match="kernels"):
+        _ = through_kernels(bare, monkeypatch).many
 
 
 def test_few_rows_are_not_reduced(measured: Measured) -> None:

@@ -3,20 +3,20 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, field, replace
 from itertools import pairwise
+from typing import Literal
 
 import numpy as np
 import pytest
 
-from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.io.urdf import load_chain
 from calib_pin.kernels import BLOCK
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.spatial import Floats
 
@@ -27,6 +27,20 @@ class Unbatched(Position):
     """A measurement model that no kernel knows."""
 
     batch = None  # type: ignore[assignment]
+
+
+@dataclass(frozen=True)
+class Bent:
+    """Something learned."""
+
+    space: Literal["joint", "tip"] = "joint"
+    shift: Floats = field(default_factory=lambda: np.zeros(1))
+
+    def __call__(self, q: Floats) -> Floats:
+        return 0.01 * np.cos(q)
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
 
 
 def members(problem: Problem, count: int) -> Floats:
@@ -68,6 +82,46 @@ def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
     assert plain.evaluator == "loop"
     compiled = PopulationCost(problem)
     np.testing.assert_allclose(plain(theta), compiled(theta), rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize(
+    "kinds", [["transmission"], ["placement", "compliance"]], ids=lambda k: k[-1]
+)
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_joint_corrections_are_evaluated_in_a_loop(
+    model: str, kinds: list[str], measured: Measured, framed: Setup
+) -> None:
+    """Every member moves the joints in its own way, which no kernel knows."""
+    problem = measured(
+        load_chain("space6"),
+        model,
+        kinds,
+        40,
+        payloads=framed.payloads,
+        gear_ratios=framed.gear_ratios,
+        prior={"joint_2.*": 1e-3},
+    )
+    theta = members(problem, 3)
+    costs = PopulationCost(problem)
+    assert costs.evaluator == "loop"
+    expected = [problem.cost(member) for member in theta]
+    np.testing.assert_array_equal(costs(theta), expected)
+    # The corrections do something.
+    bare = theta.copy()
+    bare[:, problem.error.joint_corrections] = 0.0
+    assert (np.abs(costs(bare) - expected)[:-1] > 1.0).all()
+
+
+def test_what_was_learned_is_evaluated_in_a_loop(measured: Measured) -> None:
+    problem = measured(load_chain("space6"), "position", ["placement"], 40)
+    theta = members(problem, 3)
+    error = replace(problem.error, learned=Bent())
+    bent = replace(problem, error=error)
+    costs = PopulationCost(bent)
+    assert costs.evaluator == "loop"
+    found = costs(theta)
+    np.testing.assert_array_equal(found, [bent.cost(member) for member in theta])
+    assert np.abs(found - PopulationCost(problem)(theta)).min() > 1.0
 
 
 @pytest.mark.parametrize("model", MEASUREMENT_MODELS)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import make_problem
 from calib_pin.fit import fit
+from calib_pin.problem import make_problem
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")

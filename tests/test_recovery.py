@@ -1,4 +1,4 @@
-"""Noise: estimates, intervals and predicted accuracy against simulated truth.
+"""What simulation put in comes out: exactly without noise, as predicted with it.
 
 For each way of measuring, 200 calibrations of a robot whose true errors lie in the
 gauge (of equal robots the one closest to nominal), frames included. NEES is the
@@ -14,26 +14,28 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.fit import analyze_structure, fit
-from calib_pin.problem import observable_configurations
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.problem import Problem, nominal_problem, observable_configurations
+from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
+from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
 
 RUNS = 200
 FREE_TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 FREE_BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+CORRECTED = ("placement", "transmission", "compliance")
 
 
 @dataclass(frozen=True)
 class Case:
-    """One way of measuring `space6`."""
+    """One way of measuring a robot."""
 
     model: str
     setup: Setup
     rows: int
     noise: float
     rank: int
+    robot: str = "space6"
 
 
 CASES = {
@@ -55,6 +57,14 @@ CASES = {
         1e-4,
         24,
     ),
+    "joint corrections": Case(
+        "position",
+        Setup(parameters=CORRECTED, base_frame=FREE_BASE, tool_frame=FREE_TOOL),
+        60,
+        2e-5,
+        71,
+        "pa10",
+    ),
 }
 
 
@@ -63,7 +73,7 @@ def runs(request: pytest.FixtureRequest) -> dict[str, Floats]:
     """Per run: NEES / rank, coverage, and actual and predicted errors of new rows."""
     case = CASES[request.param]
     rng = np.random.default_rng(7)
-    problem = nominal_problem(calib_pin.load_chain("space6"), case.model, case.setup)
+    problem = nominal_problem(calib_pin.load_chain(case.robot), case.model, case.setup)
     zero = np.zeros(len(problem.parameters))
     found, visible = analyze_structure(problem, zero, rng)
     assert found.rank == case.rank
@@ -111,3 +121,52 @@ def test_intervals_cover_the_truth(runs: dict[str, Floats]) -> None:
 def test_predicted_accuracy_on_new_configurations(runs: dict[str, Floats]) -> None:
     ratio = np.sqrt(runs["actual"].sum() / runs["predicted"].sum())
     assert ratio == pytest.approx(1.0, abs=0.05)
+
+
+# Without noise.
+
+
+@pytest.mark.parametrize(
+    ("robot", "tip"), [("pa10", None), ("example:ur10_robot", "tool0")]
+)
+def test_joint_corrections_are_recovered(robot: str, tip: str | None) -> None:
+    """Geometry, gears and compliance together, from positions alone."""
+    chain = calib_pin.load_chain(robot, tip=tip)
+    setup = Setup(
+        parameters=CORRECTED,
+        base_frame=FREE_BASE,
+        tool_frame=FREE_TOOL,
+        payloads={"load": Payload(4.0, (0.05, 0.02, 0.1))},
+    )
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(3)
+    parameters = problem.parameters
+    found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
+    q = chain.random_configurations(50, rng)
+
+    def predicted(fitted: Problem, theta: Floats) -> Floats:
+        return fitted.error.poses(q, fitted.split(theta)[0])[:, :3, 3]
+
+    # Of equal robots the fit finds the one closest to nominal: such a one itself.
+    truth = parameters.scales * (visible @ rng.normal(size=visible.shape[1]))
+    rows = calib_pin.simulate(problem, truth, rng, count=80, noise=0.0)
+    fitted = fit(replace(problem, data=rows), rng)
+    assert fitted.result.status is Status.CONVERGED
+    assert np.abs(predicted(problem, truth) - predicted(problem, 0.0 * truth)).max() > (
+        1e-3
+    )
+    at = predicted(fitted.problem, fitted.theta)
+    np.testing.assert_allclose(at, predicted(problem, truth), rtol=0, atol=1e-9)
+    alone = [c.terms[0][0] for c in found.combinations if len(c.terms) == 1]
+    alone = [k for k in alone if not parameters.nuisance[k]]
+    kinds = [parameters.names[k].split(".")[1] for k in alone]
+    assert set(kinds) == set(CORRECTED)
+    difference = (fitted.theta - truth)[alone] / parameters.scales[alone]
+    assert np.abs(difference).max() < 1e-9
+
+    # Of any other robot as well where the tip is.
+    other = calib_pin.draw_errors(parameters, rng)
+    rows = calib_pin.simulate(problem, other, rng, count=80, noise=0.0)
+    fitted = fit(replace(problem, data=rows), rng)
+    at = predicted(fitted.problem, fitted.theta)
+    np.testing.assert_allclose(at, predicted(problem, other), rtol=0, atol=1e-9)

@@ -11,10 +11,11 @@ import pytest
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import load_chain
-from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.segments import Segments
+from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 
+GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = {
     "space6": (None, None),
     # A prismatic joint, skewed frames, and a tip without a fixed joint.
@@ -67,7 +68,7 @@ def assert_same_poses(model: ErrorModel) -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+@pytest.mark.parametrize("name", GEOMETRY)
 def test_poses_are_those_of_the_error_model(name: str, robot: str) -> None:
     base, tip = ROBOTS[robot]
     assert_same_poses(model_of(load_chain(robot, base=base, tip=tip), name))
@@ -125,6 +126,25 @@ def test_screws_stand_in_the_order_they_apply() -> None:
     ]
 
 
+def test_joint_corrections_belong_to_no_segment(framed: Setup) -> None:
+    base, tip = ROBOTS["example:talos_reduced"]
+    chain = load_chain("example:talos_reduced", base=base, tip=tip)
+    kinds = ("transmission", "placement", "compliance")
+    model = ErrorModel.create(chain, kinds, setup=framed)
+    corrections = set(model.joint_corrections.tolist())
+    assert len(corrections) == 14 * (7 + 1)
+    segments = Segments.of(model)
+    assert corrections.isdisjoint(segments.parameter.tolist())
+    assert len(segments.parameter) + len(corrections) == len(model.parameters)
+    # They are the joint positions that the segments are asked for.
+    rng = np.random.default_rng(7)
+    q = chain.random_configurations(4, rng)
+    theta = 0.02 * rng.normal(size=len(model.parameters))
+    found = product(segments, model.joint_positions(q, theta), theta)
+    assert np.abs(model.joint_positions(q, theta) - q).max() > 0.1
+    np.testing.assert_allclose(found, model.poses(q, theta), rtol=0, atol=1e-13)
+
+
 def test_links_of_members_are_those_of_each() -> None:
     segments = Segments.of(model_of(load_chain("space6"), "placement"))
     theta = np.random.default_rng(5).normal(size=(3, len(segments.screws)))
@@ -136,7 +156,7 @@ def test_links_of_members_are_those_of_each() -> None:
 
 
 @pytest.mark.parametrize("robot", ROBOTS)
-@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+@pytest.mark.parametrize("name", GEOMETRY)
 def test_columns_agree_with_central_differences(name: str, robot: str) -> None:
     base, tip = ROBOTS[robot]
     segments = Segments.of(model_of(load_chain(robot, base=base, tip=tip), name))

@@ -8,10 +8,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.errors import InputError, OptionError
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.spatial import from_quaternion, so3_log

@@ -12,6 +12,7 @@ from calib_pin.spatial import (
     from_quaternion,
     invert,
     nearest_rotation,
+    se3_exp,
     skew,
     so3_exp,
     so3_log,
@@ -46,6 +47,7 @@ def test_stacks_of_any_shape(shape: tuple[int, ...]) -> None:
     cases = [
         (skew, vectors, (3, 3)),
         (so3_exp, vectors, (3, 3)),
+        (se3_exp, rng.normal(size=(*shape, 6)), (4, 4)),
         (so3_log, R, (3,)),
         (so3_log_derivative, vectors, (3, 3)),
         (to_quaternion, R, (4,)),
@@ -64,6 +66,7 @@ def test_stacks_of_any_shape(shape: tuple[int, ...]) -> None:
 def test_empty_stacks() -> None:
     assert so3_log(np.zeros((0, 3, 3))).shape == (0, 3)
     assert so3_exp(np.zeros((0, 3))).shape == (0, 3, 3)
+    assert se3_exp(np.zeros((0, 6))).shape == (0, 4, 4)
     assert adjoint(np.zeros((0, 4, 4))).shape == (0, 6, 6)
     assert invert(np.zeros((0, 4, 4))).shape == (0, 4, 4)
 
@@ -95,6 +98,25 @@ def test_exp_and_log_of_rotations() -> None:
         np.testing.assert_allclose(unit, [np.eye(3)] * len(R), rtol=0, atol=2e-15)
         # Not worse near a half turn, where the arc cosine loses half the digits.
         np.testing.assert_allclose(so3_log(R), vectors, rtol=1e-9, atol=3e-15)
+
+
+@pytest.mark.parametrize("size", [*SIZES, 9.9e-3, 1.01e-2, 6.0, *NEAR_HALF_TURN])
+def test_exp_of_motions(size: float) -> None:
+    rng = np.random.default_rng(4)
+    twists = np.column_stack([rng.normal(size=(29, 3)), size * directions(20)])
+    expected = np.array([pin.exp6(twist).homogeneous for twist in twists])
+    np.testing.assert_allclose(se3_exp(twists), expected, rtol=0, atol=2e-14)
+    # And the series of the exponential of 4 x 4 matrices.
+    A = np.zeros((len(twists), 4, 4))
+    A[:, :3, :3], A[:, :3, 3] = skew(twists[:, 3:]), twists[:, :3]
+    # Halved and squared again, so that the sum stays small.
+    term = total = np.tile(np.eye(4), (len(twists), 1, 1))
+    for k in range(1, 20):
+        term = term @ A / (16.0 * k)
+        total = total + term
+    for _ in range(4):
+        total = total @ total
+    np.testing.assert_allclose(se3_exp(twists), total, rtol=0, atol=2e-14)
 
 
 def test_log_of_small_rotations_is_precise() -> None:

@@ -6,6 +6,7 @@ import typer
 
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.command import Command
+from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.identify import identify
 from calib_pin.cli.plan import plan
@@ -26,6 +27,7 @@ for command, summary in (
     (evaluate, "Accuracy of a robot or a calibration on measurements."),
     (simulate, "Measurements of a robot with known errors."),
     (plan, "Which configurations to measure."),
+    (compensate, "Joint commands that reach targets on the real robot."),
     (robots, "The bundled robots."),
 ):
     app.command(command.__name__, cls=Command, short_help=summary)(command)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 import typer
 
@@ -71,6 +71,25 @@ def calibrate(
             rich_help_panel=FIT,
         ),
     ] = None,
+    learned: Annotated[
+        str | None,
+        typer.Option(
+            "--learned",
+            metavar="NAME",
+            help="Learn what the parameters leave: network, or gaussian-process; the "
+            "only one that --model-ladder tries.",
+            rich_help_panel=FIT,
+        ),
+    ] = None,
+    model_ladder: Annotated[
+        bool,
+        typer.Option(
+            "--model-ladder",
+            help="Try joint offsets, geometry, transmission, compliance and learned "
+            "corrections on unseen rows; keep the simplest of the best.",
+            rich_help_panel=FIT,
+        ),
+    ] = False,
     validation: Annotated[
         Path | None,
         typer.Option(
@@ -96,7 +115,8 @@ def calibrate(
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
-    DIR gets <robot name>.urdf and calibration.json. Without --validation, --holdout
+    DIR gets <robot name>.urdf and calibration.json, and residual_model.json where
+    something was learned. Without --validation, --holdout
     or a column 'set' (train, validate) the fit is checked by five-fold
     cross-validation. Exit status 2: the result must not be trusted, the reason comes
     first, and no URDF is written.
@@ -108,7 +128,13 @@ def calibrate(
     from calib_pin.report.text import report
 
     stated = open_setup(
-        setup, base=base, tip=tip, model=model, parameters=parameters, solver=solver
+        setup,
+        base=base,
+        tip=tip,
+        model=model,
+        parameters=parameters,
+        solver=solver,
+        learned=learned,
     )
     if stated.solver.evolution and stated.solver.name == "gauss-newton":
         notice("gauss-newton does not use the options of the evolution in 'solver'")
@@ -134,6 +160,7 @@ def calibrate(
             stated,
             validation=unseen,
             holdout=holdout,
+            ladder=model_ladder,
             seed=seed,
             progress=bar,
         )
@@ -151,35 +178,50 @@ def calibrate(
     return 0 if result.verdict == "good" else 2
 
 
-def _outputs(folder: Path, robot: str) -> tuple[Path, Path]:
-    """Paths of URDF and JSON."""
+class _Outputs(NamedTuple):
+    """Paths of the results."""
+
+    urdf: Path
+    json: Path
+    residual_model: Path
+
+
+def _outputs(folder: Path, robot: str) -> _Outputs:
+    """Where the results go."""
     import re
 
     from calib_pin.errors import OptionError
+    from calib_pin.io.residual_model import FILE_NAME
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
     # The name comes from the file: it must not lead out of the folder.
     name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    return folder / f"{name}.urdf", folder / "calibration.json"
+    return _Outputs(
+        folder / f"{name}.urdf", folder / "calibration.json", folder / FILE_NAME
+    )
 
 
 def _write(
     result: CalibrationResult,
-    files: tuple[Path, Path],
+    files: _Outputs,
     words: tuple[str, ...],
     seconds: float,
     force: bool,
 ) -> list[Path]:
-    """Write the corrected URDF, if it can be trusted, and calibration.json."""
+    """Write the corrected URDF, if it can be trusted, calibration and residual model.
+
+    What is there of an earlier run and not written now would pass for a result of this
+    one, so it is removed.
+    """
     from datetime import UTC, datetime
     from importlib.metadata import version
 
     from calib_pin.io.documents import Provenance, calibration_document, encode
     from calib_pin.io.files import write_atomically
+    from calib_pin.io.residual_model import encode_residual_model, reference
     from calib_pin.io.results import write_urdf
 
-    urdf, json = files
     provenance = Provenance(
         command=words,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
@@ -190,19 +232,25 @@ def _write(
             "numpy": version("numpy"),
         },
     )
-    document = encode(calibration_document(result, provenance))
+    learned = encode_residual_model(result.model)
+    refers = None if learned is None else reference(learned)
+    document = encode(calibration_document(result, provenance, refers))
+    written = []
     if result.verdict == "good":
-        write_urdf(result.model, urdf, force=force)
-        write_atomically(json, document, force=force)
-        if result.model.tool_carries_tip:
-            notice(
-                f"'{result.model.chain.tip}' is the link of the last joint itself: the "
-                "error behind that joint stands in frames.tool of calibration.json"
-            )
-        return [urdf, json]
-    write_atomically(json, document, force=force)
-    if exists(urdf):
-        # An earlier run's, which would pass for the result of this one.
-        urdf.unlink()
-        notice(f"removed {urdf} of an earlier run")
-    return [json]
+        write_urdf(result.geometry, files.urdf, force=force)
+        written.append(files.urdf)
+    if learned is not None:
+        write_atomically(files.residual_model, learned, force=force)
+        written.append(files.residual_model)
+    write_atomically(files.json, document, force=force)
+    written.append(files.json)
+    for path in files:
+        if path not in written and exists(path):
+            path.unlink()
+            notice(f"removed {path} of an earlier run")
+    if result.verdict == "good" and result.geometry.tool_carries_tip:
+        notice(
+            f"'{result.model.chain.tip}' is the link of the last joint itself: the "
+            "error behind that joint stands in frames.tool of calibration.json"
+        )
+    return written

@@ -101,6 +101,7 @@ def evaluate(
         document = {
             "rows": evaluation.rows,
             "registered": evaluation.registered,
+            "outside_trained_region": evaluation.outside,
             "verdict": {"status": evaluation.verdict, "reason": evaluation.reason},
             "errors": errors,
         }

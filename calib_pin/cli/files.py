@@ -32,6 +32,7 @@ def open_setup(
     model: str | None = None,
     parameters: str | None = None,
     solver: str | None = None,
+    learned: str | None = None,
 ) -> Setup:
     """The setup file with the flags on top.
 
@@ -44,7 +45,8 @@ def open_setup(
     from calib_pin.errors import OptionError, require_known
     from calib_pin.io.measured_columns import check_model
     from calib_pin.io.setup import read_setup
-    from calib_pin.parameterizations import parameterization
+    from calib_pin.parameterizations import PARAMETERIZATIONS
+    from calib_pin.residual_models import RESIDUAL_MODELS
     from calib_pin.setup import Setup
     from calib_pin.solve import SOLVERS
 
@@ -55,13 +57,16 @@ def open_setup(
     if parameters is not None:
         names = tuple(name.strip() for name in parameters.split(","))
         for name in names:
-            parameterization(name)
+            require_known("parameterization", name, PARAMETERIZATIONS)
         if len(set(names)) != len(names):
             raise OptionError("a parameterization is named twice", value=parameters)
         setup = replace(setup, parameters=names)
     if solver is not None:
         require_known("solver", solver, SOLVERS)
         setup = replace(setup, solver=replace(setup.solver, name=solver))
+    if learned is not None:
+        require_known("residual model", learned, RESIDUAL_MODELS)
+        setup = replace(setup, learned=learned)
     if model is not None:
         check_model(model)
     return replace(

@@ -51,6 +51,8 @@ def identify(
     Without measurements: what the robot and the way it is measured can reveal at all.
     With them: what these rows can tell. Nothing is written.
     """
+    from dataclasses import replace
+
     from rich.console import Group
 
     from calib_pin.calibration import calibrate as run
@@ -65,6 +67,8 @@ def identify(
     if measurements:
         require_distinct(measurements)
         rows = open_measurements(measurements, chain, stated)
+        # What is learned has no parameters that could be known.
+        stated = replace(stated, learned=None)
         result = run(chain, rows, stated, validate=False, seed=seed)
         found, verdict, reason = result, result.verdict, result.reason
     else:

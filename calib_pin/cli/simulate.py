@@ -123,14 +123,14 @@ def simulate(
 ) -> int:
     """Simulate measurements of a robot with true errors, given or drawn.
 
-    Errors that are not given are drawn uniformly within plus and minus 1 mm and
-    3 mrad of every parameter. Frames and planes are those of the setup file.
+    Errors that are not given are drawn uniformly within the expected size of every
+    parameter, such as plus and minus 1 mm and 3 mrad of a placement. Frames and planes
+    are those of the setup file.
     """
     import shlex
 
     import numpy as np
 
-    from calib_pin.calibration import nominal_problem
     from calib_pin.errors import OptionError
     from calib_pin.io.measurements import (
         read_configurations,
@@ -139,6 +139,7 @@ def simulate(
     )
     from calib_pin.io.results import write_urdf
     from calib_pin.io.true_errors import read_true_errors
+    from calib_pin.problem import nominal_problem
     from calib_pin.result import CalibratedModel
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
@@ -178,8 +179,10 @@ def simulate(
     typer.echo(f"wrote {len(rows)} rows to {output}")
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
-        write_urdf(true, truth, force=force)
+        write_urdf(true.geometry, truth, force=force)
         if true.tool_carries_tip:
             notice(f"{truth} lacks the error behind the last joint, which has no place")
+        if not true.geometric:
+            notice(f"{truth} holds the geometry; other errors have no place in a URDF")
         typer.echo(f"wrote the true robot to {truth}")
     return 0

@@ -24,6 +24,7 @@ from calib_pin.result import (
     CalibrationResult,
     CoupledGroup,
     Identification,
+    Ladder,
     QuantityErrors,
 )
 
@@ -131,8 +132,17 @@ def plan_document(plan: Plan) -> Json:
     }
 
 
-def calibration_document(result: CalibrationResult, provenance: Provenance) -> Json:
+def calibration_document(
+    result: CalibrationResult,
+    provenance: Provenance,
+    residual_model: Mapping[str, str] | None = None,
+) -> Json:
     """A result as the JSON document of version 1.
+
+    Args:
+        result: The result.
+        provenance: How it came about.
+        residual_model: Where what was learned is written, see `io.residual_model`.
 
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
@@ -194,13 +204,35 @@ def calibration_document(result: CalibrationResult, provenance: Provenance) -> J
         },
         "targets": {},
         "planes": _planes(model.measurement, result.reference.measurement),
-        "residual_model": None,
+        "residual_model": None if residual_model is None else dict(residual_model),
+        "model_ladder": None if result.ladder is None else _ladder(result.ladder),
+        "urdf": {
+            name: {"unit": unit, **asdict(accuracy)}
+            for name, unit, accuracy in result.urdf
+        },
         "setup": setup_document(model.setup),
         "provenance": {
             **provenance.versions,
             "command": list(provenance.command),
             "created": provenance.created,
         },
+    }
+
+
+def _ladder(ladder: Ladder) -> Json:
+    return {
+        "chosen": ladder.rungs[ladder.chosen].name,
+        "rungs": [
+            {
+                **asdict(rung),
+                "parameters": list(rung.parameters),
+                "errors": {
+                    name: {"unit": unit, "mean": mean}
+                    for name, unit, mean in rung.errors
+                },
+            }
+            for rung in ladder.rungs
+        ],
     }
 
 

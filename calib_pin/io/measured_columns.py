@@ -172,13 +172,16 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
     return found, np.stack(columns, axis=1)
 
 
-def check_spread(table: Table, chain: Chain, positions: Floats) -> None:
+def check_spread(
+    table: Table, chain: Chain, positions: Floats, base: Floats | None = None
+) -> None:
     """Refuse positions that lie much farther apart than the chain can reach.
 
     Args:
         table: The file, with columns x, y and z.
         chain: The chain.
         positions: What these columns hold, shape (N, 3) [m].
+        base: Where the chain stands among them, shape (3,) [m]; None if unknown.
 
     Raises:
         InputError: If they do; blames the outermost position.
@@ -186,12 +189,17 @@ def check_spread(table: Table, chain: Chain, positions: Floats) -> None:
     placements = (*chain.placements, chain.tip_placement)
     reach = sum(float(np.linalg.norm(M.translation)) for M in placements)
     reach += float((chain.upper - chain.lower)[~chain.revolute].sum())
-    for name, column in zip(POSITION, positions.T, strict=True):
-        spread = float(np.ptp(column))
+    for k, (name, column) in enumerate(zip(POSITION, positions.T, strict=True)):
+        if base is None:
+            center, spread = float(np.median(column)), float(np.ptp(column))
+            what = "the rows span"
+        else:
+            center, what = float(base[k]), "it is away from the base"
+            spread = float(np.abs(column - center).max())
         # One meter for a tool, and a factor for a URDF that is far off.
         if spread > 4.0 * (reach + 1.0):
-            row = int(np.argmax(np.abs(column - np.median(column))))
-            why = f"the rows span {spread:.3g} m and the robot reaches {reach:.3g} m"
+            row = int(np.argmax(np.abs(column - center)))
+            why = f"{what} {spread:.3g} m and the robot reaches {reach:.3g} m"
             raise table.implausible(name, row, float(column[row]), LENGTH, why)
 
 

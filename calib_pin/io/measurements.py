@@ -40,6 +40,7 @@ from calib_pin.setup import JointMap
 
 __all__ = [
     "check_columns",
+    "column_name",
     "read_configurations",
     "read_measurements",
     "read_targets",
@@ -311,7 +312,7 @@ def _columns(
 ) -> Iterator[tuple[str, Sequence[float] | Sequence[str]]]:
     """Names and cells of the columns that hold measurements."""
     for name, column in zip(measurements.joints, measurements.q.T, strict=True):
-        yield _writable(name), column.tolist()
+        yield column_name(name), column.tolist()
     names = VALUES[measurements.model]
     for name, column in zip(names, measurements.values.T, strict=True):
         yield name, column.tolist()
@@ -331,14 +332,18 @@ def _configuration_columns(
     """Names and cells of the columns that hold configurations."""
     columns: dict[str, Sequence[float] | Sequence[str]] = {}
     for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[_writable(name)] = values.tolist()
+        columns[column_name(name)] = values.tolist()
     if any(target):
         columns["target"] = _writable_targets(target)
     return columns
 
 
-def _writable(joint: str) -> str:
-    """The name of a column of joint positions."""
+def column_name(joint: str) -> str:
+    """The name of a column of joint positions.
+
+    Raises:
+        OutputError: If it would not read back.
+    """
     if split_header(joint) != (joint, None) or joint in RESERVED:
         raise OutputError(f"joint '{joint}' cannot be the name of a column")
     return joint

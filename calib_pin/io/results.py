@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
 from reprlib import repr
@@ -15,10 +16,17 @@ import pinocchio as pin
 
 from calib_pin.chain import Chain, Robot
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import CalibPinError, InputError, OutputError, RobotError
+from calib_pin.errors import (
+    CalibPinError,
+    InputError,
+    OptionError,
+    OutputError,
+    RobotError,
+)
 from calib_pin.io.documents import FORMAT, VERSION, Json, sha256
 from calib_pin.io.files import read_bytes
-from calib_pin.io.setup import setup_of
+from calib_pin.io.residual_model import read_residual_model
+from calib_pin.io.setup import CONDITIONS, setup_of
 from calib_pin.io.urdf import locate_robot, parse_robot, write_corrected_urdf
 from calib_pin.measurement_models import measurement_model
 from calib_pin.parameterizations import PARAMETERIZATIONS
@@ -75,6 +83,7 @@ def read_calibration(
     robot = _find_robot(document, Path(path))
     try:
         model = _model(document, robot)
+        learned = _learned(document.get("residual_model"))
         verdict = document["verdict"]
         if notice is not None and verdict["status"] != "good":
             notice(f"{path} must not be trusted: {verdict['reason']}")
@@ -84,7 +93,11 @@ def read_calibration(
     except (CalibPinError, TypeError, ValueError, AttributeError) as error:
         reason = f"damaged or edited calibration: {error}"
         raise InputError(reason, file=path) from error
-    return model
+    if learned is None:
+        return model
+    name, content = learned
+    found = read_residual_model(Path(path).parent / name, model.error, content)
+    return replace(model, error=model.error.with_learned(found))
 
 
 def write_urdf(
@@ -96,15 +109,22 @@ def write_urdf(
     forward kinematics compared with the model before it is put in place.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated robot, `CalibrationResult.geometry`.
         path: The new file.
         force: Replace an existing file; the robot's own file is never replaced.
 
     Raises:
-        OptionError: If the file exists or is the robot's own.
+        OptionError: If the file exists or is the robot's own, or the model has
+            corrections that a URDF cannot hold.
         OutputError: If it cannot be written or does not agree with the model.
     """
     chain = model.chain
+    if not model.geometric:
+        raise OptionError(
+            "a URDF cannot hold corrections of the joints; write the geometry alone",
+            file=path,
+            allowed="CalibrationResult.geometry",
+        )
     q = chain.random_configurations(20, np.random.default_rng(0))
     expected = model.error.base.inverse().homogeneous @ model.poses(q)
 
@@ -159,29 +179,41 @@ def _model(document: Json, robot: Robot) -> CalibratedModel:
         raise ValueError("the joints are not those from base to tip")
     frames = document["frames"]
     (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
-    values = _values(document["parameters"])
-    error = _error_model(chain, list(values), free_base, free_tool)
-    stated = {name: values[name] for name in error.parameters.names}
-    theta = error.parameters.vector(stated)
-    theta[error.parameters.nuisance] = 0.0  # The frames hold these.
-    if chain.tip_joint is None:
-        tool = error.corrections(theta)[-2].actInv(tool)
     planes = {name: _read_plane(plane) for name, plane in document["planes"].items()}
-    model = _text(document["measurements"]["model"])
-    measurement = measurement_model(model, Setup(planes=planes))
-    if measurement.missing:
-        raise ValueError("the planes are missing")
     if "setup" in document:
         setup = setup_of(document["setup"])
     else:  # It is no part of the contract; what is known follows from the rest.
         known = (_known_frame(base, free_base), _known_frame(tool, free_tool))
         setup = Setup(base_frame=known[0], tool_frame=known[1], planes=planes)
+    values = _values(document["parameters"])
+    for kind in {_kind(name) for name in values} & CONDITIONS.keys():
+        for key in CONDITIONS[kind]:
+            if key not in document.get("setup", {}):
+                raise ValueError(f"'setup.{key}' is missing, which '{kind}' needs")
+    error = _error_model(chain, list(values), setup, free_base, free_tool)
+    stated = {name: values[name] for name in error.parameters.names}
+    theta = error.parameters.vector(stated)
+    theta[error.parameters.nuisance] = 0.0  # The frames hold these.
+    if chain.tip_joint is None:
+        tool = error.corrections(theta)[-2].actInv(tool)
+    model = _text(document["measurements"]["model"])
+    measurement = measurement_model(model, Setup(planes=planes))
+    if measurement.missing:
+        raise ValueError("the planes are missing")
     return CalibratedModel(
         error=error.with_frames(base, tool),
         measurement=measurement,
         theta=theta,
         setup=setup,
     )
+
+
+def _learned(stated: Mapping[str, Any] | None) -> tuple[str, str] | None:
+    """Name and SHA-256 of the file of what was learned, if anything was."""
+    if stated is None:
+        return None
+    # Its name alone: a calibration does not reach into other folders.
+    return Path(_text(stated["file"])).name, _text(stated["sha256"])
 
 
 def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
@@ -196,7 +228,11 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 
 def _error_model(
-    chain: Chain, names: Sequence[str], free_base: bool, free_tool: bool
+    chain: Chain,
+    names: Sequence[str],
+    setup: Setup,
+    free_base: bool,
+    free_tool: bool,
 ) -> ErrorModel:
     """The error model with parameters of these names in this order.
 
@@ -210,7 +246,11 @@ def _error_model(
     found = [kind for kind in kinds if kind in PARAMETERIZATIONS]
     for order in permutations(found):
         error = ErrorModel.create(
-            chain, order, estimate_base=free_base, estimate_tool=free_tool
+            chain,
+            order,
+            setup=setup,
+            estimate_base=free_base,
+            estimate_tool=free_tool,
         )
         if list(error.parameters.names) == names:
             return error

@@ -20,7 +20,7 @@ from calib_pin.setup import (
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
 
-__all__ = ["read_setup", "setup_document", "setup_of"]
+__all__ = ["CONDITIONS", "read_setup", "setup_document", "setup_of"]
 
 ALLOWED: Mapping[str, str] = {
     "model_type": "a mapping of keys to values",
@@ -28,6 +28,13 @@ ALLOWED: Mapping[str, str] = {
     "list_type": "a list in square brackets",
 }
 """What is allowed where pydantic itself found the wrong type."""
+
+
+CONDITIONS: Mapping[str, tuple[str, ...]] = {
+    "transmission": ("gear_ratios",),
+    "compliance": ("gravity", "payloads"),
+}
+"""Keys without which the parameters of a parameterization mean nothing."""
 
 
 def read_setup(path: str | Path) -> Setup:
@@ -96,6 +103,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "tip": setup.tip,
         "model": setup.model,
         "parameters": list(setup.parameters),
+        "learned": setup.learned,
         "frames": {
             name: {k: v for k, v in asdict(frame).items() if v is not None}
             for name, frame in (("base", setup.base_frame), ("tool", setup.tool_frame))
@@ -103,6 +111,11 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         },
         "planes": {name: asdict(plane) for name, plane in setup.planes.items()},
         "joints": {name: asdict(joint) for name, joint in setup.joints.items()},
+        "gravity": list(setup.gravity)
+        if setup.gravity != Setup.gravity or "compliance" in setup.parameters
+        else [],
+        "payloads": {name: asdict(load) for name, load in setup.payloads.items()},
+        "gear_ratios": dict(setup.gear_ratios),
         "fixed": list(setup.fixed),
         "bounds": dict(setup.bounds),
         "prior": dict(setup.prior),
@@ -115,7 +128,8 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "limits": dict(setup.limits),
         "ranger": {} if setup.ranger == RangerSetup() else asdict(setup.ranger),
     }
-    return {key: value for key, value in data.items() if value}
+    used = {key for name in setup.parameters for key in CONDITIONS.get(name, ())}
+    return {key: value for key, value in data.items() if value or key in used}
 
 
 def setup_of(document: Mapping[str, Any]) -> Setup:

@@ -40,9 +40,11 @@ from calib_pin.io.workspace_schema import (
 from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import (
     FrameSetup,
     JointMap,
+    Payload,
     PlaneSetup,
     RangerSetup,
     Setup,
@@ -53,11 +55,17 @@ from calib_pin.solvers import DifferentialEvolution
 
 __all__ = ["LATER", "SetupFile", "known_keys"]
 
-LATER = ("targets", "distances", "gravity", "payloads")
+LATER = ("targets", "distances")
 """Documented keys that this version does not know yet."""
 
 WHOLE = ("population_size", "maxiter")
 """Options that are whole numbers."""
+
+HEAVIEST = 1e5
+"""Largest mass of a payload [kg]; more comes from a mistaken unit."""
+
+STRONGEST = 100.0
+"""Largest acceleration of gravity [m/s^2]."""
 
 STEEPEST = 1e6
 """Largest length of a normal, and the inverse of the smallest."""
@@ -68,6 +76,28 @@ def _nonzero(value: object) -> float:
     if plain == 0.0:
         raise ValueError("a number other than 0")
     return plain
+
+
+def _mass(value: object) -> float:
+    allowed = f"a mass in kg, more than 0 and at most {HEAVIEST:g}"
+    try:
+        plain = positive(value)
+    except ValueError:
+        raise ValueError(allowed) from None
+    if plain > HEAVIEST:
+        raise ValueError(allowed)
+    return plain
+
+
+def _gravity(value: object) -> tuple[float, float, float]:
+    allowed = (
+        "three finite numbers in m/s^2, such as [0, 0, -9.81], at most "
+        f"{STRONGEST:g} long"
+    )
+    x, y, z = numbers(value, 3, allowed)
+    if not math.hypot(x, y, z) <= STRONGEST:
+        raise ValueError(allowed)
+    return x, y, z
 
 
 def _solver(value: object) -> str:
@@ -143,6 +173,12 @@ def _parameterization(value: object) -> str:
     return value
 
 
+def _learned(value: object) -> str:
+    if not isinstance(value, str) or value not in RESIDUAL_MODELS:
+        raise ValueError(", ".join(RESIDUAL_MODELS))
+    return value
+
+
 def _distinct(names: list[str]) -> list[str]:
     if not names or len(set(names)) < len(names):
         raise ValueError("at least one name and each at most once")
@@ -150,6 +186,7 @@ def _distinct(names: list[str]) -> list[str]:
 
 
 Normal = Annotated[tuple[float, float, float], PlainValidator(_normal)]
+Gravity = Annotated[tuple[float, float, float], PlainValidator(_gravity)]
 Bound = Annotated[float | tuple[float, float], PlainValidator(_bound)]
 Parameterizations = Annotated[
     list[Annotated[str, PlainValidator(_parameterization)]], AfterValidator(_distinct)
@@ -187,6 +224,13 @@ class JointSection(Section):
     gear: Annotated[float, PlainValidator(_nonzero)] = 1.0
     offset: Number = 0.0
     coupled: dict[str, Number] = Field(default_factory=dict)
+
+
+class PayloadSection(Section):
+    """A member of `payloads`."""
+
+    mass: Annotated[float, PlainValidator(_mass)]
+    com: Position
 
 
 class NoiseSection(Section):
@@ -230,9 +274,15 @@ class SetupFile(Section):
     parameters: Parameterizations = Field(
         default_factory=lambda: list(Setup.parameters)
     )
+    learned: Annotated[str, PlainValidator(_learned)] | None = None
     frames: FramesSection = FramesSection()
     planes: dict[str, PlaneSection] = Field(default_factory=dict)
     joints: dict[str, JointSection] = Field(default_factory=dict)
+    gravity: Gravity = Setup.gravity
+    payloads: dict[str, PayloadSection] = Field(default_factory=dict)
+    gear_ratios: dict[str, Annotated[float, PlainValidator(_nonzero)]] = Field(
+        default_factory=dict
+    )
     fixed: list[Text] = Field(default_factory=list)
     bounds: dict[str, Bound] = Field(default_factory=dict)
     prior: dict[str, Positive] = Field(default_factory=dict)
@@ -250,10 +300,14 @@ class SetupFile(Section):
             tip=self.tip,
             model=self.model,
             parameters=tuple(self.parameters),
+            learned=self.learned,
             base_frame=FrameSetup(**dict(self.frames.base)),
             tool_frame=FrameSetup(**dict(self.frames.tool)),
             planes={name: PlaneSetup(**dict(p)) for name, p in self.planes.items()},
             joints={name: JointMap(**dict(j)) for name, j in self.joints.items()},
+            gravity=self.gravity,
+            payloads={name: Payload(**dict(p)) for name, p in self.payloads.items()},
+            gear_ratios=self.gear_ratios,
             fixed=tuple(self.fixed),
             bounds=self.bounds,
             prior=self.prior,
@@ -276,6 +330,7 @@ def known_keys(path: Sequence[str | int]) -> list[str]:
         "frames": FramesSection if len(path) == 2 else FrameSection,
         "planes": PlaneSection,
         "joints": JointSection,
+        "payloads": PayloadSection,
         "noise": NoiseSection,
         "solver": SolverSection,
         "obstacles": ObstacleSection,

@@ -1,42 +1,69 @@
-"""Parameterizations of a robot's geometry, by the names that users write."""
+"""Parameterizations of a robot's errors, by the names that users write."""
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
-from calib_pin.errors import require_known
-from calib_pin.parameterizations.base import Parameterization, Screw
+from calib_pin.errors import OptionError, require_known
+from calib_pin.parameterizations.base import (
+    Factor,
+    JointFunctions,
+    Parameterization,
+    Screw,
+)
+from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg
 from calib_pin.parameterizations.frames import frame_screws
 from calib_pin.parameterizations.joint_offset import JointOffset
 from calib_pin.parameterizations.placement import LinkTransform, Placement
+from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.setup import Setup
 
 __all__ = [
     "PARAMETERIZATIONS",
+    "Factor",
+    "JointFunctions",
     "Parameterization",
     "Screw",
     "frame_screws",
     "parameterization",
 ]
 
-PARAMETERIZATIONS: Mapping[str, Parameterization] = {
-    member.name: member
-    for member in (
-        Placement(),
-        LinkTransform(),
-        DenavitHartenberg(),
-        DenavitHartenberg(full=True),
-        JointOffset(),
-    )
+
+def _compliance(setup: Setup) -> Compliance:
+    if len(setup.payloads) > 1:
+        raise OptionError(
+            f"'payloads' names {len(setup.payloads)}; which of them a row carries "
+            "cannot be told in this version",
+            file=setup.file or None,
+            value=list(setup.payloads),
+            allowed="one payload, carried in all rows",
+        )
+    return Compliance(setup.gravity, next(iter(setup.payloads.values()), None))
+
+
+PARAMETERIZATIONS: Mapping[str, Callable[[Setup], Parameterization]] = {
+    "placement": lambda setup: Placement(),
+    "link-transform": lambda setup: LinkTransform(),
+    "dh": lambda setup: DenavitHartenberg(),
+    "dh-full": lambda setup: DenavitHartenberg(full=True),
+    "joint-offset": lambda setup: JointOffset(),
+    "transmission": lambda setup: Transmission(setup.gear_ratios),
+    "compliance": _compliance,
 }
-"""Every parameterization by its name."""
+"""How each parameterization is made from a setup."""
 
 
-def parameterization(name: str) -> Parameterization:
+def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
     """The parameterization of a name.
 
+    Args:
+        name: Name of the parameterization.
+        setup: What the user states about the robot, such as its payload.
+
     Raises:
-        OptionError: If there is none; names the nearest.
+        OptionError: If there is none; names the nearest. If the setup leaves open
+            which payload the robot carries.
     """
     require_known("parameterization", name, PARAMETERIZATIONS)
-    return PARAMETERIZATIONS[name]
+    return PARAMETERIZATIONS[name](setup or Setup())

@@ -1,4 +1,4 @@
-"""What a geometric parameterization is."""
+"""What a parameterization is."""
 
 from __future__ import annotations
 
@@ -14,6 +14,8 @@ __all__ = [
     "ANGLE_SCALE",
     "COMPONENTS",
     "LENGTH_SCALE",
+    "Factor",
+    "JointFunctions",
     "Parameterization",
     "Screw",
     "expected_size",
@@ -35,6 +37,27 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six unit twists, in the order (linear, angular)."""
 
 
+class JointFunctions(Protocol):
+    """Functions of the commanded joint positions."""
+
+    def __call__(self, q: Floats) -> Floats:
+        """Their values, shape (N, n) -> (N, m)."""
+        ...
+
+
+@dataclass(frozen=True)
+class Factor:
+    """One of several functions, which are evaluated together.
+
+    Attributes:
+        functions: The functions.
+        column: Which of them.
+    """
+
+    functions: JointFunctions
+    column: int
+
+
 @dataclass(frozen=True)
 class Screw:
     """One error parameter as a unit screw at one place of the chain.
@@ -45,15 +68,19 @@ class Screw:
             n + 2 for the tool. At a joint the screw follows the nominal placement, in
             the joint frame; screws of one place apply in the order they are listed.
         twist: Unit twist (linear, angular), shape (6,), per unit of the parameter.
+        factor: What the amount is multiplied by at a configuration, for a joint
+            correction `dq_j = sum_p theta_p phi_p(q)`; its twist is the joint's own
+            motion, with which it commutes. None for an error of the geometry.
     """
 
     parameter: Parameter
     place: int
     twist: Floats
+    factor: Factor | None = None
 
 
 class Parameterization(Protocol):
-    """Error parameters of a robot's geometry."""
+    """Error parameters of a robot: of its geometry, or of its joints' motions."""
 
     @property
     def name(self) -> str:

@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-import numpy as np
-
 from calib_pin.chain import Chain
 from calib_pin.parameterizations.base import Screw, robot_parameter
 
@@ -23,11 +21,10 @@ class JointOffset:
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw at every moving joint."""
         result = []
-        for place, joint in enumerate(chain.joints, start=1):
-            axis, revolute = chain.axes[place - 1], chain.revolute[place - 1]
-            zero = np.zeros(3)
-            twist = np.concatenate([zero, axis] if revolute else [axis, zero])
-            unit = "rad" if revolute else "m"
+        for place, (joint, motion) in enumerate(
+            zip(chain.joints, chain.motions, strict=True), start=1
+        ):
+            unit = "rad" if chain.revolute[place - 1] else "m"
             parameter = robot_parameter(joint, self.name, "q", unit)
-            result.append(Screw(parameter, place, twist))
+            result.append(Screw(parameter, place, motion))
         return result

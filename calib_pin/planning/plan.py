@@ -10,7 +10,6 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.assessment import estimates, registration_reason
-from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.collision import Collisions
 from calib_pin.directions import visible_directions, visible_nuisances
@@ -27,7 +26,13 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
 from calib_pin.planning.workspace import Candidates, Workspace
-from calib_pin.problem import Problem, assumed_sigma, frame_pose
+from calib_pin.problem import (
+    Problem,
+    assumed_sigma,
+    frame_pose,
+    make_problem,
+    nominal_problem,
+)
 from calib_pin.result import CoupledGroup, ParameterEstimate
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status

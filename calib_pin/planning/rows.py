@@ -27,7 +27,7 @@ from calib_pin.errors import OptionError
 from calib_pin.measurement_models import CurvedModel, MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
-from calib_pin.spatial import Floats, adjoint, invert
+from calib_pin.spatial import Floats
 
 __all__ = ["IdentificationRows", "Pullback", "Rows"]
 
@@ -78,8 +78,12 @@ class IdentificationRows:
 
     @property
     def differentiable(self) -> bool:
-        """Whether the measurement model has second derivatives."""
-        return isinstance(self.measurement, CurvedModel)
+        """Whether the measurement model and the error model have second derivatives.
+
+        Those of joint corrections are not there.
+        """
+        curved = isinstance(self.measurement, CurvedModel)
+        return curved and self.problem.error.geometric
 
     def rows(self, q: Floats, target: Sequence[str]) -> Floats:
         """Rows of configurations.
@@ -106,12 +110,15 @@ class IdentificationRows:
             target: Target of each.
 
         Raises:
-            OptionError: If the measurement model has no second derivatives.
+            OptionError: If the measurement or the error model has no second
+                derivatives.
         """
         measurement = self.measurement
-        if not isinstance(measurement, CurvedModel):
+        geometric = self.problem.error.geometric
+        if not isinstance(measurement, CurvedModel) or not geometric:
+            lacking = f"'{measurement.name}'" if geometric else "a joint correction"
             raise OptionError(
-                f"'{measurement.name}' has no derivative by the configuration, which "
+                f"{lacking} has no derivative by the configuration, which "
                 "the method 'gradient' needs",
                 allowed="exchange, greedy, pso, ga",
             )
@@ -120,7 +127,7 @@ class IdentificationRows:
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
         rows = by_twist @ (V @ of_robot) + by_own @ of_own
         curvature = measurement.curvature(poses.T, self._own, target)
-        xi = self._joint_twists(poses)
+        xi = poses.joint_twists()
 
         def pullback(by_rows: Floats) -> Floats:
             G = by_rows @ of_robot.T
@@ -175,16 +182,6 @@ class IdentificationRows:
         linear = measurement.linearize(poses.T, self._own, data)
         weight = self.sigma[:, None]
         return poses, linear.by_twist / weight, linear.by_own / weight
-
-    def _joint_twists(self, poses: PoseLinearization) -> Floats:
-        """Body twists of the tool by the joint positions, shape (N, 6, n)."""
-        chain = self.problem.error.chain
-        axes = np.zeros((len(chain.joints), 6))
-        axes[chain.revolute, 3:] = chain.axes[chain.revolute]
-        axes[~chain.revolute, :3] = chain.axes[~chain.revolute]
-        blocks = poses.regressor.reshape(len(poses.T), 6, -1, 6)
-        at_tip = np.einsum("nakb,kb->nak", blocks, axes)
-        return np.asarray(adjoint(invert(poses.to_tip)) @ at_tip)
 
 
 def _coadjoint(V: Floats, F: Floats) -> Floats:

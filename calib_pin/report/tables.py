@@ -28,7 +28,14 @@ __all__ = [
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
 
-DISPLAY = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / math.pi)}
+DISPLAY = {
+    "m": ("mm", 1e3),
+    "rad": ("deg", 180.0 / math.pi),
+    "m/m": ("%", 100.0),
+    "rad/rad": ("%", 100.0),
+    "m/N": ("um/N", 1e6),
+    "rad/Nm": ("urad/Nm", 1e6),
+}
 """Unit and factor that people read, by SI unit."""
 
 ESTIMATE = ("value", "std. dev.", "unit")

@@ -67,8 +67,10 @@ def report(result: CalibrationResult) -> RenderableType:
         _verdict(result),
         _subject(result),
         "",
+        *_ladder(result),
         *_accuracy(result),
         *_moves(result),
+        *_beyond(result),
         "",
         identification_report(result, fitted=True),
         *listed("at a bound", result.at_bounds),
@@ -115,6 +117,11 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
         if evaluation.registered
         else "Nothing was fitted to these rows."
     )
+    if evaluation.outside:
+        how += (
+            f" {evaluation.outside} rows lie outside the region in which the "
+            "correction was learned; there it fades to zero."
+        )
     parts: list[RenderableType] = [accuracies, Text(how, style="dim")]
     if evaluation.verdict != "good":
         parts = [untrusted(evaluation.reason), "", *parts]
@@ -160,6 +167,37 @@ def _subject(result: CalibrationResult) -> Text:
     )
 
 
+def _ladder(result: CalibrationResult) -> Iterator[RenderableType]:
+    """The rungs of the model ladder with their errors on unseen rows."""
+    if result.ladder is None:
+        return
+    rungs = result.ladder.rungs
+    quantities = [
+        (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
+    ]
+    units = [f"{name} [{DISPLAY[unit][0]}]" for name, unit in quantities]
+    shown = table("Model ladder: mean errors on unseen rows", (*units, "error", ""))
+    shown.columns[-1].justify = "left"
+    shown.columns[-1].no_wrap = False
+    best = min((r for r in rungs if not r.reason), key=lambda rung: rung.score)
+    for k, rung in enumerate(rungs):
+        if rung.reason:
+            cells = ["-"] * len(quantities)
+            relative, remark = "-", rung.reason
+        else:
+            cells = [number(DISPLAY[unit][1] * mean) for _, unit, mean in rung.errors]
+            part, deviation = (x / rungs[0].score for x in (rung.score, rung.deviation))
+            relative = f"{100.0 * part:.1f} +- {100.0 * deviation:.1f} %"
+            remark = "kept" if k == result.ladder.chosen else ""
+            if not rung.helps:
+                remark = "does not help"
+            elif rung is best and not remark:
+                remark = "no better than what is kept"
+        shown.add_row(rung.name, *cells, relative, remark)
+    yield shown
+    yield ""
+
+
 def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
     accuracies = table("Accuracy", ("rows", "robot", "mean", "rms", "max", "unit"))
     for error in result.errors:
@@ -179,7 +217,7 @@ def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
 
 def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
     """How far the corrected robot is from the nominal one: it must look like it."""
-    corrections = result.model.urdf_corrections()
+    corrections = result.geometry.urdf_corrections()
     if not corrections:
         return
     shifts = {j: float(np.linalg.norm(M.translation)) for j, M in corrections.items()}
@@ -192,6 +230,30 @@ def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
         shown, factor = DISPLAY[unit]
         parts.append(f"{number(factor * sizes[joint])} {shown} ({joint})")
     yield Text(f"Joint origins move by up to {' and '.join(parts)}.", style="dim")
+
+
+def _beyond(result: CalibrationResult) -> Iterator[RenderableType]:
+    """What a URDF cannot hold, and how good it is without."""
+    if not result.urdf:
+        return
+    kinds = [
+        name
+        for name in result.model.setup.parameters
+        if name in ("transmission", "compliance")
+    ]
+    learned = result.model.setup.learned
+    if learned is not None:
+        kinds.append(f"what the {learned.replace('-', ' ')} has learned")
+    means = ", ".join(
+        f"{name} {number(DISPLAY[unit][1] * accuracy.mean)} {DISPLAY[unit][0]}"
+        for name, unit, accuracy in result.urdf
+    )
+    rows = "fitted" if result.validation not in ("set", "file", "holdout") else "unseen"
+    yield Text(
+        f"A URDF cannot hold {' and '.join(kinds)}. It gets the best geometry without: "
+        f"mean error on {rows} rows {means}. `calib-pin compensate` uses all.",
+        style="dim",
+    )
 
 
 def _registered(result: CalibrationResult) -> str:
@@ -215,7 +277,7 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
         (
             "structural rank",
             f"{ranks.structural_rank}   (gap {number(ranks.gap)}; Everett's count "
-            f"4R + 2P + 6 = {ranks.everett} for full poses)",
+            f"4R + 2P + 6 = {ranks.everett}, geometry and full poses)",
         ),
     ]
     if fitted:

@@ -32,6 +32,9 @@ SHORT = 1e-7
 NEGLIGIBLE = 1e-10
 """Part of the squares that a step may fail to gain by rounding."""
 
+PATIENCE = 8
+"""Damped steps that are judged together."""
+
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
 
@@ -67,6 +70,7 @@ def gauss_newton(
     *,
     tolerance: float = 1e-14,
     rank_tolerance: float = 1e-12,
+    worthwhile: float = 0.0,
     max_iterations: int = 100,
     damped: bool = True,
     callback: Callable[[int, float], None] | None = None,
@@ -82,6 +86,9 @@ def gauss_newton(
         tolerance: Converged when a step promises to lower the cost by less than this
             part of it, or is shorter than this part of its way (1e-12 of the unit).
         rank_tolerance: Singular values below this part of the largest are dropped.
+        worthwhile: Converged as well when several damped steps together lower the
+            cost by less than this part of it: a valley that full steps leap out of and
+            that goes on for ever, of a direction that the residuals can hardly tell.
         max_iterations: Limit on the steps.
         damped: Whether a step that raises the cost is damped and tried again;
             otherwise every step is taken whole.
@@ -95,6 +102,7 @@ def gauss_newton(
     cost, evaluations = 0.5 * float(r @ r), 1
     way, iteration, damping = 0.0, 0, 0.0
     status = Status.ITERATIONS if np.isfinite(cost) else Status.NOT_FINITE
+    passed = [cost]
     while status is Status.ITERATIONS and iteration < max_iterations:
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, SHORTEST), tolerance * cost
@@ -105,8 +113,15 @@ def gauss_newton(
             r, J = linearize(x)
             cost = 0.5 * float(r @ r)
             damping = trial.damping / 10.0
-            damping = damping if damping > 1e-9 * step.curvature else 0.0
+            # No damping only where this little would change nothing: a step that
+            # leaps along weak directions costs all that was gained.
+            damping = damping if damping > 0.01 * step.weakest else 0.0
             iteration += 1
+            # Full steps are judged by what they promise.
+            passed = [*passed[1 - PATIENCE :], cost] if trial.damping > 0.0 else [cost]
+            crawling = passed[0] - cost < worthwhile * cost
+            if len(passed) == PATIENCE and crawling:
+                status = Status.CONVERGED
             if callback is not None:
                 callback(iteration, cost)
         elif not trial.done:
@@ -189,6 +204,7 @@ class _Step:
         self.s, self.V = s[keep], Vt[keep].T
         self.along = U[:, keep].T @ self.r
         self.curvature = float(s.max(initial=0.0) ** 2)
+        self.weakest = float(self.s.min(initial=np.inf) ** 2)
 
     def promised(self, dy: Floats) -> float:
         """Decrease of the cost that the linear model promises."""

@@ -24,10 +24,9 @@ from scipy import optimize
 
 import calib_pin
 from benchmarks.ranger import Ranger
-from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, make_problem, nominal_problem
 from calib_pin.solvers import (
     DifferentialEvolution,
     differential_evolution,

@@ -502,6 +502,113 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         {"bad.yaml": "joints: {J1: {joint: joint_1}}\n"},
         "'J1'|'joint_1'|did you mean 'joint1'",
     ),
+    # gravity, payloads and gears
+    "payload without a mass": (
+        SETUP,
+        {"bad.yaml": "payloads:\n  gripper: {com: [0, 0, 0.1]}\n"},
+        "bad.yaml:2|'payloads.gripper.mass' is missing",
+    ),
+    "negative mass": (
+        SETUP,
+        {"bad.yaml": "payloads:\n  gripper:\n    mass: -2\n    com: [0, 0, 0]\n"},
+        "bad.yaml:3|payloads.gripper.mass|'-2'|in kg, more than 0",
+    ),
+    "mass in grams of a ship": (
+        SETUP,
+        {"bad.yaml": "payloads: {ship: {mass: 2.0e+8}}\n"},
+        "bad.yaml:1|payloads.ship.mass|'2.0e+8'|in kg|100000",
+    ),
+    "center of mass of two numbers": (
+        SETUP,
+        {"bad.yaml": "payloads:\n  gripper:\n    mass: 2\n    com: [0, 0.1]\n"},
+        "bad.yaml:4|payloads.gripper.com|[0, 0.1]|three finite numbers in m",
+    ),
+    "center of mass in millimeters": (
+        SETUP,
+        {"bad.yaml": "payloads: {gripper: {mass: 2, com: [0, 0, 150]}}\n"},
+        "bad.yaml:1|payloads.gripper.com|[0, 0, 150]|in m",
+    ),
+    "gravity of two numbers": (
+        SETUP,
+        {"bad.yaml": "parameters: [placement]\ngravity: [0, -9.81]\n"},
+        "bad.yaml:2|'gravity'|[0, -9.81]|three finite numbers in m/s^2",
+    ),
+    "gravity that is not finite": (
+        SETUP,
+        {"bad.yaml": "gravity: [0, 0, -.inf]\n"},
+        "bad.yaml:1|'gravity'|[0, 0, -.inf]|three finite numbers in m/s^2",
+    ),
+    "gravity in millimeters": (
+        SETUP,
+        {"bad.yaml": "gravity: [0, 0, -9810]\n"},
+        "bad.yaml:1|'gravity'|[0, 0, -9810]|in m/s^2, such as [0, 0, -9.81]",
+    ),
+    "gear ratio of zero": (
+        SETUP,
+        {"bad.yaml": "gear_ratios:\n  joint1: 100\n  joint2: 0\n"},
+        "bad.yaml:3|gear_ratios.joint2|'0'|other than 0",
+    ),
+    "gear ratio of no joint": (
+        SETUP,
+        {
+            "bad.yaml": "parameters: [transmission]\ngear_ratios: {joint_2: 100}\n",
+        },
+        "bad.yaml|'joint_2'|did you mean 'joint2'|gear_ratios|joint1, joint2, joint3",
+    ),
+    "several payloads": (
+        SETUP,
+        {
+            "bad.yaml": "parameters: [placement, compliance]\n"
+            "payloads: {light: {mass: 1, com: [0, 0, 0]}, "
+            "heavy: {mass: 9, com: [0, 0, 0]}}\n"
+        },
+        "bad.yaml|'payloads'|light|heavy|one payload, carried in all rows",
+    ),
+    "compliance without a mass": (
+        f"{CALIBRATE} --parameters placement,compliance",
+        {},
+        "'compliance'|'arm'|no mass|<inertial>|payloads in the setup file",
+    ),
+    "simulated compliance without a mass": (
+        f"{SIMULATE} --parameters compliance",
+        {},
+        "'compliance'|'arm'|no mass|payloads in the setup file",
+    ),
+    "structure of a compliance without a mass": (
+        "identify arm.urdf --model pose --parameters compliance",
+        {},
+        "'compliance'|'arm'|no mass",
+    ),
+    "name of a correction": (
+        f"{CALIBRATE} --parameters placement,compliances",
+        {},
+        "'compliances'|did you mean 'compliance'|transmission, compliance",
+    ),
+    "unknown residual model": (
+        f"{CALIBRATE} --learned netwrok",
+        {},
+        "unknown residual model 'netwrok'|did you mean 'network'|gaussian-process",
+    ),
+    "unknown residual model in the setup": (
+        SETUP,
+        {"bad.yaml": "tip: tool\nlearned: netwrok\n"},
+        "bad.yaml:2|'learned'|'netwrok'|network, gaussian-process",
+    ),
+    "too few rows for a ladder": (
+        f"{CALIBRATE} --model-ladder",
+        {"rows.csv": lines(6)},
+        "the model ladder has no footing|4 configurations are too few",
+    ),
+    "name on no rung of a ladder": (
+        f"{SETUP} --model-ladder",
+        {"bad.yaml": "fixed: [joint1.transmision.sin1]\n"},
+        "bad.yaml|'joint1.transmision.sin1'|did you mean 'joint1.transmission.sin1'",
+    ),
+    "unknown error of a gear": (
+        f"{SIMULATE} --parameters transmission --errors bad.yaml",
+        {"bad.yaml": "joint1.transmission.sin: 1.0e-3\n"},
+        "bad.yaml:1|'joint1.transmission.sin'|did you mean",
+    ),
     # outputs
     "output folder is a file": (
         "calibrate arm.urdf rows.csv -o setup.yaml",

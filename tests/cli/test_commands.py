@@ -16,6 +16,7 @@ import calib_pin
 from calib_pin.cli import main
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup, setup_document
+from calib_pin.residual_models import RESIDUAL_MODELS
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 
@@ -558,6 +559,129 @@ def test_mapped_columns(here, run):
     assert run(f"{POSITION} -o out").status == 0
     # The calibration knows the columns it was made from.
     assert run("evaluate out/calibration.json rows.csv").status == 0
+
+
+# --- beyond geometry ---------------------------------------------------------------
+
+CORRECTED = """\
+model: position
+parameters: [placement, transmission, compliance]
+frames: {tool: {xyz: [0.05, 0.08, 0.1], estimate: true}}
+gravity: [0.5, 0, -9.8]
+payloads: {gripper: {mass: 6, com: [0.02, 0, 0.1]}}
+gear_ratios: {joint_2: 50}
+noise: {position: 2.0e-5}
+"""
+
+
+def test_gears_and_compliance_from_simulation_to_evaluation(tmp_path, monkeypatch, run):
+    monkeypatch.chdir(tmp_path)
+    Path("setup.yaml").write_text(CORRECTED)
+    words = "simulate pa10 --setup setup.yaml --count 80 --seed 3 -o rows.csv"
+    assert run(words).status == 0
+    result = run("calibrate pa10 rows.csv --setup setup.yaml --holdout 0.2 -o out")
+    assert (result.status, result.err) == (0, "")
+    text = " ".join(result.out.split())
+    assert "A URDF cannot hold transmission and compliance" in text
+    assert "urad/Nm" in text and "joint_4.compliance.k" in text
+    found = document("out")
+    check_form(found, CONTRACT)
+    units = {p["name"]: p["unit"] for p in found["parameters"]}
+    assert units["joint_4.compliance.k"] == "rad/Nm"
+    assert units["joint_4.transmission.gain"] == "rad/rad"
+    assert units["joint_2.transmission.motor_cos"] == "rad"
+    status = {p["name"]: p["status"] for p in found["parameters"]}
+    assert status["joint_4.compliance.k"] == "identifiable"
+    accuracy = found["errors"]["position"]
+    # Twenty times worse without them, on the same unseen rows.
+    unseen = accuracy["validation"]["after"]["rms"]
+    assert unseen < 1e-4
+    assert found["urdf"]["position"]["unit"] == "m"
+    assert found["urdf"]["position"]["rms"] > 10.0 * unseen
+    assert (
+        json.loads(json.dumps(setup_document(read_setup("setup.yaml"))))
+        == (found["setup"])
+    )
+
+    def rms(words: str) -> float:
+        result = run(f"evaluate {words} --json")
+        assert result.status == 0
+        return json.loads(result.out)["errors"]["position"]["rms"]
+
+    # What is read back has it all; the URDF has the geometry alone.
+    parts = accuracy["training"]["after"]["rms"] ** 2 * 64 + unseen**2 * 16
+    assert rms("out/calibration.json rows.csv") == pytest.approx(np.sqrt(parts / 80))
+    assert rms("out/pa10.urdf rows.csv --setup setup.yaml") > 10.0 * unseen
+
+
+def test_parameters_beyond_geometry_on_the_command_line(here, run):
+    Path("load.yaml").write_text(
+        "payloads: {load: {mass: 5, com: [0.1, 0.05, 0]}}\n"
+        "frames: {tool: {xyz: [0.05, 0.02, 0.1], estimate: true}}\n"
+    )
+    Path("errors.yaml").write_text(
+        "joint2.transmission.sin2: 5.0e-4\njoint3.transmission.gain: -1.0e-3\n"
+        "joint2.compliance.k: 2.0e-5\njoint3.compliance.k: 4.0e-5\n"
+    )
+    kinds = "--setup load.yaml --parameters placement,transmission,compliance"
+    words = f"simulate arm.urdf --model position --count 60 --noise 0 {kinds}"
+    assert run(f"{words} --errors errors.yaml -o out.csv").status == 0
+    assert run(f"calibrate arm.urdf out.csv {kinds} -o out --quiet").status == 0
+    found = document("out")
+    assert found["setup"]["parameters"] == ["placement", "transmission", "compliance"]
+    assert found["errors"]["position"]["validation"]["after"]["max"] < 1e-9
+    alone = {
+        p["name"]: p["value"]
+        for p in found["parameters"]
+        if p["status"] == "identifiable" and ".frame." not in p["name"]
+    }
+    expected = {
+        "joint2.transmission.sin2": 5e-4,
+        "joint3.transmission.gain": -1e-3,
+        "joint2.compliance.k": 2e-5,
+        "joint3.compliance.k": 4e-5,
+    }
+    assert expected.keys() <= alone.keys()
+    for name, value in alone.items():
+        assert value == pytest.approx(expected.get(name, 0.0), abs=1e-10), name
+
+    result = run(f"identify arm.urdf --model position {kinds}")
+    assert (result.status, result.err) == (0, "")
+    assert "joint3.compliance.k" in result.out
+
+
+def test_a_model_ladder(here, run, monkeypatch):
+    for name in list(RESIDUAL_MODELS):
+        monkeypatch.delitem(RESIDUAL_MODELS, name)
+    result = run("calibrate arm.urdf rows.csv --model-ladder -o out")
+    assert (result.status, result.err) == (0, "")
+    shown = result.out[result.out.index("Model ladder") :]
+    lines = [" ".join(line.split()) for line in shown.splitlines()]
+    (kept,) = (line for line in lines if line.startswith("joint offset "))
+    assert kept.endswith(" % kept")
+    (geometric,) = (line for line in lines if line.startswith("geometric "))
+    assert geometric.endswith(" does not help")
+    assert "no mass that loads a joint" in " ".join(result.out.split())
+    found = document("out")
+    ladder = found["model_ladder"]
+    assert ladder["chosen"] == "joint offset"
+    names = [rung["name"] for rung in ladder["rungs"]]
+    beyond = ["+ transmission", "+ compliance", "+ transmission + compliance"]
+    assert names == ["joint offset", "geometric", *beyond]
+    assert ladder["rungs"][3]["score"] is None
+    assert found["setup"]["parameters"] == ["joint-offset"]
+    validation = found["errors"]["position"]["validation"]
+    assert validation["method"] == "5-fold"
+    assert ladder["rungs"][0]["errors"]["position"] == {
+        "unit": "m",
+        "mean": validation["after"]["mean"],
+    }
+    # The calibration is that of the kept rung.
+    assert run("evaluate out/calibration.json new.csv").status == 0
+    assert run(f"{POSITION} -o plain --quiet").status == 0
+    plain = document("plain")
+    assert "rungs" not in (plain["model_ladder"] or {})
+    assert plain["parameters"] == found["parameters"]
 
 
 # --- identify ----------------------------------------------------------------------

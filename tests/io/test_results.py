@@ -4,14 +4,14 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
 
-from calib_pin.calibration import calibrate, evaluate, nominal_problem
+from calib_pin.calibration import calibrate, evaluate
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
 from calib_pin.io.documents import Provenance, calibration_document, encode
@@ -19,8 +19,9 @@ from calib_pin.io.results import read_calibration, write_urdf
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
 from calib_pin.measurements import Measurements
+from calib_pin.problem import nominal_problem
 from calib_pin.result import CalibratedModel, CalibrationResult
-from calib_pin.setup import FrameSetup, JointMap, PlaneSetup, Setup
+from calib_pin.setup import FrameSetup, JointMap, Payload, PlaneSetup, Setup
 from calib_pin.simulation import simulate
 
 ARM = """<robot name="arm">
@@ -53,6 +54,11 @@ ARM = """<robot name="arm">
 
 WALL = {"my.wall": PlaneSetup((1.0, 0.2, 0.3), -1.8)}
 KNOWN = FrameSetup((0.1, 0.2, 0.3), (0.4, 0.5, 0.6), estimate=False)
+LOADED: dict[str, Any] = {
+    "gravity": (1.5, -0.5, -9.6),
+    "payloads": {"gripper": Payload(4.0, (0.1, -0.05, 0.2))},
+    "gear_ratios": {"j.*": 80.0, "plane": -31.5},
+}
 PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, {"numpy": "2"})
 
 CASES: dict[str, tuple[str, Setup]] = {
@@ -79,6 +85,22 @@ CASES: dict[str, tuple[str, Setup]] = {
             prior={"*.placement.*": 0.01},
             noise={"position": 1e-3, "orientation": 1e-5},
             joints={"J1": JointMap("j.1", -1, 2.0, 0.1, {"J2": 0.5})},
+        ),
+    ),
+    "pose, joint corrections": (
+        "pose",
+        Setup(parameters=("placement", "transmission", "compliance"), **LOADED),
+    ),
+    "pose, corrections first": (
+        "pose",
+        Setup(parameters=("compliance", "transmission", "joint-offset"), **LOADED),
+    ),
+    "position, corrections alone": (
+        "position",
+        Setup(
+            parameters=("compliance",),
+            payloads={"p": Payload(6.0)},
+            tool_frame=FrameSetup((0.1, 0.0, 0.2)),
         ),
     ),
     "plane-distance": (
@@ -176,10 +198,74 @@ def test_predictions_come_back(case, arm):
 def test_the_corrected_robot_is_the_calibrated_one(case, arm):
     result, rows = calibrated(arm, *CASES[case])
     model = result.model
-    write_urdf(model, Path("corrected.urdf"))
+    geometry = result.geometry
+    write_urdf(geometry, Path("corrected.urdf"))
     chain = Chain(load_robot("corrected.urdf"), model.chain.base, model.chain.tip)
-    found = model.error.base.homogeneous @ chain.poses(rows.q) @ model.tool.homogeneous
-    np.testing.assert_allclose(found, model.poses(rows.q), atol=1e-12)
+    tool = geometry.tool.homogeneous
+    found = geometry.error.base.homogeneous @ chain.poses(rows.q) @ tool
+    np.testing.assert_allclose(found, geometry.poses(rows.q), atol=1e-12)
+    if model.geometric:
+        np.testing.assert_array_equal(geometry.poses(rows.q), model.poses(rows.q))
+    else:
+        # What is left of a fit with corrections fits worse than geometry alone.
+        measured = rows.values[:, :3]
+        errors = [
+            m.poses(rows.q)[:, :3, 3] - measured for m in (geometry, model.geometry)
+        ]
+        assert np.sum(errors[0] ** 2) < np.sum(errors[1] ** 2)
+
+
+def test_a_urdf_holds_the_geometry_alone(arm):
+    result, rows = calibrated(arm, *CASES["pose, joint corrections"])
+    model = result.model
+    beyond = [
+        p for p in result.parameters if p.name.split(".")[-2] in model.setup.parameters
+    ]
+    assert {p.name.split(".")[-2] for p in beyond if abs(p.value) > 1e-5} == {
+        *("placement", "transmission", "compliance")
+    }
+    geometry = model.geometry
+    assert np.abs(geometry.poses(rows.q) - model.poses(rows.q)).max() > 1e-3
+    kept = ~np.isin(np.arange(len(model.theta)), model.error.joint_corrections)
+    np.testing.assert_array_equal(geometry.theta[kept], model.theta[kept])
+    assert (geometry.theta[~kept] == 0.0).all()
+    # How good it is without them is a part of the result.
+    ((name, unit, accuracy), *_) = result.urdf
+    (errors, *_) = result.errors
+    assert (name, unit) == (errors.name, errors.unit) == ("position", "m")
+    assert errors.after.rms < 0.2 * accuracy.rms
+    document = json.loads(encode(calibration_document(result, PROVENANCE)))
+    assert document["urdf"]["position"]["rms"] == accuracy.rms
+
+
+def test_nothing_is_said_of_a_urdf_that_holds_it_all(stored):
+    result, file = stored
+    assert result.urdf == ()
+    assert json.loads(file.read_text())["urdf"] == {}
+
+
+def test_what_was_learned_is_no_geometry(stored):
+    @dataclass(frozen=True)
+    class Bent:
+        space: str = "joint"
+        shift: Any = 0.0
+
+        def __call__(self, q: Any) -> Any:
+            return 0.01 * np.cos(q)
+
+        def weight(self, q: Any) -> Any:
+            return np.ones(len(q))
+
+    model = stored[0].model
+    bent = replace(model, error=replace(model.error, learned=Bent()))
+    q = model.chain.random_configurations(5, np.random.default_rng(0))
+    assert np.abs(bent.poses(q) - model.poses(q)).max() > 1e-3
+    np.testing.assert_array_equal(bent.geometry.poses(q), model.poses(q))
+    with pytest.raises(OptionError, match=r"a URDF cannot hold .*\.geometry"):
+        write_urdf(bent, Path("bent.urdf"))
+    write_urdf(bent.geometry, Path("bent.urdf"))
+    write_urdf(model, Path("model.urdf"))
+    assert Path("bent.urdf").read_bytes() == Path("model.urdf").read_bytes()
 
 
 def test_what_the_contract_does_not_ask_for_may_be_missing(arm):
@@ -318,8 +404,17 @@ USED = ("format", "version", "robot", "parameters", "frames", "planes", "setup")
 JUNK = (None, True, -1, 7.5, 10**400, float("nan"), "x", "", [], {}, [[0]], ["a"] * 3)
 
 
-def test_no_damage_passes_unnoticed_or_crashes(arm):
-    setup = Setup(planes=WALL, parameters=("joint-offset",), noise={"distance": 1e-3})
+@pytest.mark.parametrize(
+    "parameters",
+    [
+        ("joint-offset",),
+        ("compliance",),
+    ],
+)
+def test_no_damage_passes_unnoticed_or_crashes(parameters, arm):
+    setup = Setup(planes=WALL, parameters=parameters, noise={"distance": 1e-3})
+    if parameters == ("compliance",):
+        setup = replace(setup, **LOADED)
     result, rows = calibrated(arm, "plane-distance", setup)
     file = write(result, Path("out"))
     good = json.loads(file.read_text())

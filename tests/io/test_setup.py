@@ -19,6 +19,7 @@ from calib_pin.setup import (
     FrameSetup,
     JointMap,
     Obstacle,
+    Payload,
     PlaneSetup,
     RangerSetup,
     Region,
@@ -74,6 +75,9 @@ planes:
 joints:
   J3: {joint: joint_3, sign: -1, gear: 0.01, offset: 1.57, coupled: {J2: 1.0}}
   4: {joint: joint_4}
+gravity: [0, -6.9, 6.9]
+payloads: {p1: {mass: 20, com: [0, 0, 0.15]}}
+gear_ratios: {"joint_*": 160, rail: -1.2e3}
 fixed: ["*.placement.z", base.frame.x]
 bounds: {"*.placement.x": 0.01, "*.dh.*": [-0.1, 0.2]}
 prior: {"*.placement.*": 0.002}
@@ -112,6 +116,9 @@ def test_every_key(write):
             "J3": JointMap("joint_3", -1, 0.01, 1.57, {"J2": 1.0}),
             "4": JointMap("joint_4"),
         },
+        gravity=(0.0, -6.9, 6.9),
+        payloads={"p1": Payload(20.0, (0.0, 0.0, 0.15))},
+        gear_ratios={"joint_*": 160.0, "rail": -1200.0},
         fixed=("*.placement.z", "base.frame.x"),
         bounds={"*.placement.x": 0.01, "*.dh.*": (-0.1, 0.2)},
         prior={"*.placement.*": 0.002},
@@ -161,10 +168,26 @@ def test_the_document_of_a_setup_reads_back(write):
         Setup(region=Region(cone=Cone((0, 0, 0), (1, 0, 0), math.pi, (1.0, 2.0)))),
         Setup(ranger=RangerSetup((0.1, 3.0))),
         Setup(limits={"a[1]": (-1.0, 0.0)}),
+        Setup(gravity=(0.0, 0.0, 0.0)),
+        Setup(payloads={"a": Payload(0.1), "b": Payload(3.0, (0.0, 1.0, 0.0))}),
+        Setup(gear_ratios={"a[1]": 80.5}),
     ],
 )
 def test_parts_of_a_setup_read_back(setup):
     assert setup_of(json.loads(json.dumps(setup_document(setup)))) == setup
+
+
+@pytest.mark.parametrize("name", ["network", "gaussian-process"])
+def test_a_residual_model_reads_back(name, write):
+    setup = read_setup(write(f"learned: {name}"))
+    assert setup == Setup(learned=name)
+    assert setup_of(json.loads(json.dumps(setup_document(setup)))) == setup
+
+
+def test_what_nobody_stated_is_not_stored():
+    keys = setup_document(Setup()).keys()
+    assert {"gravity", "payloads", "gear_ratios", "learned"}.isdisjoint(keys)
+    assert setup_document(Setup(gravity=(0, 0, 9.81)))["gravity"] == [0, 0, 9.81]
 
 
 def test_meshes_are_found_beside_the_setup_file(write, monkeypatch):
@@ -228,7 +251,10 @@ def test_what_is_not_a_number(message, written):
     )
 
 
-KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, prior"
+KEYS = (
+    "base, tip, model, parameters, learned, frames, planes, joints, gravity, payloads, "
+    "gear_ratios, fixed, bounds, prior"
+)
 
 
 @pytest.mark.parametrize(
@@ -253,18 +279,14 @@ KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, pri
         # Keys of later versions.
         *(
             (f"tip: a\n{key}: {{}}\n", 2, [f"'{key}' is not available in this version"])
-            for key in (
-                "targets",
-                "distances",
-                "gravity",
-                "payloads",
-            )
+            for key in ("targets", "distances")
         ),
-        ("tip: a\npayloads:\n", 2, ["'payloads' is not available"]),
+        ("tip: a\ntargets:\n", 2, ["'targets' is not available"]),
         # Missing keys.
         ("planes:\n  w: {normal: [0, 0, 1]}", 2, ["'planes.w.offset' is missing"]),
         ("joints:\n  J1: {sign: 1}", 2, ["'joints.J1.joint' is missing"]),
         ("joints:\n  J1: {joint: }", 2, ["'joints.J1.joint' is missing"]),
+        ("payloads:\n  p: {com: [0, 0, 1]}", 2, ["'payloads.p.mass' is missing"]),
         # Wrong types.
         ("base: 12\n", 1, ["'base'", "'12'", "text"]),
         ("tip: no\n", 1, ["'tip'", "'no'", "in quotes"]),
@@ -322,6 +344,34 @@ KEYS = "base, tip, model, parameters, frames, planes, joints, fixed, bounds, pri
         ("noise: {distance: 0}", 1, ["'noise.distance'", "'0'", "a positive number"]),
         ("noise: {distance: .nan}", 1, ["'.nan'", "a finite number"]),
         ("noise: {distance: '1e999'}", 1, ["'1e999'", "a finite number"]),
+        # Gravity, loads and gears.
+        ("gravity: 9.81", 1, ["'gravity'", "'9.81'", "three finite numbers in m/s^2"]),
+        ("gravity: [0, -9.81]", 1, ["'gravity'", "[0, -9.81]", "[0, 0, -9.81]"]),
+        ("gravity: [0, 0, .nan]", 1, ["'gravity'", ".nan", "three finite numbers"]),
+        ("gravity:\n  - 0\n  - 0\n  - -9810\n", 1, ["'gravity'", "in m/s^2"]),
+        ("payloads: [20]", 1, ["'payloads'", "'[20]'", "mapping"]),
+        ("payloads: {p: 20}", 1, ["'payloads.p'", "'20'", "mapping"]),
+        (
+            "payloads:\n  p:\n    mass: 1\n    com: [0, 0, 0]\n    cm: [0, 0, 0]\n",
+            5,
+            ["'payloads.p.cm'", "mean 'com'", "mass, com"],
+        ),
+        ("payloads: {p: {mass: 1}}", 1, ["'payloads.p.com' is missing"]),
+        ("payloads: {p: {mass: 0}}", 1, ["payloads.p.mass", "'0'", "more than 0"]),
+        ("payloads: {p: {mass: -2}}", 1, ["payloads.p.mass", "'-2'", "in kg"]),
+        ("payloads: {p: {mass: 2 kg}}", 1, ["payloads.p.mass", "'2 kg'", "in kg"]),
+        ("payloads: {p: {mass: 2.0e5}}", 1, ["'2.0e5'", "at most 100000"]),
+        ("payloads: {p: {mass: 1, com: [0, 1]}}", 1, ["p.com", "[0, 1]", "in m"]),
+        ("payloads: {p: {mass: 1, com: [0, 0, 150]}}", 1, ["p.com", "numbers in m"]),
+        ("gear_ratios: 160", 1, ["'gear_ratios'", "'160'", "mapping"]),
+        ("gear_ratios:\n  a: 1\n  b: 0\n", 3, ["gear_ratios.b", "other than 0"]),
+        ("gear_ratios: {a: .inf}", 1, ["'gear_ratios.a'", "'.inf'", "finite"]),
+        (
+            "learned: netwrok",
+            1,
+            ["'learned'", "'netwrok'", "network, gaussian-process"],
+        ),
+        ("learned: [network]", 1, ["'learned'", "'[network]'"]),
         # Where the robot may measure.
         ("obstacles: {sphere: 1}\n", 1, ["'obstacles'", "a list"]),
         ("obstacles:\n  - 3\n", 2, ["'obstacles[0]'", "'3'", "mapping"]),

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -13,6 +14,7 @@ from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, owner
+from calib_pin.setup import Payload, Setup
 
 COMPONENTS = {
     "placement": ["x", "y", "z", "rx", "ry", "rz"],
@@ -20,7 +22,10 @@ COMPONENTS = {
     "dh": ["theta", "d", "a", "alpha", "beta"],
     "dh-full": ["theta", "d", "a", "alpha", "beta"],
     "joint-offset": ["q"],
+    "transmission": ["gain", "sin1", "cos1", "sin2", "cos2", "motor_sin", "motor_cos"],
+    "compliance": ["k"],
 }
+GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = [
     ("space6", None, None),
     ("example:tiago_no_hand", None, "arm_7_link"),
@@ -31,9 +36,35 @@ ROBOTS = [
 
 def test_registry() -> None:
     assert set(PARAMETERIZATIONS) == set(COMPONENTS)
-    for name, member in PARAMETERIZATIONS.items():
-        assert member.name == name
-        assert parameterization(name) is member
+    for name, make in PARAMETERIZATIONS.items():
+        assert make(Setup()).name == name
+        assert parameterization(name).name == name
+
+
+def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> None:
+    chain = load_chain("space6")
+    names = [s.parameter.name for s in parameterization("transmission").screws(chain)]
+    assert not any("motor" in name for name in names)
+    with_motors = parameterization("transmission", framed).screws(chain)
+    assert len(with_motors) == len(names) + 2 * 6
+    # Without the payload there is nothing to bend this robot.
+    with pytest.raises(OptionError, match="no mass that loads a joint"):
+        parameterization("compliance").screws(chain)
+    assert len(parameterization("compliance", framed).screws(chain)) == 6
+
+
+def test_which_of_several_payloads_cannot_be_told(framed: Setup) -> None:
+    payloads = {"light": Payload(1.0), "heavy": Payload(9.0)}
+    several = replace(framed, payloads=payloads, file="s.yaml")
+    with pytest.raises(OptionError) as caught:
+        parameterization("compliance", several)
+    assert str(caught.value) == (
+        "s.yaml: 'payloads' names 2; which of them a row carries cannot be told in "
+        "this version (value ['light', 'heavy']); allowed: one payload, carried in "
+        "all rows"
+    )
+    # Whoever asks for no compliance need not choose.
+    assert parameterization("placement", several).name == "placement"
 
 
 def test_unknown_name() -> None:
@@ -46,11 +77,11 @@ def test_unknown_name() -> None:
 
 @pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)
 @pytest.mark.parametrize("name", PARAMETERIZATIONS)
-def test_names_units_scales(
-    name: str, robot: str, base: str | None, tip: str | None
+def test_names(
+    name: str, robot: str, base: str | None, tip: str | None, framed: Setup
 ) -> None:
     chain = load_chain(robot, base=base, tip=tip)
-    screws = parameterization(name).screws(chain)
+    screws = parameterization(name, framed).screws(chain)
     kind = "dh" if name == "dh-full" else name
     owners = [*chain.joints, chain.tip_joint]
     for screw in screws:
@@ -59,6 +90,21 @@ def test_names_units_scales(
         assert component in COMPONENTS[name]
         assert joint in owners
         assert 1 <= screw.place <= len(chain.joints) + 1
+        assert (screw.factor is None) == (name in GEOMETRY)
+        assert not screw.parameter.nuisance and screw.parameter.free
+    names = [screw.parameter.name for screw in screws]
+    assert len(set(names)) == len(names)
+    # Joint by joint from base to tip.
+    joints = list(dict.fromkeys(name.rsplit(".", 2)[0] for name in names))
+    assert joints == [joint for joint in owners if joint in joints]
+
+
+@pytest.mark.parametrize(("robot", "base", "tip"), ROBOTS)
+@pytest.mark.parametrize("name", GEOMETRY)
+def test_units_and_scales_of_geometry(
+    name: str, robot: str, base: str | None, tip: str | None
+) -> None:
+    for screw in parameterization(name).screws(load_chain(robot, base=base, tip=tip)):
         linear, angular = np.linalg.norm(screw.twist.reshape(2, 3), axis=1)
         if screw.parameter.unit == "m":
             assert (screw.parameter.scale, angular) == (LENGTH_SCALE, 0.0)
@@ -68,18 +114,12 @@ def test_names_units_scales(
             assert abs(angular - 1.0) < 1e-12
             # A turn, without a shift along its axis.
             assert abs(screw.twist[:3] @ screw.twist[3:]) < 1e-12
-        assert not screw.parameter.nuisance and screw.parameter.free
-    names = [screw.parameter.name for screw in screws]
-    assert len(set(names)) == len(names)
-    # Joint by joint from base to tip.
-    joints = list(dict.fromkeys(name.rsplit(".", 2)[0] for name in names))
-    assert joints == [joint for joint in owners if joint in joints]
 
 
 @pytest.mark.parametrize("name", PARAMETERIZATIONS)
-def test_zero_is_the_nominal_robot(name: str) -> None:
+def test_zero_is_the_nominal_robot(name: str, framed: Setup) -> None:
     chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
-    model = ErrorModel.create(chain, [name])
+    model = ErrorModel.create(chain, [name], setup=framed)
     q = chain.random_configurations(3, np.random.default_rng(0))
     zero = np.zeros(len(model.parameters))
     np.testing.assert_array_equal(model.poses(q, zero), chain.poses(q))
@@ -139,7 +179,8 @@ def test_joints_called_base_and_tool(
     owners = list(dict.fromkeys(name.rsplit(".", 2)[0] for name in names))
     assert owners == ["base", "joint:base", "elbow", "joint:tool", "tool"]
     assert "base.frame.x" in names and "joint:base.link-transform.mx" in names
-    for kind in ("placement", "joint-offset", "dh"):
-        of_kind = ErrorModel.create(chain, [kind]).parameters.names
+    load = Setup(payloads={"load": Payload(1.0, (0.1, 0.0, 0.0))})
+    for kind in ("placement", "joint-offset", "dh", "transmission", "compliance"):
+        of_kind = ErrorModel.create(chain, [kind], setup=load).parameters.names
         assert any(name.startswith(f"joint:base.{kind}.") for name in of_kind)
         assert not any(name.startswith(f"base.{kind}.") for name in of_kind)

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.collision import Collisions
 from calib_pin.planning.workspace import Workspace
+from calib_pin.problem import nominal_problem
 from calib_pin.setup import Setup
 
 

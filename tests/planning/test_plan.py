@@ -11,14 +11,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import make_problem, nominal_problem
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError
 from calib_pin.identifiability import observability
 from calib_pin.measurements import Measurements
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
-from calib_pin.problem import Problem
+from calib_pin.problem import Problem, make_problem, nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
@@ -94,6 +93,58 @@ def check_set(plan: Plan, count: int, chain: Chain, setup: Setup = SETUP) -> Non
         points = (chain.poses(plan.q) @ tool)[:, :3, 3]
         low, high = np.array(setup.region.box)
         assert (points >= low).all() and (points <= high).all()
+
+
+# --- joint corrections -------------------------------------------------------------
+
+
+@pytest.fixture(scope="module")
+def corrected() -> Setup:
+    kinds = ("joint-offset", "transmission", "compliance")
+    return Setup(parameters=kinds, tool_frame=TOOL, region=REGION)
+
+
+@pytest.mark.parametrize("method", [m for m in METHODS if m != "gradient"])
+@pytest.mark.parametrize("criterion", ["prediction", "O1"])
+def test_sets_for_joint_corrections(
+    method: str, criterion: str, corrected: Setup
+) -> None:
+    chain = calib_pin.load_chain("pa10")
+    calls = 0
+
+    def enough(stage: str, part: float) -> bool:
+        nonlocal calls
+        calls += 1
+        return calls > 10
+
+    plan = small(
+        chain,
+        setup=corrected,
+        count=24,
+        method=method,
+        criterion=criterion,
+        progress=enough,
+    )
+    assert plan.method == ("exchange" if method == "auto" else method)
+    assert plan.q.shape == (24, 7)
+    assert better(criterion, plan.value, plan.random)
+    if criterion == "O1":
+        J = matrix(plan.problem, plan.q, plan.target)
+        assert plan.value == pytest.approx(value_of("O1", plan.problem, J, 24))
+    sigmas = {p.name: p.sigma for p in plan.parameters}
+    assert sigmas["joint_2.compliance.k"] and sigmas["joint_4.transmission.sin2"]
+    units = {p.name: p.unit for p in plan.parameters}
+    assert units["joint_2.compliance.k"] == "rad/Nm"
+
+
+def test_the_gradient_does_not_know_joint_corrections(corrected: Setup) -> None:
+    chain = calib_pin.load_chain("pa10")
+    with pytest.raises(OptionError) as caught:
+        small(chain, setup=corrected, count=24, method="gradient")
+    assert str(caught.value) == (
+        "a joint correction has no derivative by the configuration, which the method "
+        "'gradient' needs; allowed: exchange, greedy, pso, ga"
+    )
 
 
 # --- every method, every criterion -------------------------------------------------

@@ -3,24 +3,31 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import nominal_problem
 from calib_pin.chain import Chain
+from calib_pin.errors import OptionError
 from calib_pin.measurement_models import MEASUREMENT_MODELS, CurvedModel
 from calib_pin.measurement_models.position import Position
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.problem import Problem, assumed_sigma, observable_configurations
+from calib_pin.problem import (
+    Problem,
+    assumed_sigma,
+    nominal_problem,
+    observable_configurations,
+)
 from calib_pin.setup import Setup
 
 
 def make(
-    chain: Chain, model: str, framed: Setup, columns: int = 7
+    chain: Chain, model: str, framed: Setup, columns: int = 7, **settings: Any
 ) -> IdentificationRows:
-    setup = replace(framed, noise={"position": 2e-4, "orientation": 1e-3})
+    noise = {"position": 2e-4, "orientation": 1e-3}
+    setup = replace(framed, noise=noise, **settings)
     problem = nominal_problem(chain, model, setup)
     rng = np.random.default_rng(5)
     basis = rng.normal(size=(len(problem.parameters), columns))
@@ -65,6 +72,29 @@ def test_pullback_agrees_with_central_differences(
         change = of.rows(q + shift, target) - of.rows(q - shift, target)
         expected[:, k] = np.sum(by_rows * change, axis=(1, 2)) / (2 * step)
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_joint_corrections_have_rows_but_no_curvature(
+    model: str, special_chain: Chain, framed: Setup
+) -> None:
+    kinds = ("placement", "transmission", "compliance")
+    of = make(special_chain, model, framed, parameters=kinds)
+    assert make(special_chain, model, framed).differentiable
+    assert not of.differentiable
+    q, target = configurations(of.problem)
+    zero = np.zeros(len(of.problem.parameters))
+    _, J = of.problem.about(zero, q, target).linearize_rows(zero)
+    corrections = of.problem.error.joint_corrections
+    assert (np.abs(J[:, corrections]).max(axis=0) > 0.0).all()
+    expected = (J @ of.basis).reshape(len(q), -1, of.basis.shape[1])
+    np.testing.assert_allclose(of.rows(q, target), expected, rtol=1e-10, atol=1e-8)
+    with pytest.raises(OptionError) as caught:
+        of.linearize(q, target)
+    assert str(caught.value) == (
+        "a joint correction has no derivative by the configuration, which the method "
+        "'gradient' needs; allowed: exchange, greedy, pso, ga"
+    )
 
 
 def test_another_instrument_in_the_same_columns(framed: Setup) -> None:

@@ -32,6 +32,36 @@ def reproduce(*words: str) -> subprocess.CompletedProcess[str]:
     )
 
 
+def test_aoyagi2010_writes_numbers_and_figures(tmp_path: Path) -> None:
+    words = ("--seeds", "1", "--points", "40", "-o", str(tmp_path / "new"))
+    ended = reproduce("aoyagi2010", *words)
+    assert ended.returncode == 0 and ended.stderr == ""
+    assert all(len(line) <= 80 for line in ended.stdout.splitlines()[:-3])
+    names = {"points.png", "verification.png", "aoyagi2010.json"}
+    assert {file.name for file in (tmp_path / "new").iterdir()} == names
+    for name in names - {"aoyagi2010.json"}:
+        start = (tmp_path / "new" / name).read_bytes()[:8]
+        assert start == b"\x89PNG\r\n\x1a\n"
+
+    document = json.loads((tmp_path / "new" / "aoyagi2010.json").read_text())
+    assert document["settings"]["seeds"] == 1
+    assert document["settings"]["counts"] == [40]
+    selected = document["selections"]["40"]
+    assert np.shape(selected["q_rad"]) == (40, 7)
+    assert selected["O1"] > selected["random_median_O1"]
+    cases = document["seeds"][0]["cases"]["40"]
+    assert cases == document["medians"]["40"]
+    assert cases["genetic"]["O1"] == selected["O1"] > cases["random"]["O1"]
+    for case in cases.values():
+        assert case["nominal_mean_m"] > case["geometric_mean_m"] > 1e-4
+        assert case["structure_over_floor"] < 1.5
+        means = case["geometric_mean_m"], case["network_mean_m"]
+        assert case["geometric_over_network"] == pytest.approx(means[0] / means[1])
+    # 40 points do not suffice for the network, and the conditions say so.
+    stalls, learned, *_ = [condition["met"] for condition in document["conditions"]]
+    assert stalls and not learned
+
+
 def test_liu2012_writes_numbers_and_figures(tmp_path: Path) -> None:
     words = ("--seeds", "1", "--generations", "20", "-o", str(tmp_path / "new"))
     ended = reproduce("liu2012", *words)
@@ -176,8 +206,11 @@ def test_rows_of_the_matrix_against_central_differences() -> None:
 @pytest.mark.parametrize(
     ("words", "message"),
     [
-        (["lieu"], "reproduce: unknown study 'lieu'; there is liu2012, liu2022"),
-        ([], "reproduce: name a study; there is liu2012, liu2022"),
+        (
+            ["lieu"],
+            "reproduce: unknown study 'lieu'; there is aoyagi2010, liu2012, liu2022",
+        ),
+        ([], "reproduce: name a study; there is aoyagi2010, liu2012, liu2022"),
         (
             ["liu2012", "--seeds", "0"],
             "reproduce liu2012: argument --seeds: '0' is not a number from 1 on",

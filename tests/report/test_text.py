@@ -10,9 +10,10 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calib_pin.calibration import calibrate, evaluate, identify, nominal_problem
+from calib_pin.calibration import calibrate, evaluate, identify
 from calib_pin.chain import Chain
 from calib_pin.io.urdf import load_robot, parse_robot
+from calib_pin.problem import nominal_problem
 from calib_pin.report.tables import plain_text
 from calib_pin.report.text import (
     evaluation_report,
@@ -232,7 +233,7 @@ def test_ranks(result):
     ranks = result.identifiability
     assert f"free parameters {ranks.parameters} structural rank" in text
     # 4 * 2 + 2 * 1 + 6, of which three rotations of the base are held.
-    assert "Everett's count 4R + 2P + 6 = 16 for full poses" in text
+    assert "Everett's count 4R + 2P + 6 = 16, geometry and full poses" in text
     assert f"practical rank {ranks.rank} " in text
     assert "condition number" in text
     for index in ("O1", "O2", "O3", "O4", "O5"):

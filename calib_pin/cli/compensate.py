@@ -1,0 +1,255 @@
+"""`calib-pin compensate`: joint commands that reach targets on the real robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated, Any
+
+import typer
+
+from calib_pin.cli.files import check_outputs, exists, open_setup
+from calib_pin.cli.options import Force, Json, Quiet, SetupFile, csv_file
+from calib_pin.cli.printing import notice, show
+
+if TYPE_CHECKING:
+    from calib_pin.compensation import Compensation
+    from calib_pin.io.targets import Targets
+    from calib_pin.result import CalibratedModel
+
+__all__ = ["compensate"]
+
+TARGETS = "Targets"
+"""Heading of `--help`."""
+
+FRAMES = ("measuring", "base")
+POINTS = ("tool", "tip")
+
+
+def compensate(
+    context: typer.Context,
+    calibration: Annotated[
+        Path, typer.Argument(metavar="calibration.json", help="A calibration.")
+    ],
+    targets: Annotated[
+        Path,
+        typer.Argument(
+            metavar="TARGETS",
+            help="CSV file of positions or poses (and joint positions to start from), "
+            "or of joint positions alone: a motion of the nominal robot.",
+        ),
+    ],
+    output: Annotated[Path, csv_file("File of joint commands to write.")],
+    frame: Annotated[
+        str | None,
+        typer.Option(
+            "--frame",
+            metavar="NAME",
+            help="What targets are given in: measuring (default), as measurements "
+            "are, or base, the base link.",
+            rich_help_panel=TARGETS,
+        ),
+    ] = None,
+    point: Annotated[
+        str | None,
+        typer.Option(
+            "--point",
+            metavar="NAME",
+            help="What is placed there: tool (default), the target that was "
+            "measured, or tip, the tip link.",
+            rich_help_panel=TARGETS,
+        ),
+    ] = None,
+    position: Annotated[
+        bool,
+        typer.Option(
+            "--position",
+            help="Reach positions, whatever the orientation.",
+            rich_help_panel=TARGETS,
+        ),
+    ] = False,
+    setup: SetupFile = None,
+    force: Force = False,
+    quiet: Quiet = False,
+    json: Json = False,
+) -> int:
+    """Find the joint commands that bring the real robot to targets.
+
+    Commands for targets have a column 'row', the line of the target. A motion keeps its
+    other columns; its commands bring the tip to where the nominal robot's tip would be
+    in the base link (a robot of fewer than six joints: the position). Exit status 2: a
+    target cannot be reached (only the others are written, of a motion nothing), or the
+    calibration must not be trusted (nothing is written).
+    """
+    import shlex
+
+    import numpy as np
+
+    from calib_pin.errors import OptionError, require_known
+    from calib_pin.io.documents import encode
+    from calib_pin.io.results import read_calibration
+    from calib_pin.io.targets import command_columns, read_target_file, write_commands
+    from calib_pin.report.compensation_text import compensation_report, line_list
+    from calib_pin.report.text import untrusted
+    from calib_pin.setup import Setup
+
+    require_known("frame", frame or FRAMES[0], FRAMES)
+    require_known("point", point or POINTS[0], POINTS)
+    stated = open_setup(setup)
+    if setup is not None and stated != Setup(joints=stated.joints):
+        raise OptionError(
+            "a calibration has its own setup", file=setup, allowed="joints"
+        )
+    inside = calibration / "calibration.json"
+    if exists(inside):
+        raise OptionError("is a folder", file=calibration, allowed=str(inside))
+    check_outputs((output,), (calibration, targets, setup), force)
+    doubts: list[str] = []
+    model = read_calibration(calibration, notice=doubts.append)
+    check_outputs((output,), _read_along(calibration, model), force)
+    asked = read_target_file(
+        targets,
+        model.chain,
+        joints=stated.joints or model.setup.joints,
+        base=None if frame == "base" else model.error.base.translation,
+        notice=None if quiet else notice,
+    )
+    if asked.T is None and (frame is not None or point is not None):
+        raise OptionError(
+            "the file holds joint positions only, and --frame and --point are for "
+            "targets",
+            file=targets,
+        )
+    oriented = asked.oriented and not position
+    of_tool = oriented and point != "tip" and model.measurement.name == "position"
+    if of_tool and not quiet:
+        notice(
+            "the tool was measured as a point: its orientation is the stated one, or "
+            "that of the tip link"
+        )
+    # What cannot be written must not turn up after the work.
+    if asked.q is not None:
+        command_columns(asked, asked.q, np.arange(len(asked.q)))
+    found = _run(model, asked, frame or FRAMES[0], point or POINTS[0], position)
+    motion = asked.T is None
+    (rows,) = np.nonzero(found.reached)
+    whole = len(rows) == len(found)
+    torn = motion and bool(found.jumps.any())
+    good = not doubts and whole and not torn
+    written = bool(len(rows)) and not doubts and (good or not motion)
+    if written:
+        # `--force` is left out: it changes nothing of what follows.
+        words = [word for word in context.obj if word != "--force"]
+        comment = f"commands of: {shlex.join(['calib-pin', *words])}"
+        write_commands(
+            output, asked, found.q[rows], rows, comments=[comment], force=force
+        )
+    if json:
+        document = _document(found, model, asked, doubts, output if written else None)
+        typer.echo(encode(document).decode(), nl=False)
+    elif not quiet:
+        if doubts:
+            show(untrusted(doubts[0]))
+            typer.echo()
+        lines = asked.lines.tolist()
+        show(
+            compensation_report(
+                found, model.chain, motion=motion, file=str(targets), lines=lines
+            )
+        )
+        typer.echo(f"wrote {output}" if written else "wrote nothing")
+    elif doubts:
+        notice(f"untrusted: {doubts[0]}")
+    elif not good:
+        missed = asked.lines[found.jumps if whole else ~found.reached]
+        what = "corrections jump" if whole else "out of reach"
+        notice(f"{what}: {targets}, {line_list(missed)}")
+    return 0 if good else 2
+
+
+def _read_along(calibration: Path, model: CalibratedModel) -> list[str | Path]:
+    """Files that a calibration refers to."""
+    from calib_pin.io.residual_model import FILE_NAME
+
+    robot = model.chain.robot.file
+    return [robot, calibration.parent / robot, calibration.parent / FILE_NAME]
+
+
+def _run(
+    model: CalibratedModel, asked: Targets, frame: str, point: str, position: bool
+) -> Compensation:
+    from typing import cast
+
+    from calib_pin.compensation import compensate as run
+    from calib_pin.compensation import follow
+    from calib_pin.inverse_kinematics import Frame, Point
+
+    if asked.T is None:
+        assert asked.q is not None
+        oriented = not position and len(model.chain.joints) >= 6
+        return follow(model, asked.q, orientation=oriented)
+    return run(
+        model,
+        asked.T,
+        asked.q,
+        frame=cast(Frame, frame),
+        point=cast(Point, point),
+        orientation=asked.oriented and not position,
+    )
+
+
+def _document(
+    found: Compensation,
+    model: CalibratedModel,
+    asked: Targets,
+    doubts: list[str],
+    output: Path | None,
+) -> dict[str, Any]:
+    """The summary as JSON."""
+    import numpy as np
+
+    lines, reached = asked.lines, found.reached
+    parts = ("position",) + (("orientation",) if found.oriented else ())
+    sizes = {
+        "position": (found.position_before, found.position),
+        "orientation": (found.orientation_before, found.orientation),
+    }
+
+    def spread(values: np.ndarray) -> dict[str, float] | None:
+        known = values[np.isfinite(values)]
+        if not len(known):
+            return None
+        return {"mean": float(known.mean()), "max": float(known.max())}
+
+    units = {"position": "m", "orientation": "rad"}
+    corrections = np.abs(found.corrections)
+    return {
+        "verdict": {
+            "status": "untrusted" if doubts else "good",
+            "reason": doubts[0] if doubts else "",
+        },
+        "kind": "motion" if asked.T is None else "targets",
+        "rows": len(found),
+        "reached": int(reached.sum()),
+        "unreachable": [
+            {"line": int(lines[k]), **{p: float(sizes[p][1][k]) for p in parts}}
+            for k in np.flatnonzero(~reached)
+        ],
+        "corrections": {
+            name: {"unit": "rad" if turns else "m", **(spread(column) or {})}
+            for name, turns, column in zip(
+                model.chain.joints, model.chain.revolute, corrections.T, strict=True
+            )
+        },
+        "errors": {
+            p: {
+                "unit": units[p],
+                "nominal": spread(sizes[p][0][reached]),
+                "compensated": spread(sizes[p][1][reached]),
+            }
+            for p in parts
+        },
+        "at_limit": lines[reached & found.at_limit].tolist(),
+        "outside_trained_region": lines[reached & found.outside].tolist(),
+        "jumps": lines[found.jumps].tolist() if asked.T is None else [],
+        "written": None if output is None else str(output),
+    }

@@ -1,0 +1,171 @@
+"""Joint commands that make up for the errors of a calibrated robot."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.inverse_kinematics import (
+    Frame,
+    Joints,
+    Kinematics,
+    Point,
+    Solutions,
+    commands,
+    kinematics,
+    reach,
+)
+from calib_pin.result import CalibratedModel
+from calib_pin.spatial import Floats
+from calib_pin.trajectory import tip_errors
+
+__all__ = ["Compensation", "compensate", "follow"]
+
+JUMP = 0.1
+"""Change of the corrections from row to row that no smooth motion has [rad, m]."""
+
+
+@dataclass(frozen=True)
+class Compensation:
+    """Commands for N targets of a robot with n joints.
+
+    Attributes:
+        q: Joint commands, the best attempt where a target is not reached, shape (N, n)
+            [rad, m].
+        nominal: Commands of the nominal robot; not a number where it cannot reach a
+            target, shape (N, n).
+        reached: Whether the calibrated robot reaches the target, shape (N,).
+        position: Distance that remains, shape (N,) [m].
+        orientation: Angle that remains, zero where only positions count, (N,) [rad].
+        position_before: Distance from the target at the nominal command, (N,) [m].
+        orientation_before: Angle at the nominal command, (N,) [rad].
+        at_limit: Whether a joint stands at its limit, shape (N,).
+        outside: Whether the command is outside the region in which the learned
+            correction was trained, shape (N,); False where nothing was learned.
+        oriented: Whether orientations count.
+    """
+
+    q: Floats
+    nominal: Floats
+    reached: NDArray[np.bool_]
+    position: Floats
+    orientation: Floats
+    position_before: Floats
+    orientation_before: Floats
+    at_limit: NDArray[np.bool_]
+    outside: NDArray[np.bool_]
+    oriented: bool
+
+    def __len__(self) -> int:
+        """Number of targets."""
+        return len(self.q)
+
+    @property
+    def corrections(self) -> Floats:
+        """Differences from the nominal commands, of rows that both reach, (K, n)."""
+        found = (self.q - self.nominal)[self.reached]
+        return np.asarray(found[np.isfinite(found).all(axis=1)])
+
+    @property
+    def jumps(self) -> NDArray[np.bool_]:
+        """Whether the corrections change too much from the row before, shape (N,).
+
+        A robot that follows such commands would leave the way between the rows.
+        """
+        change = np.abs(np.diff(self.q - self.nominal, axis=0)).max(axis=1, initial=0.0)
+        return np.concatenate([[False], change > JUMP])[: len(self)]
+
+
+def compensate(
+    model: CalibratedModel,
+    targets: Floats,
+    start: Floats | None = None,
+    *,
+    frame: Frame = "measuring",
+    point: Point = "tool",
+    orientation: bool = True,
+) -> Compensation:
+    """Commands that bring the real robot to targets.
+
+    Args:
+        model: The calibrated robot.
+        targets: Poses to reach, shape (N, 4, 4).
+        start: Joint positions that commands shall be close to, shape (N, n) [rad, m].
+        frame: What the targets are given in, see `inverse_kinematics.kinematics`.
+        point: What is placed there.
+        orientation: Whether orientations count; else only positions do.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
+        >>> rows = calib_pin.read_measurements(
+        ...     calib_pin.robot_file("space6", "measurements.csv"), chain
+        ... )
+        >>> model = calib_pin.calibrate(chain, rows, setup).model
+        >>> found = compensate(model, model.poses(rows.q), rows.q)
+        >>> bool(found.position.max() < 1e-9)
+        True
+    """
+    found = commands(
+        model, targets, start, frame=frame, point=point, orientation=orientation
+    )
+    nominal = reach(
+        kinematics(model, frame=frame, point=point, nominal=True),
+        targets,
+        found.q,
+        Joints.of(model.chain),
+        orientation=orientation,
+    )
+    before = np.where(nominal.reached[:, None], nominal.q, np.nan)
+    real = kinematics(model, frame=frame, point=point)
+    return _compensation(model, real, targets, found, before, orientation)
+
+
+def follow(
+    model: CalibratedModel, q: Floats, *, orientation: bool = True
+) -> Compensation:
+    """Commands at which the real tip is where the nominal robot's would be.
+
+    Every command is close to the configuration it replaces; there is no search, so a
+    motion is not torn.
+
+    Args:
+        model: The calibrated robot.
+        q: Commands meant for the nominal robot, shape (N, n) [rad, m].
+        orientation: Whether orientations count; else only positions do.
+    """
+    targets = model.chain.poses(q)
+    real = kinematics(model, frame="base", point="tip")
+    joints = Joints.of(model.chain)
+    found = reach(real, targets, q, joints, orientation=orientation)
+    return _compensation(model, real, targets, found, q, orientation)
+
+
+def _compensation(
+    model: CalibratedModel,
+    real: Kinematics,
+    targets: Floats,
+    found: Solutions,
+    nominal: Floats,
+    orientation: bool,
+) -> Compensation:
+    known = np.isfinite(nominal).all(axis=1)
+    T = np.full((len(targets), 4, 4), np.nan)
+    if known.any():
+        T[known] = real(nominal[known])[0]
+    before = tip_errors(targets, T)
+    return Compensation(
+        q=found.q,
+        nominal=nominal,
+        reached=found.reached,
+        position=found.position,
+        orientation=found.orientation,
+        position_before=before.distances,
+        orientation_before=before.angles if orientation else 0.0 * before.distances,
+        at_limit=np.asarray(Joints.of(model.chain).at_limit(found.q).any(axis=1)),
+        outside=model.outside(found.q),
+        oriented=orientation,
+    )

@@ -1,0 +1,19 @@
+"""Numerical inverse kinematics, on the calibrated robot or any other kinematics."""
+
+from __future__ import annotations
+
+from calib_pin.inverse_kinematics.joints import Joints, Kinematics, Solutions
+from calib_pin.inverse_kinematics.reaching import reach, search
+from calib_pin.inverse_kinematics.robot import Frame, Point, commands, kinematics
+
+__all__ = [
+    "Frame",
+    "Joints",
+    "Kinematics",
+    "Point",
+    "Solutions",
+    "commands",
+    "kinematics",
+    "reach",
+    "search",
+]

@@ -1,0 +1,138 @@
+"""Residual models in files of their own: plain numbers in JSON, nothing to execute.
+
+    {"format": "calib-pin/residual-model", "version": 1,
+     "robot": {"name", "sha256", "base", "tip", "joints"},
+     "shift": [],         # of the parameters of the error model, in their order
+     "model": {...},      # what `ResidualModel.document` gives
+     "sha256": ""}        # of the canonical JSON of all the rest
+
+A learned correction means nothing for another robot, and nobody can see from its
+numbers that one of them has been changed; so both are checked.
+"""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Mapping
+from pathlib import Path
+from typing import Any
+
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import InputError
+from calib_pin.io.documents import Json, sha256
+from calib_pin.io.files import read_bytes
+from calib_pin.residual_models import LearnedCorrection, restore
+from calib_pin.residual_models.documents import numbers
+from calib_pin.result import CalibratedModel
+
+__all__ = ["FILE_NAME", "encode_residual_model", "read_residual_model", "reference"]
+
+FORMAT = "calib-pin/residual-model"
+VERSION = 1
+
+FILE_NAME = "residual_model.json"
+"""Name beside `calibration.json`."""
+
+
+def encode_residual_model(model: CalibratedModel) -> bytes | None:
+    """The file of what a calibration has learned; None where it has not."""
+    learned = model.error.learned
+    if not isinstance(learned, LearnedCorrection):
+        return None
+    document: Json = {
+        "format": FORMAT,
+        "version": VERSION,
+        "robot": _robot(model.chain),
+        "shift": learned.shift.tolist(),
+        "model": learned.model.document(),
+    }
+    document["sha256"] = _digest(document)
+    return json.dumps(document, allow_nan=False, separators=(",", ":")).encode()
+
+
+def reference(data: bytes) -> dict[str, str]:
+    """How `calibration.json` refers to the bytes of such a file beside it."""
+    name = json.loads(data)["model"]["kind"]
+    return {"name": name, "file": FILE_NAME, "sha256": sha256(data)}
+
+
+def read_residual_model(
+    path: str | Path, error: ErrorModel, content: str | None = None
+) -> LearnedCorrection:
+    """What the residual model of a file corrects.
+
+    Args:
+        path: The file.
+        error: The error model that it corrects.
+        content: SHA-256 that the file must have, as a calibration states it.
+
+    Raises:
+        InputError: If it is no such file, of a later version, of another robot, or
+            not as it was written.
+    """
+    data = read_bytes(path)
+    try:
+        document = json.loads(data)
+    except (ValueError, RecursionError) as mistake:
+        # Cut off anywhere it is no JSON any more.
+        found = getattr(mistake, "msg", mistake)
+        reason = f"not a residual model, or truncated: {found}"
+        raise InputError(reason, file=path) from mistake
+    if not isinstance(document, dict) or document.get("format") != FORMAT:
+        raise InputError("not a residual model of calib-pin", file=path)
+    version = document.get("version")
+    if type(version) is not int or not 1 <= version <= VERSION:
+        raise InputError(
+            "a residual model of another version",
+            file=path,
+            value=version,
+            allowed=f"1 to {VERSION}",
+        )
+    stated = document.pop("sha256", None)
+    if stated != _digest(document):
+        raise InputError("edited or damaged: its checksum does not match", file=path)
+    _require_same_robot(document.get("robot"), error.chain, path)
+    if content is not None and sha256(data) != content:
+        raise InputError("belongs to another calibration of this robot", file=path)
+    try:
+        shift = numbers(document, "shift", (len(error.screws),))
+        model = restore(document.get("model"), len(error.chain.joints))
+    except (TypeError, ValueError) as mistake:
+        reason = f"damaged or edited residual model: {mistake}"
+        raise InputError(reason, file=path) from mistake
+    return LearnedCorrection(model, shift)
+
+
+def _require_same_robot(stated: object, chain: Chain, path: str | Path) -> None:
+    expected = _robot(chain)
+    if isinstance(stated, Mapping) and dict(stated) == expected:
+        return
+    name = stated.get("name") if isinstance(stated, Mapping) else None
+    what = "other content of its URDF" if name == expected["name"] else f"'{name}'"
+    if isinstance(stated, Mapping) and stated.get("sha256") == expected["sha256"]:
+        what = f"the chain {stated.get('base')} to {stated.get('tip')}"
+    raise InputError(
+        f"learned on another robot: {what}",
+        file=path,
+        allowed=f"'{chain.robot.name}' from {chain.base} to {chain.tip}",
+    )
+
+
+def _robot(chain: Chain) -> Json:
+    return {
+        "name": chain.robot.name,
+        "sha256": sha256(chain.robot.source),
+        "base": chain.base,
+        "tip": chain.tip,
+        "joints": list(chain.joints),
+    }
+
+
+def _digest(document: Mapping[str, Any]) -> str:
+    """SHA-256 of a document whatever the spaces and the order of its keys."""
+    try:
+        text = json.dumps(document, sort_keys=True, separators=(",", ":"))
+    except (ValueError, RecursionError):
+        return ""
+    return sha256(text.encode())

@@ -1,0 +1,222 @@
+"""Files of targets, or of joint motions, in; files of joint commands out."""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.errors import OutputError
+from calib_pin.io.columns import Table, read_table
+from calib_pin.io.files import write_atomically
+from calib_pin.io.joint_columns import (
+    JointSource,
+    column_values,
+    joint_sources,
+    read_positions,
+    spare_columns,
+)
+from calib_pin.io.measured_columns import (
+    ORIENTATIONS,
+    POSITION,
+    check_spread,
+    read_values,
+)
+from calib_pin.io.measurements import column_name
+from calib_pin.setup import JointMap
+from calib_pin.spatial import Floats, from_quaternion
+
+__all__ = ["Targets", "read_target_file", "write_commands"]
+
+ROW = "row"
+"""Column that holds the line of a target."""
+
+
+@dataclass(frozen=True)
+class Targets:
+    """What a file wants of a robot with n joints.
+
+    Attributes:
+        table: The file.
+        sources: The columns of the joints.
+        q: Joint positions, shape (N, n) [rad, m]; None where the file has none.
+        T: Poses, identity for what is not stated, shape (N, 4, 4); None where the file
+            holds joint positions only, which is a motion of the nominal robot.
+        oriented: Whether orientations are stated.
+    """
+
+    table: Table
+    sources: tuple[JointSource, ...]
+    q: Floats | None
+    T: Floats | None
+    oriented: bool
+
+    @property
+    def lines(self) -> NDArray[np.int64]:
+        """Line of each target, shape (N,)."""
+        return self.table.lines
+
+
+def read_target_file(
+    path: str | Path,
+    chain: Chain,
+    *,
+    joints: Mapping[str, JointMap] = {},
+    base: Floats | None = None,
+    notice: Callable[[str], None] | None = None,
+) -> Targets:
+    r"""Read targets or a motion.
+
+    Args:
+        path: CSV file with positions, perhaps orientations, or all joints, or both.
+        chain: Chain whose joints the file may hold.
+        joints: How file columns become joints; others are taken by their own name.
+        base: Base of the chain in the frame of the targets, shape (3,) [m]; default
+            its origin.
+        notice: Called with one sentence that lists columns without a meaning.
+
+    Raises:
+        InputError: If the file holds neither, or a value cannot be; names the file
+            and, where it can, the line, the column and the value.
+
+    Example:
+        >>> import calib_pin, tempfile
+        >>> chain = calib_pin.load_chain("space6")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     file = Path(folder) / "targets.csv"
+        ...     _ = file.write_text("x [mm],y [mm],z [mm]\n900,0,250\n")
+        ...     targets = read_target_file(file, chain)
+        >>> targets.T[0, :3, 3].tolist(), targets.oriented
+        ([0.9, 0.0, 0.25], False)
+    """
+    table = read_table(path)
+    sources = joint_sources(chain, joints)
+    oriented = any(name in table for kinds in ORIENTATIONS for name in kinds)
+    placed = oriented or any(name in table for name in POSITION)
+    joined = any(name in table for source in sources for name in source.kinds)
+    if not placed and not joined:
+        names = ", ".join(source.column for source in sources)
+        raise table.error(
+            "neither targets nor joint positions; targets need x, y, z and may have an "
+            f"orientation, a motion needs the joints {names}"
+        )
+    q = read_positions(table, chain, sources) if joined else None
+    used = {name for source in sources for name in source.kinds}
+    if not placed:
+        if table.unnamed and notice is not None:
+            notice(f"{table.file}: columns without a name are left out")
+        return Targets(table, sources, q, None, False)
+    spare = [c for c in spare_columns(table, chain, joints) if c not in used]
+    used_columns, values = read_values(table, "pose" if oriented else "position", spare)
+    center = np.zeros(3) if base is None else base
+    check_spread(table, chain, values[:, :3], center)
+    ignored = [table.columns[name].header for name in spare if name not in used_columns]
+    ignored += ["(unnamed)"] * table.unnamed
+    if ignored and notice is not None:
+        notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
+    T = np.tile(np.eye(4), (len(values), 1, 1))
+    T[:, :3, 3] = values[:, :3]
+    if oriented:
+        T[:, :3, :3] = from_quaternion(values[:, 3:])
+    return Targets(table, sources, q, T, oriented)
+
+
+def write_commands(
+    path: Path,
+    targets: Targets,
+    q: Floats,
+    rows: NDArray[np.int64],
+    *,
+    comments: Sequence[str] = (),
+    force: bool = False,
+) -> None:
+    r"""Write joint commands as a CSV file.
+
+    Joint columns have the names and units of the file of targets, if it has any. For
+    targets there is a column `row` with the line of each; in a motion the other columns
+    stay as they are.
+
+    Args:
+        path: File to write.
+        targets: What was asked for.
+        q: Commands of some rows, shape (K, n) [rad, m].
+        rows: These rows, shape (K,).
+        comments: Lines for the head of the file.
+        force: Whether an existing file is replaced.
+
+    Raises:
+        OptionError: If the file exists and `force` is false.
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back, or the file cannot be written.
+
+    Example:
+        >>> import calib_pin, tempfile
+        >>> chain = calib_pin.load_chain("space6")
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     asked, told = Path(folder) / "targets.csv", Path(folder) / "told.csv"
+        ...     _ = asked.write_text("x,y,z\n0.9,0,0.25\n")
+        ...     targets = read_target_file(asked, chain)
+        ...     write_commands(told, targets, np.zeros((1, 6)), np.array([0]))
+        ...     told.read_text().splitlines()[1]
+        '0.0,0.0,0.0,0.0,0.0,0.0,2'
+    """
+    found = command_columns(targets, q, rows)
+    columns: dict[str, tuple[str, Sequence[object]]]
+    if targets.T is None:
+        columns = {
+            name: found.get(name, (column.header, column.cells))
+            for name, column in targets.table.columns.items()
+        }
+    else:
+        if ROW in found:
+            raise OutputError(
+                f"a joint column is called '{ROW}', which is the line of a target"
+            )
+        lines = targets.lines[rows].tolist()
+        columns = {**found, ROW: (ROW, lines)}
+    buffer = io.StringIO(newline="")
+    for comment in comments:
+        buffer.write(f"# {comment}\n")
+    writer = csv.writer(buffer, lineterminator="\n")
+    writer.writerow([header for header, _ in columns.values()])
+    writer.writerows(zip(*(cells for _, cells in columns.values()), strict=True))
+    write_atomically(path, buffer.getvalue().encode(), force=force)
+
+
+def command_columns(
+    targets: Targets, q: Floats, rows: NDArray[np.int64]
+) -> dict[str, tuple[str, Sequence[object]]]:
+    """Header and cells of the joint columns, by name.
+
+    Raises:
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back.
+    """
+    values = column_values(q, targets.sources)
+    if targets.q is None:
+        return {
+            name: (column_name(name), column.tolist())
+            for name, column in values.items()
+        }
+    # What changes is added to what stands there, so that coupled columns of joints
+    # outside the chain (an external axis) keep their part.
+    before = column_values(targets.q[rows], targets.sources)
+    result: dict[str, tuple[str, Sequence[object]]] = {}
+    own = {source.column for source in targets.sources}
+    kinds = {c: kind for source in targets.sources for c, kind in source.kinds.items()}
+    for name, kind in kinds.items():
+        column = targets.table.columns[name]
+        if name not in own:
+            result[name] = column.header, [column.cells[row] for row in rows]
+            continue
+        stated = targets.table.numbers(name, kind)[rows]
+        factor = kind.units[column.unit or kind.si]
+        moved = (stated + (values[name] - before[name])) / factor
+        result[name] = column.header, moved.tolist()
+    return result

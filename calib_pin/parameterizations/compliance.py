@@ -1,0 +1,94 @@
+"""Joints that give way under gravity and a payload (elastostatic errors)."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.chain import Chain
+from calib_pin.errors import OptionError
+from calib_pin.parameterizations.base import Factor, Screw, owner
+from calib_pin.parameters import Parameter
+from calib_pin.setup import Payload, Setup
+from calib_pin.spatial import Floats
+
+__all__ = ["Compliance"]
+
+DEFLECTION = 1e-3
+"""Expected deflection of a joint under its usual torque [rad, m]."""
+
+LEAST = 0.01
+"""Part of the largest usual torque below which a joint counts as not loaded.
+
+An axis along gravity has none but rounding, which must not become its scale.
+"""
+
+SAMPLES = 200
+"""Configurations that the usual torques are taken from."""
+
+
+@dataclass(frozen=True)
+class Compliance:
+    """`<joint>.compliance.k`: `dq_j = k tau_j(q)` [rad/Nm, m/N].
+
+    tau is the torque that gravity exerts on the joint at the commanded configuration
+    and nominal geometry, of the links' masses in the URDF and of a payload. It is the
+    negative of what the drive must hold (Pinocchio's `computeGeneralizedGravity`), so
+    that a joint that sags has a positive compliance (Wu et al., elastostatic part).
+
+    Attributes:
+        gravity: Acceleration of gravity in the base link [m/s^2].
+        payload: What the robot carries, if anything.
+    """
+
+    gravity: tuple[float, float, float] = Setup.gravity
+    payload: Payload | None = None
+    name = "compliance"
+
+    def screws(self, chain: Chain) -> Sequence[Screw]:
+        """One screw along every joint's own motion, as large as its torque.
+
+        Raises:
+            OptionError: If nothing that has a mass loads any joint.
+        """
+        functions = _Torques(chain, self)
+        # Any fixed configurations that fill the limits; these are quasi-random.
+        roots = np.sqrt(np.arange(2, 2 + len(chain.joints)) + 0.5)
+        parts = np.outer(np.arange(1, SAMPLES + 1), roots) % 1.0
+        torques = functions(chain.lower + parts * (chain.upper - chain.lower))
+        usual = np.sqrt(np.mean(torques**2, axis=0))
+        # A newton-meter for a joint that turns, a newton for one that slides.
+        if not usual.max() > 1e-6:
+            raise OptionError(
+                "'compliance' needs something that gravity pulls at: there is no "
+                f"gravity, or the links of '{chain.robot.name}' have no mass that "
+                "loads a joint and there is no payload",
+                allowed="<inertial> in the URDF, or payloads in the setup file",
+            )
+        scales = DEFLECTION / np.maximum(usual, LEAST * usual.max())
+        return [
+            Screw(
+                Parameter(
+                    f"{owner(joint)}.{self.name}.k",
+                    "rad/Nm" if chain.revolute[j] else "m/N",
+                    float(scales[j]),
+                ),
+                j + 1,
+                chain.motions[j],
+                Factor(functions, j),
+            )
+            for j, joint in enumerate(chain.joints)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Torques:
+    """Torques of gravity on all joints."""
+
+    chain: Chain
+    load: Compliance
+
+    def __call__(self, q: Floats) -> Floats:
+        return self.chain.gravity_torques(q, self.load.gravity, self.load.payload)

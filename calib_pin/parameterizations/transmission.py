@@ -1,0 +1,114 @@
+"""Errors of gears and encoders: what a joint does with its own position."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.errors import OptionError, nearest
+from calib_pin.parameterizations.base import Factor, Screw, owner
+from calib_pin.parameters import Parameter, matching
+from calib_pin.spatial import Floats
+
+__all__ = ["Transmission"]
+
+GAIN_SCALE = 1e-3
+"""Expected size of the error of a gear ratio."""
+
+AMPLITUDE_SCALES = {"rad": 3e-4, "m": 1e-4}
+"""Expected amplitude of a harmonic, by the unit of the joint's position."""
+
+HARMONICS = 2
+"""Harmonics of a turn of the joint."""
+
+
+@dataclass(frozen=True)
+class Transmission:
+    """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and `motor_sin|motor_cos`.
+
+    `dq = gain q + sum_k (sin_k sin(k q) + cos_k cos(k q))`: a gear ratio or a scale
+    that is off, an eccentric wheel or encoder (once per turn), an elliptic one (twice).
+    A motor behind a gear of ratio r adds the same once per turn of its own, r q. A
+    joint that slides has no turn; it has the gain, and the motor's where r is given.
+
+    Attributes:
+        gear_ratios: Joint name or glob to r [rad/rad, rad/m].
+    """
+
+    gear_ratios: Mapping[str, float] = field(default_factory=dict)
+    name = "transmission"
+
+    def screws(self, chain: Chain) -> Sequence[Screw]:
+        """Screws along every joint's own motion, as large as its position says.
+
+        Raises:
+            OptionError: If a gear ratio belongs to no joint of the chain.
+        """
+        ratios = _ratios(self.gear_ratios, chain.joints)
+        parts: list[tuple[int, str, str, float, float, float]] = []
+        for j, revolute in enumerate(chain.revolute):
+            unit = "rad" if revolute else "m"
+            parts.append((j, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
+            for name, frequency in _waves(bool(revolute), ratios.get(j)):
+                for wave, phase in (("sin", 0.0), ("cos", np.pi / 2.0)):
+                    component = name.format(wave)
+                    scale = AMPLITUDE_SCALES[unit]
+                    parts.append((j, component, unit, scale, frequency, phase))
+        functions = _Waves(
+            joint=np.array([part[0] for part in parts]),
+            frequency=np.array([part[4] for part in parts]),
+            phase=np.array([part[5] for part in parts]),
+        )
+        return [
+            Screw(
+                Parameter(
+                    f"{owner(chain.joints[j])}.{self.name}.{component}", unit, scale
+                ),
+                j + 1,
+                chain.motions[j],
+                Factor(functions, column),
+            )
+            for column, (j, component, unit, scale, _, _) in enumerate(parts)
+        ]
+
+
+@dataclass(frozen=True, eq=False)
+class _Waves:
+    """`sin(frequency q + phase)` of one joint each, or q where the frequency is 0."""
+
+    joint: NDArray[np.int64]
+    frequency: Floats
+    phase: Floats
+
+    def __call__(self, q: Floats) -> Floats:
+        of_joint = q[:, self.joint]
+        waves = np.sin(self.frequency * of_joint + self.phase)
+        return np.where(self.frequency == 0.0, of_joint, waves)
+
+
+def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:
+    """Names with a place for `sin` and `cos`, and frequencies of the waves."""
+    if revolute:
+        for k in range(1, HARMONICS + 1):
+            yield f"{{}}{k}", float(k)
+    if ratio is not None:
+        yield "motor_{}", ratio
+
+
+def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[int, float]:
+    """Gear ratio by position of the joint; later entries win."""
+    result: dict[int, float] = {}
+    for pattern, ratio in stated.items():
+        found = matching(pattern, joints)
+        if not found:
+            raise OptionError(
+                f"no joint of the chain matches '{pattern}'{nearest(pattern, joints)}",
+                column="gear_ratios",
+                allowed=", ".join(joints),
+            )
+        result.update(dict.fromkeys(found, ratio))
+    return result

@@ -1,0 +1,200 @@
+"""What a residual model is, and what it is trained on."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from typing import Any, Literal, Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.residual_models.region import TrainedRegion
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "INDEPENDENT",
+    "Linearized",
+    "Progress",
+    "ResidualModel",
+    "Space",
+    "TrainingRows",
+    "convincing",
+    "correction_unit",
+]
+
+Progress = Callable[[float], None]
+Space = Literal["joint", "tip"]
+
+INDEPENDENT = 1e-8
+"""Directions of the shift with a smaller part of the largest effect do not move."""
+
+CHANCE = 2.0
+"""Standard deviations that a gain must have; otherwise the correction is zero."""
+
+UNSEEN = 1e-12
+"""Unit of corrections that the rows do not show: they stay at nothing [rad, m]."""
+
+
+@dataclass(frozen=True)
+class Linearized:
+    """Whitened residuals of N rows and their derivatives.
+
+    Attributes:
+        residual: Predicted minus measured in standard deviations, shape (N, d).
+        by_correction: Derivative by the correction, shape (N, d, m); m is n for joint
+            positions, 6 for a body twist of the tool.
+        by_shift: Derivative by the shift of the geometry, shape (N, d, P).
+    """
+
+    residual: Floats
+    by_correction: Floats
+    by_shift: Floats
+
+
+@dataclass(frozen=True)
+class TrainingRows:
+    """Rows to learn from, as functions of a correction and a shift.
+
+    The geometric fit has taken along what it could of the effects that are to be
+    learned: it is biased, and no correction of the joints undoes a link that is too
+    long where the arm is stretched. So a model may learn, along with the correction, a
+    shift of the geometry in the P directions that the fit could tell. It belongs to the
+    correction, and the fit itself is held. With P = 0 there is none.
+
+    Attributes:
+        q: Commanded joint positions, shape (N, n) [rad, m].
+        groups: Rows of one label repeat one configuration and stay together, (N,).
+        revolute: Whether each joint turns, shape (n,).
+        by_joint: Residuals at joint positions q + dq and a shift, from dq, shape
+            (N, n), and the shift, shape (P,), in units in which its directions compare.
+        by_tip: Residuals at tool poses T Exp(xi) and a shift, from xi, shape (N, 6).
+        shifts: Number P of directions of the shift.
+    """
+
+    q: Floats
+    groups: NDArray[np.int64]
+    revolute: NDArray[np.bool_]
+    by_joint: Callable[[Floats, Floats], Linearized]
+    by_tip: Callable[[Floats, Floats], Linearized]
+    shifts: int = 0
+
+    def folds(self, count: int, rng: np.random.Generator) -> NDArray[np.int64]:
+        """Part 0 to count - 1 of each row, groups undivided, shape (N,)."""
+        names, labels = np.unique(self.groups, return_inverse=True)
+        part = np.empty(len(names), np.int64)
+        part[rng.permutation(len(names))] = np.arange(len(names)) % count
+        return np.asarray(part[labels])
+
+    def require(self, model: str, directions: int, folds: int) -> None:
+        """Refuse too few rows.
+
+        Args:
+            model: Name of the residual model.
+            directions: What a correction takes at least to describe.
+            folds: Parts of which one is always held out.
+
+        Raises:
+            InputError: With the number of configurations that are needed.
+        """
+        found = len(np.unique(self.groups))
+        zero = np.zeros((len(self.q), len(self.revolute)))
+        values = self.by_joint(zero, np.zeros(self.shifts)).residual.shape[1]
+        enough = -(-(self.shifts + directions) * folds // ((folds - 1) * values))
+        needed = max(4 * folds, enough)
+        if found < needed:
+            raise InputError(
+                f"a {model} needs at least {needed} different configurations to learn "
+                f"from, there are {found}"
+            )
+
+
+class ResidualModel(Protocol):
+    """A learned correction of what the geometry cannot explain."""
+
+    @property
+    def name(self) -> str:
+        """Name as users write it."""
+        ...
+
+    @property
+    def space(self) -> Space:
+        """What the correction is: `joint` positions to add, or a twist of the `tip`.
+
+        A twist acts as T <- T Exp(xi) on the tool pose.
+        """
+        ...
+
+    @property
+    def region(self) -> TrainedRegion:
+        """Where it was trained; outside the correction is zero."""
+        ...
+
+    @property
+    def shift(self) -> Floats:
+        """Shift of the geometry that belongs to the correction, shape (P,)."""
+        ...
+
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections, shape (N, n) [rad, m] or (N, 6) [m, rad].
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+        """
+        ...
+
+    def deviation(
+        self,
+        q: Floats,
+        by_correction: Floats | None = None,
+        by_shift: Floats | None = None,
+    ) -> Floats:
+        """Standard deviations of the corrections, or of what depends on them.
+
+        The errors of joints and shift belong together: most of them cancel in the pose.
+        Outside the region they are of the size that corrections have in it.
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+            by_correction: Derivative of something by the correction, shape (N, d, m);
+                default the corrections themselves.
+            by_shift: Its derivative by the shift, shape (N, d, P); default none.
+
+        Returns:
+            Standard deviations, shape (N, m) or (N, d), in the units of these.
+        """
+        ...
+
+    def document(self) -> dict[str, Any]:
+        """Numbers, strings and lists from which `restore` makes the same model."""
+        ...
+
+
+def convincing(before: Floats, after: Floats) -> bool:
+    """Whether predictions of left-out rows became better by more than chance.
+
+    Args:
+        before: Whitened residuals, shape (N, d).
+        after: The same when corrected by what was learned from other rows.
+    """
+    gain = (before**2 - after**2).sum(axis=1)
+    return bool(gain.mean() > CHANCE * gain.std() / np.sqrt(len(gain)))
+
+
+def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
+    """Correction of each component that makes residuals of their size, (m,).
+
+    One for all components of a kind: what hardly shows must not become large.
+
+    Args:
+        at: Residuals without a correction.
+        kinds: Whether each component is of the first kind, such as an angle, (m,).
+    """
+    size = np.sqrt((at.residual**2).mean())
+    effect = (at.by_correction**2).mean(axis=(0, 1))
+    result = np.full(len(kinds), UNSEEN)
+    for kind in (kinds, ~kinds):
+        if kind.any() and effect[kind].any() and size > 0.0:
+            result[kind] = size / np.sqrt(effect[kind].mean())
+    return result

@@ -1,0 +1,36 @@
+"""What a calibrated robot has learned."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+from calib_pin.residual_models.base import ResidualModel, Space
+from calib_pin.spatial import Floats
+
+__all__ = ["LearnedCorrection"]
+
+
+@dataclass(frozen=True)
+class LearnedCorrection:
+    """A residual model, with its shift of the geometry in error parameters.
+
+    Attributes:
+        model: The residual model.
+        shift: Change of the P parameters of the error model, shape (P,).
+    """
+
+    model: ResidualModel
+    shift: Floats
+
+    @property
+    def space(self) -> Space:
+        """What it moves."""
+        return self.model.space
+
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections, shape (N, n) -> (N, n) [rad, m] or (N, 6) [m, rad]."""
+        return self.model(q)
+
+    def weight(self, q: Floats) -> Floats:
+        """How far it counts, from 1 where it was learned to 0 far away, shape (N,)."""
+        return self.model.region.weight(q)

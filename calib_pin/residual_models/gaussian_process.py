@@ -1,0 +1,415 @@
+"""A Gaussian process over the residuals, as joint corrections or as a twist of the tip.
+
+The residuals are linear in the corrections, `r = r_0 + A f`, so a process over f is one
+over r, and nothing has to be inverted where A is singular: what the rows do not see of
+a correction stays at zero. What a shift of the geometry can explain has a variance so
+large that it is free.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, cast, get_args
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.linalg import cho_solve, cholesky, solve_triangular
+from scipy.linalg.lapack import dpotri
+
+from calib_pin.errors import OptionError
+from calib_pin.residual_models.base import (
+    INDEPENDENT,
+    Progress,
+    Space,
+    TrainingRows,
+    convincing,
+    correction_unit,
+)
+from calib_pin.residual_models.covariance import Covariance
+from calib_pin.residual_models.documents import checked, numbers, stated
+from calib_pin.residual_models.region import PIECE, TrainedRegion
+from calib_pin.spatial import Floats
+
+__all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
+
+FREE = 1e4
+"""Variance of what a shift can explain, in mean squares of the residual."""
+
+LOADED = 6_000
+"""Most residual components in a document; their covariance must fit the memory."""
+
+FEWEST = 5
+"""Configurations per joint without which lengths are guesses."""
+
+
+@dataclass(frozen=True)
+class GaussianProcessOptions:
+    """How a Gaussian process is fitted.
+
+    Attributes:
+        searched: Residual components, of random rows, that choose the covariance.
+        largest: Residual components, of random rows if there are more, that the process
+            is made of; time grows with their cube.
+        spaces: What the correction may be; the one that predicts left-out rows better.
+    """
+
+    searched: int = 360
+    largest: int = 3600
+    spaces: tuple[Space, ...] = ("joint", "tip")
+
+
+@dataclass(frozen=True)
+class GaussianProcess:
+    """A Gaussian process given its rows.
+
+    Attributes:
+        region: Where it was fitted; its angles are those of the covariance.
+        shift: Shift of the geometry that belongs to it, shape (P,).
+        space: What the corrections are.
+        covariance: Covariance of the corrections in their units.
+        noise: Variance of the whitened residuals beside that.
+        unit: Correction that counts as one, shape (m,) [rad, m].
+        q: Training configurations, shape (N, n) [rad, m].
+        A: Derivative of whitened residuals by corrections in units, shape (N, d, m).
+        absorbed: Orthonormal residuals that a shift explains, shape (N d, k).
+        released: Shift per residual that is absorbed, shape (P, k).
+        free: Variance of these.
+        weights: Weight of each configuration in each component, shape (N, m).
+        held_out: Root mean square of the whitened residuals of groups of rows, before,
+            and predicted from all the others.
+    """
+
+    region: TrainedRegion
+    shift: Floats
+    space: Space
+    covariance: Covariance
+    noise: float
+    unit: Floats
+    q: Floats
+    A: Floats
+    absorbed: Floats
+    released: Floats
+    free: float
+    weights: Floats
+    held_out: tuple[float, float]
+
+    @property
+    def name(self) -> str:
+        """Name as users write it."""
+        return "gaussian-process"
+
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections, shape (N, m) [rad, m], zero outside the region.
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+        """
+        at = self.region.angles(q)
+        inside = self.covariance.predict(at, self._angle, self.weights) * self.unit
+        return np.asarray(self.region.weight(q)[:, None] * inside)
+
+    def deviation(
+        self,
+        q: Floats,
+        by_correction: Floats | None = None,
+        by_shift: Floats | None = None,
+    ) -> Floats:
+        """Standard deviations of the corrections, shape (N, m) [rad, m], or (N, d).
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+            by_correction: Derivative of something by the correction, shape (N, d, m);
+                default the corrections themselves.
+            by_shift: Its derivative by the shift, shape (N, d, P); default none.
+        """
+        weight = self.region.weight(q)[:, None]
+        if by_correction is None:
+            by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
+        A = by_correction * self.unit
+        # What absorbs the residuals, as amplitudes of its own unit columns.
+        G = np.zeros((*A.shape[:2], len(self.shift))) if by_shift is None else by_shift
+        G = G @ self.released
+        size = (A**2).dot(self.covariance.total)
+        known = np.empty_like(size)
+        for start in range(0, len(q), PIECE):
+            piece = slice(start, start + PIECE)
+            known[piece] = self._known(self.region.angles(q[piece]), A[piece], G[piece])
+        total = size + self.free * (G**2).sum(axis=2)
+        inside = np.sqrt(np.maximum(total - known, 0.0))
+        return np.asarray(weight * inside + (1.0 - weight) * np.sqrt(size))
+
+    def _known(self, at: Floats, A: Floats, G: Floats) -> Floats:
+        """Part of the variance that the rows have taken away, shape (K, d).
+
+        Args:
+            at: Angles, shape (K, n) [rad].
+            A: Derivative of something by corrections in units, shape (K, d, m).
+            G: Its derivative by the amplitudes of what is absorbed, shape (K, d, k).
+        """
+        components = self.covariance.components(self._angle, at)
+        blocks = self.A.reshape(-1, len(self.unit))
+        across = [
+            np.repeat(values, self.A.shape[1], axis=0) * blocks[:, [j]]
+            for j, values in enumerate(components)
+        ]
+        result = np.empty(A.shape[:2])
+        for k in range(A.shape[1]):
+            together = self.free * (self.absorbed @ G[:, k].T)
+            for j in np.flatnonzero(A[:, k].any(axis=0)):
+                together += across[j] * A[:, k, j]
+            known = solve_triangular(self._factor, together, lower=True)
+            result[:, k] = np.einsum("ij,ij->j", known, known)
+        return result
+
+    @cached_property
+    def _angle(self) -> Floats:
+        return self.region.angles(self.q)
+
+    @cached_property
+    def _factor(self) -> Floats:
+        """Cholesky factor of the covariance of all residuals, shape (N d, N d)."""
+        K = self.covariance.seen(self._angle, self.A)
+        K += self.free * (self.absorbed @ self.absorbed.T)
+        K[np.diag_indices_from(K)] += self.noise
+        return np.asarray(cholesky(K, lower=True, overwrite_a=True))
+
+    def document(self) -> dict[str, Any]:
+        """The numbers."""
+        return {
+            "kind": self.name,
+            "region": self.region.document(),
+            "shift": self.shift.tolist(),
+            "space": self.space,
+            "covariance": self.covariance.document(),
+            "noise": self.noise,
+            "unit": self.unit.tolist(),
+            "q": self.q.tolist(),
+            "A": self.A.tolist(),
+            "absorbed": self.absorbed.tolist(),
+            "released": self.released.tolist(),
+            "free": self.free,
+            "weights": self.weights.tolist(),
+            "held_out": list(self.held_out),
+        }
+
+    @staticmethod
+    def restore(document: Mapping[str, Any], joints: int) -> GaussianProcess:
+        """The process of a document; its factor is computed when it is needed.
+
+        Raises:
+            ValueError: If it is not one.
+        """
+        parts = checked(document, "gaussian-process")
+        space = cast(Space, stated(parts, "space", get_args(Space)))
+        m = joints if space == "joint" else 6
+        q = numbers(parts, "q", (None, joints))
+        A = numbers(parts, "A", (len(q), None, m))
+        components = len(q) * A.shape[1]
+        if components > LOADED:
+            raise ValueError(f"'A' has {components} rows, more than {LOADED}")
+        shift = numbers(parts, "shift", (None,), empty=True)
+        absorbed = numbers(parts, "absorbed", (components, None), empty=True)
+        before, after = numbers(parts, "held_out", (2,))
+        return GaussianProcess(
+            region=TrainedRegion.restore(parts.get("region"), joints),
+            shift=shift,
+            space=space,
+            covariance=Covariance.restore(parts.get("covariance"), joints, m),
+            noise=float(numbers(parts, "noise", (), positive=True)),
+            unit=numbers(parts, "unit", (m,), positive=True),
+            q=q,
+            A=A,
+            absorbed=absorbed,
+            released=numbers(
+                parts, "released", (len(shift), absorbed.shape[1]), empty=True
+            ),
+            free=float(numbers(parts, "free", (), positive=True)),
+            weights=numbers(parts, "weights", (len(q), m)),
+            held_out=(float(before), float(after)),
+        )
+
+
+def fit_gaussian_process(
+    rows: TrainingRows,
+    rng: np.random.Generator,
+    *,
+    options: GaussianProcessOptions | None = None,
+    progress: Progress | None = None,
+) -> GaussianProcess:
+    """Fit a Gaussian process to the residuals of a geometric fit.
+
+    Args:
+        rows: The rows.
+        rng: Chooses rows where not all are used.
+        options: How it is fitted.
+        progress: Told the part that is done, 0 to 1.
+
+    Raises:
+        InputError: If there are too few rows.
+        OptionError: If scikit-learn is not installed.
+    """
+    try:
+        from calib_pin.residual_models.likelihood import most_likely
+    except ModuleNotFoundError as error:
+        raise OptionError(
+            "a Gaussian process needs scikit-learn: pip install calib-pin[learn]"
+        ) from error
+    options = options or GaussianProcessOptions()
+    rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
+    region = TrainedRegion.of(rows.q, rows.revolute, rng)
+    found = []
+    for k, space in enumerate(options.spaces):
+
+        def report(part: float, k: int = k) -> None:
+            if progress is not None:
+                progress((k + part) / len(options.spaces))
+
+        draft = _Draft(rows, space, region, rng)
+        few = draft.sample(options.searched)
+        covariance, noise = most_likely(
+            draft.angle[few],
+            draft.A[few],
+            -draft.at.residual[few],
+            draft.free * _outer(_absorbed(draft.at.by_shift[few])[0]),
+            own=space == "joint",
+            progress=lambda part: report(0.7 * part),
+        )
+        report(0.7)
+        found.append(draft.solve(covariance, noise, draft.sample(options.largest)))
+        report(1.0)
+    return min(found, key=lambda process: process.held_out[1])
+
+
+class _Draft:
+    """A process in one space, on its way.
+
+    Args:
+        rows: The rows.
+        space: What the corrections are.
+        region: Where it is fitted.
+        rng: Chooses rows.
+    """
+
+    def __init__(
+        self,
+        rows: TrainingRows,
+        space: Space,
+        region: TrainedRegion,
+        rng: np.random.Generator,
+    ) -> None:
+        """Linearize about no correction."""
+        self.rows, self.space, self.region = rows, space, region
+        kinds = rows.revolute if space == "joint" else np.arange(6) < 3
+        self.evaluate = rows.by_joint if space == "joint" else rows.by_tip
+        self.f, self.z = np.zeros((len(rows.q), len(kinds))), np.zeros(rows.shifts)
+        self.at = self.evaluate(self.f, self.z)
+        self.unit = correction_unit(self.at, kinds)
+        self.angle = region.angles(rows.q)
+        # Without any residual, any variance will do.
+        self.free = FREE * float((self.at.residual**2).mean()) or 1.0
+        self.order = rng.permutation(len(rows.q))
+
+    @property
+    def A(self) -> Floats:
+        """Derivative by corrections in units, shape (N, d, m)."""
+        return self.at.by_correction * self.unit
+
+    def sample(self, components: int) -> NDArray[np.int64]:
+        """Rows with as many residual components at most."""
+        return np.sort(self.order[: max(components // self.at.residual.shape[1], 1)])
+
+    def solve(
+        self, covariance: Covariance, noise: float, chosen: NDArray[np.int64]
+    ) -> GaussianProcess:
+        """The process for some rows, linearized anew at what it says of them."""
+        before = self.at.residual[chosen]
+        for _ in range(2):
+            G, A = self.at.by_shift[chosen], self.A[chosen]
+            effect = (self.at.by_correction @ self.f[:, :, None])[:, :, 0]
+            base = (self.at.residual - effect - self.at.by_shift @ self.z)[chosen]
+            absorbed, released = _absorbed(G)
+            process = GaussianProcess(
+                region=self.region,
+                shift=self.z,
+                space=self.space,
+                covariance=covariance,
+                noise=noise,
+                unit=self.unit,
+                q=self.rows.q[chosen],
+                A=A,
+                absorbed=absorbed,
+                released=released,
+                free=self.free,
+                weights=np.zeros((len(chosen), len(self.unit))),
+                held_out=(0.0, 0.0),
+            )
+            alpha = cho_solve((process._factor, True), -base.reshape(-1))
+            weights = (A.transpose(0, 2, 1) @ alpha.reshape(*base.shape, 1))[:, :, 0]
+            here = self.angle[chosen]
+            self.f = covariance.predict(self.angle, here, weights) * self.unit
+            # What the shift must explain is what neither process nor noise does.
+            rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
+            self.z = -released @ (absorbed.T @ rest.reshape(-1))
+            self.at = self.evaluate(self.f, self.z)
+        left_out, surprise = _left_out(process._factor, alpha, self.rows.groups[chosen])
+        left_out = left_out.reshape(before.shape)
+        if not convincing(before, left_out):
+            weights, left_out, self.z = 0.0 * weights, before, 0.0 * self.z
+        # All variances times one number predict the same, but less surely: few rows
+        # chose them, and all rows tell how large they are.
+        return replace(
+            process,
+            shift=self.z,
+            covariance=covariance.scaled(surprise),
+            noise=noise * surprise,
+            free=self.free * surprise,
+            weights=weights / surprise,
+            held_out=(
+                float(np.sqrt((before**2).mean())),
+                float(np.sqrt((left_out**2).mean())),
+            ),
+        )
+
+
+def _absorbed(G: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal residuals that a shift explains, and the shift for each.
+
+    Args:
+        G: Derivative of the residuals by the shift, shape (N, d, P).
+
+    Returns:
+        Columns, shape (N d, k), and shifts, shape (P, k).
+    """
+    columns = G.reshape(G.shape[0] * G.shape[1], G.shape[2])
+    left, s, right = np.linalg.svd(columns, full_matrices=False)
+    keep = s > INDEPENDENT * s.max(initial=0.0)
+    return left[:, keep], right[keep].T / s[keep]
+
+
+def _outer(columns: Floats) -> Floats:
+    return np.asarray(columns @ columns.T)
+
+
+def _left_out(
+    factor: Floats, alpha: Floats, groups: NDArray[np.int64]
+) -> tuple[Floats, float]:
+    """Residuals of each group of rows, predicted from all the others.
+
+    Rasmussen and Williams 2006, eq. 5.12, for groups in place of single values.
+
+    Returns:
+        Residuals, shape (N d,), and their mean square in predicted variances.
+    """
+    inverse, _ = dpotri(factor, lower=1)
+    labels = np.repeat(groups, len(alpha) // len(groups))
+    order = np.argsort(labels, kind="stable")
+    cuts = np.flatnonzero(np.diff(labels[order])) + 1
+    result = np.empty_like(alpha)
+    for part in np.split(order, cuts):
+        block = np.tril(inverse[np.ix_(part, part)])
+        block += np.tril(block, -1).T
+        result[part] = np.linalg.solve(block, alpha[part])
+    square = float(result @ alpha) / len(alpha)
+    return result, square if square > 0.0 else 1.0

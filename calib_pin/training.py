@@ -1,0 +1,347 @@
+"""Train a model on rows, and look at rows it has not seen.
+
+First the parameters are fitted, then, if the setup wants it, a residual model learns
+what they leave. A cross-validation does both anew without each part of the rows.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import partial
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.chain import Chain
+from calib_pin.directions import visible_nuisances
+from calib_pin.errors import require_known
+from calib_pin.fit import Fit, fit
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import matching
+from calib_pin.problem import Problem, make_problem
+from calib_pin.residual_models import (
+    RESIDUAL_MODELS,
+    LearnedCorrection,
+    Linearized,
+    Space,
+    TrainingRows,
+)
+from calib_pin.setup import Setup
+from calib_pin.solve import Progress
+from calib_pin.spatial import Floats
+
+__all__ = [
+    "BEYOND",
+    "FOLDS",
+    "Stages",
+    "Trained",
+    "Unseen",
+    "cross_validate",
+    "folds",
+    "geometry_alone",
+    "named",
+    "parameter_names",
+    "portion",
+    "shuffled_groups",
+    "train",
+    "training_rows",
+    "with_parameters",
+]
+
+FOLDS = 5
+"""Parts of a cross-validation."""
+
+FEWEST = 4
+"""Configurations of every target without which there is no cross-validation."""
+
+BEYOND = ("transmission", "compliance")
+"""Parameterizations of what a URDF cannot hold."""
+
+FIT_PART = 0.2
+"""Part of the time of a training that the parameters take where more is learned."""
+
+Stages = Callable[[str, float], None]
+"""Told the stage and the part that is done, 0 to 1."""
+
+
+@dataclass(frozen=True)
+class Trained:
+    """A fit, with what was learned on top of it.
+
+    Attributes:
+        fit: The fit of the parameters.
+        problem: Its problem about the solution, with what was learned.
+        theta: Parameter values about that, shape (P,).
+    """
+
+    fit: Fit
+    problem: Problem
+    theta: Floats
+
+    def errors(self, rows: Measurements) -> tuple[Floats, Floats]:
+        """Errors of N rows in the units of the residual, shape (N, d) each.
+
+        Those with only base, tool and instrument fitted, and those of the model.
+        """
+        before = replace(self.fit.problem, data=rows).errors(self.fit.before)
+        return before, replace(self.problem, data=rows).errors(self.theta)
+
+
+@dataclass(frozen=True)
+class Unseen:
+    """Errors of rows that were not fitted, see `Trained.errors`.
+
+    Attributes:
+        positions: Where they stand among all rows, shape (N,).
+        before: Errors of the nominal robot, shape (N, d).
+        after: Errors of the trained model, shape (N, d).
+    """
+
+    positions: NDArray[np.intp]
+    before: Floats
+    after: Floats
+
+
+def train(
+    chain: Chain,
+    rows: Measurements,
+    setup: Setup,
+    seed: int,
+    progress: Progress | None = None,
+) -> Trained:
+    """Fit the parameters of a setup, and let its residual model learn the rest.
+
+    Args:
+        chain: The nominal chain.
+        rows: The rows to fit.
+        setup: What is estimated, what is known, what is learned.
+        seed: Seed of random configurations, searches and starts.
+        progress: Told how much is done, 0 to 1.
+
+    Raises:
+        OptionError: If a name in the setup does not exist.
+        InputError: If the rows are too few for what is to be learned.
+    """
+    part = 1.0
+    if setup.learned is not None:
+        require_known("residual model", setup.learned, RESIDUAL_MODELS)
+        part = FIT_PART
+    rng = np.random.default_rng(seed)
+    tell = portion(progress, 0.0, part)
+    fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
+    problem, theta = fitted.problem.at(fitted.theta)
+    if setup.learned is None:
+        return Trained(fitted, problem, theta)
+    # A generator of its own: what a search drew must not change what is learned.
+    rng = np.random.default_rng(seed)
+    directions = _shifts(fitted)
+    found = RESIDUAL_MODELS[setup.learned](
+        training_rows(problem, theta, directions),
+        rng,
+        progress=portion(progress, part, 1.0 - part),
+    )
+    learned = LearnedCorrection(found, directions @ found.shift)
+    error = problem.error.with_learned(learned)
+    return Trained(fitted, replace(problem, error=error), theta)
+
+
+def geometry_alone(
+    chain: Chain, rows: Measurements, setup: Setup, seed: int
+) -> Trained:
+    """The best of what a URDF can hold.
+
+    What a fit with gears and compliance leaves to the geometry is no use without them:
+    a gear ratio and an offset that nearly cancel, say.
+
+    Args:
+        chain: The nominal chain.
+        rows: The rows to fit.
+        setup: What is estimated, what is known.
+        seed: As for `train`.
+    """
+    names = tuple(name for name in setup.parameters if name not in BEYOND)
+    plain = with_parameters(chain, rows, replace(setup, learned=None), names)
+    return train(chain, rows, plain, seed)
+
+
+def with_parameters(
+    chain: Chain, rows: Measurements, setup: Setup, parameters: tuple[str, ...]
+) -> Setup:
+    """A setup for other parameterizations.
+
+    It says nothing of parameters that these do not have.
+    """
+    names = parameter_names(chain, rows, setup, parameters)
+
+    def known(pattern: str) -> bool:
+        return bool(matching(pattern, names))
+
+    return replace(
+        setup,
+        parameters=parameters,
+        fixed=tuple(filter(known, setup.fixed)),
+        bounds={key: value for key, value in setup.bounds.items() if known(key)},
+        prior={key: value for key, value in setup.prior.items() if known(key)},
+    )
+
+
+def parameter_names(
+    chain: Chain, rows: Measurements, setup: Setup, parameters: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Names of the parameters of some parameterizations, frames and instrument."""
+    plain = replace(setup, parameters=parameters, fixed=(), bounds={}, prior={})
+    return make_problem(chain, rows, plain).parameters.names
+
+
+def training_rows(problem: Problem, theta: Floats, directions: Floats) -> TrainingRows:
+    """What a residual model learns from: residuals as functions of a correction.
+
+    Args:
+        problem: The problem about the solution of a fit.
+        theta: Parameter values there, shape (P,).
+        directions: Directions in the parameters of the error model that may shift
+            along with the correction, shape (P', k).
+    """
+    of_robot, own = problem.split(theta)
+
+    def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
+        given = _Given(space, values, directions @ shift)
+        error = replace(problem.error, learned=given)
+        poses = error.linearize(problem.data.q, of_robot)
+        linear = problem.measurement.linearize(poses.T, own, problem.data)
+        by_twist = linear.by_twist / problem.sigma[:, :, None]
+        by_correction = by_twist
+        if space == "joint":
+            by_correction = by_twist @ poses.joint_twists()
+        return Linearized(
+            residual=linear.residual / problem.sigma,
+            by_correction=by_correction,
+            by_shift=poses.derivative(by_twist) @ directions,
+        )
+
+    return TrainingRows(
+        q=problem.data.q,
+        groups=problem.data.groups(),
+        revolute=problem.error.chain.revolute,
+        by_joint=partial(linearize, "joint"),
+        by_tip=partial(linearize, "tip"),
+        shifts=directions.shape[1],
+    )
+
+
+@dataclass(frozen=True)
+class _Given:
+    """Corrections of certain rows, in the place of those a model predicts."""
+
+    space: Space
+    values: Floats
+    shift: Floats
+
+    def __call__(self, q: Floats) -> Floats:
+        return self.values
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+
+def _shifts(fitted: Fit) -> Floats:
+    """Directions of the error model that the fit could tell, in its scales, (P', k).
+
+    Those of the robot and the frames; the instrument stays as it was fitted.
+    """
+    parameters = fitted.problem.parameters
+    frames = visible_nuisances(fitted.result.jac, parameters)
+    basis = np.column_stack([frames, fitted.directions.robot])
+    basis = (parameters.scales[:, None] * basis)[: len(fitted.problem.error.screws)]
+    return basis[:, basis.any(axis=0)]
+
+
+def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+    """Masks of the parts of a cross-validation; none where the rows do not suffice.
+
+    Repetitions of a configuration stay together. What is fitted without a part must
+    still determine the robot and every plane.
+
+    Args:
+        rows: The N rows.
+        fitted: The fit of all of them.
+        seed: Seed of the split.
+
+    Returns:
+        One mask of shape (N,) for each part.
+    """
+    labels, order = shuffled_groups(rows, seed)
+    if len(order) < FOLDS:
+        return []
+    fold = np.empty(len(order), np.int64)
+    fold[order] = np.arange(len(order)) % FOLDS
+    targets = np.array(rows.target)
+    masks = []
+    for k in range(FOLDS):
+        mask = fold[labels] == k
+        rest = rows.rows(~mask)
+        values = rest.configurations * fitted.problem.components
+        if values <= fitted.structure.rank or any(
+            rows.rows(~mask & (targets == name)).configurations < FEWEST
+            for name in set(rows.target)
+        ):
+            return []
+        masks.append(mask)
+    return masks
+
+
+def shuffled_groups(
+    rows: Measurements, seed: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Label of each row's configuration, and the labels in random order."""
+    order = np.random.default_rng(seed).permutation(rows.configurations)
+    return rows.groups(), order
+
+
+def cross_validate(
+    chain: Chain,
+    rows: Measurements,
+    setup: Setup,
+    masks: Sequence[NDArray[np.bool_]],
+    seed: int,
+    progress: Stages | None = None,
+) -> Iterator[Unseen]:
+    """Train without each part of the rows and look at the errors of that part.
+
+    Args:
+        chain: The nominal chain.
+        rows: The N rows.
+        setup: As for `train`.
+        masks: The parts, each of shape (N,).
+        seed: As for `train`.
+        progress: Told the stage and how much of all is done.
+    """
+    for k, mask in enumerate(masks):
+        stage = f"check {k + 1} of {len(masks)}"
+        tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
+        trained = train(chain, rows.rows(~mask), setup, seed, tell)
+        yield Unseen(np.flatnonzero(mask), *trained.errors(rows.rows(mask)))
+
+
+def named(progress: Stages | None, stage: str) -> Progress | None:
+    """Progress of one stage."""
+    if progress is None:
+        return None
+    return lambda part: progress(stage, part)
+
+
+def portion(progress: Progress | None, start: float, size: float) -> Progress | None:
+    """Progress of a part of the work as progress of the whole."""
+    if progress is None:
+        return None
+    furthest = 0.0
+
+    def tell(part: float) -> None:
+        # A solver may search several times.
+        nonlocal furthest
+        furthest = max(furthest, part)
+        progress(start + size * furthest)
+
+    tell(0.0)
+    return tell

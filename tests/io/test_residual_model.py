@@ -1,0 +1,190 @@
+"""Residual models in files: they come back as they were, or not at all."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError
+from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.residual_model import (
+    FILE_NAME,
+    encode_residual_model,
+    read_residual_model,
+    reference,
+)
+from calib_pin.io.results import read_calibration
+from calib_pin.problem import nominal_problem
+from calib_pin.residual_models import LearnedCorrection
+from calib_pin.result import CalibratedModel, CalibrationResult
+from calib_pin.setup import FrameSetup, Setup
+
+NOTHING = Provenance((), "", 0.0, {})
+TOOL = FrameSetup((0.05, 0.02, 0.1), (0.0, 0.0, 0.0))
+
+
+@pytest.fixture(scope="module")
+def learned() -> CalibrationResult:
+    """A calibration of space6 with harmonics that only a network can describe."""
+    chain = calib_pin.load_chain("space6")
+    truth = Setup(parameters=("joint-offset", "transmission"), tool_frame=TOOL)
+    problem = nominal_problem(chain, "position", truth)
+    rng = np.random.default_rng(2)
+    errors = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, errors, rng, count=60, noise=2e-5)
+    setup = Setup(parameters=("joint-offset",), learned="network")
+    return calib_pin.calibrate(chain, rows, setup, validate=False)
+
+
+@pytest.fixture
+def folder(learned: CalibrationResult, tmp_path: Path) -> Path:
+    """What `calibrate` would write."""
+    data = encode_residual_model(learned.model)
+    assert data is not None
+    (tmp_path / FILE_NAME).write_bytes(data)
+    document = calibration_document(learned, NOTHING, reference(data))
+    (tmp_path / "calibration.json").write_bytes(encode(document))
+    return tmp_path
+
+
+def test_it_predicts_as_before(learned: CalibrationResult, folder: Path) -> None:
+    model = read_calibration(folder / "calibration.json")
+    q = model.chain.random_configurations(50, np.random.default_rng(0))
+    found = model.error.learned
+    assert isinstance(found, LearnedCorrection) and found.model.name == "network"
+    np.testing.assert_allclose(model.poses(q), learned.model.poses(q), atol=1e-13)
+    # It does correct something.
+    plain = model.geometry.poses(q)
+    assert np.abs(plain - model.poses(q)).max() > 1e-5
+    assert not model.outside(q).all()
+
+
+def test_nothing_was_learned(learned: CalibrationResult) -> None:
+    assert encode_residual_model(learned.model.geometry) is None
+
+
+def test_it_is_plain_numbers(folder: Path) -> None:
+    document = json.loads((folder / FILE_NAME).read_text())
+    keys = {"format", "version", "robot", "shift", "model", "sha256"}
+    assert set(document) == keys
+
+    def leaves(value: Any) -> None:
+        if isinstance(value, dict | list):
+            for item in value.values() if isinstance(value, dict) else value:
+                leaves(item)
+        else:
+            assert isinstance(value, str | float | int)
+
+    leaves(document)
+
+
+def refusal(folder: Path) -> str:
+    with pytest.raises(InputError) as caught:
+        read_calibration(folder / "calibration.json")
+    message = str(caught.value)
+    assert message.startswith(str(folder / FILE_NAME)) and "\n" not in message
+    return message.removeprefix(str(folder / FILE_NAME))
+
+
+def edited(folder: Path, change: Callable[[dict[str, Any]], None]) -> str:
+    """What is said of a file that somebody has changed."""
+    file = folder / FILE_NAME
+    document = json.loads(file.read_text())
+    change(document)
+    file.write_text(json.dumps(document))
+    return refusal(folder)
+
+
+def test_a_number_was_edited(folder: Path) -> None:
+    def change(document: dict[str, Any]) -> None:
+        document["model"]["typical"][0] *= 1.5
+
+    assert "edited or damaged: its checksum does not match" in edited(folder, change)
+
+
+@pytest.mark.parametrize("part", [0.0, 0.3, 0.9, 0.9999])
+def test_it_was_cut_off(folder: Path, part: float) -> None:
+    data = (folder / FILE_NAME).read_bytes()
+    (folder / FILE_NAME).write_bytes(data[: int(part * len(data))])
+    assert "truncated" in refusal(folder)
+
+
+@pytest.mark.parametrize("version", [2, 0, "1", None])
+def test_another_version(folder: Path, version: object) -> None:
+    message = edited(folder, lambda document: document.update(version=version))
+    assert ": a residual model of another version" in message
+    assert "allowed: 1 to 1" in message
+
+
+@pytest.mark.parametrize("content", [b"[]", b"{}", b'{"format": "something"}'])
+def test_another_file(folder: Path, content: bytes) -> None:
+    (folder / FILE_NAME).write_bytes(content)
+    assert refusal(folder) == ": not a residual model of calib-pin"
+
+
+def test_it_is_gone(folder: Path) -> None:
+    (folder / FILE_NAME).unlink()
+    assert refusal(folder) == ": no such file"
+
+
+def test_of_another_robot(learned: CalibrationResult, folder: Path) -> None:
+    other = nominal_problem(calib_pin.load_chain("pa10"), "position", Setup())
+    with pytest.raises(InputError, match="another robot: 'space6'; allowed: 'pa10'"):
+        read_residual_model(folder / FILE_NAME, other.error)
+    # The same name with other numbers in it.
+    error = learned.model.error
+    robot = error.chain.robot
+    moved = replace(robot, source=robot.source + b"\n")
+    other_chain = calib_pin.Chain(moved, error.chain.base, error.chain.tip)
+    with pytest.raises(InputError, match="another robot: other content of its URDF"):
+        read_residual_model(folder / FILE_NAME, replace(error, chain=other_chain))
+
+
+def test_of_another_chain(learned: CalibrationResult, folder: Path) -> None:
+    error = learned.model.error
+    links = [link for link in error.chain.robot.links if link != error.chain.tip]
+    other = calib_pin.Chain(error.chain.robot, error.chain.base, links[-1])
+    with pytest.raises(InputError, match="another robot: the chain"):
+        read_residual_model(folder / FILE_NAME, replace(error, chain=other))
+
+
+def test_of_another_calibration(learned: CalibrationResult, folder: Path) -> None:
+    """Its checksum is right, but this calibration was written with another one."""
+    network = learned.model.error.learned
+    assert isinstance(network, LearnedCorrection)
+    changed = replace(network, shift=2.0 * network.shift)
+    error = learned.model.error.with_learned(changed)
+    data = encode_residual_model(replace(learned.model, error=error))
+    assert data is not None
+    (folder / FILE_NAME).write_bytes(data)
+    assert refusal(folder) == ": belongs to another calibration of this robot"
+
+
+def test_of_other_parameters(learned: CalibrationResult, folder: Path) -> None:
+    chain = learned.model.chain
+    other = nominal_problem(chain, "position", Setup(parameters=("placement",)))
+    with pytest.raises(InputError, match="'shift' has the shape"):
+        read_residual_model(folder / FILE_NAME, other.error)
+
+
+def test_the_file_of_a_calibration_stands_beside_it(folder: Path) -> None:
+    file = folder / "calibration.json"
+    document = json.loads(file.read_text())
+    document["residual_model"]["file"] = "/etc/passwd"
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError) as caught:
+        read_calibration(file)
+    assert str(caught.value) == f"{folder / 'passwd'}: no such file"
+
+
+def test_models_are_those_of_the_calibration(folder: Path) -> None:
+    model = read_calibration(folder / "calibration.json")
+    assert isinstance(model, CalibratedModel)
+    assert model.setup.learned == "network"

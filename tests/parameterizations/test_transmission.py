@@ -1,0 +1,252 @@
+"""Gains, harmonics of joints and motors: what they do to q, and what can be known."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import OptionError
+from calib_pin.parameterizations.transmission import (
+    AMPLITUDE_SCALES,
+    GAIN_SCALE,
+    Transmission,
+)
+from calib_pin.problem import nominal_problem
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.spatial import Floats
+
+UrdfOf = Callable[..., str]
+ChainOf = Callable[..., Chain]
+
+RATIOS = {"j*": 50.0, "j2": -31.5, "j1": 400.0}
+HARMONICS = ["gain", "sin1", "cos1", "sin2", "cos2"]
+MOTOR = ["motor_sin", "motor_cos"]
+
+
+@pytest.fixture
+def arm(urdf_of: UrdfOf) -> str:
+    """Skew joints of all kinds."""
+    rng = np.random.default_rng(2)
+    kinds = ["revolute", "prismatic", "continuous", "prismatic"]
+    axes = [(1, 2, 3), (-3, 0.5, 1), (0, 0, -1), (0, -1, 0)]
+    return urdf_of(
+        *(
+            {
+                "name": f"j{k}",
+                "parent": f"l{k}",
+                "child": f"l{k + 1}",
+                "type": kind,
+                "axis": axis,
+                "placement": pin.exp6(rng.normal(size=6)),
+            }
+            for k, (kind, axis) in enumerate(zip(kinds, axes, strict=True))
+        )
+    )
+
+
+def model_of(chain: Chain, ratios: Mapping[str, float]) -> ErrorModel:
+    return ErrorModel.create(chain, ["transmission"], setup=Setup(gear_ratios=ratios))
+
+
+def moved(chain: Chain, q: Floats, values: Mapping[str, float]) -> Floats:
+    """Joint positions by the formula, joint by joint."""
+    result = q.copy()
+    ratio = {"j0": 50.0, "j1": 400.0, "j2": -31.5, "j3": 50.0}
+    for k, joint in enumerate(chain.joints):
+        x = q[:, k]
+
+        def value(component: str, joint: str = joint) -> float:
+            return values.get(f"{joint}.transmission.{component}", 0.0)
+
+        result[:, k] += value("gain") * x
+        for n in (1, 2):
+            result[:, k] += value(f"sin{n}") * np.sin(n * x)
+            result[:, k] += value(f"cos{n}") * np.cos(n * x)
+        result[:, k] += value("motor_sin") * np.sin(ratio[joint] * x)
+        result[:, k] += value("motor_cos") * np.cos(ratio[joint] * x)
+    return result
+
+
+@pytest.mark.parametrize("ends", [("l0", "l4"), ("l4", "l0"), ("l3", "l1")])
+def test_joints_move_by_the_formula(
+    ends: tuple[str, str], arm: str, chain_of: ChainOf
+) -> None:
+    chain = chain_of(arm, *ends)
+    model = model_of(chain, {k: v for k, v in RATIOS.items() if k != "j0"})
+    rng = np.random.default_rng(1)
+    q = chain.random_configurations(5, rng)
+    theta = rng.normal(size=len(model.parameters)) * 0.1
+    theta[model.parameters.nuisance] = 0.0
+    values = dict(zip(model.parameters.names, theta, strict=True))
+    expected = moved(chain, q, values)
+    found = model.joint_positions(q, theta)
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+    np.testing.assert_allclose(
+        model.poses(q, theta), chain.poses(expected), rtol=0, atol=1e-13
+    )
+    # One at a time: each column of the factors is its own function.
+    for k in model.joint_corrections:
+        single = np.zeros_like(theta)
+        single[k] = 0.3
+        expected = moved(chain, q, {model.parameters.names[k]: 0.3})
+        assert np.abs(expected - q).max() > 1e-3
+        found = model.joint_positions(q, single)
+        np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def test_components_units_and_scales(arm: str, chain_of: ChainOf) -> None:
+    """A joint that slides has no turn; motors only where a gear ratio is given."""
+    chain = chain_of(arm)
+    screws = Transmission({"j1": 400.0, "j2": 80.0}).screws(chain)
+    components = {f"j{k}": [] for k in range(4)}
+    for screw in screws:
+        joint, _, component = screw.parameter.name.split(".")
+        components[joint].append(component)
+        turns = joint in ("j0", "j2")
+        unit = "rad" if turns else "m"
+        if component == "gain":
+            expected = (f"{unit}/{unit}", GAIN_SCALE)
+        else:
+            expected = (unit, AMPLITUDE_SCALES[unit])
+        assert (screw.parameter.unit, screw.parameter.scale) == expected
+        motion = np.zeros(6)
+        axis = chain.axes[screw.place - 1]
+        motion[3:] = axis if turns else 0.0
+        motion[:3] = 0.0 if turns else axis
+        np.testing.assert_array_equal(screw.twist, motion)
+    assert components == {
+        "j0": HARMONICS,
+        "j1": ["gain", *MOTOR],
+        "j2": [*HARMONICS, *MOTOR],
+        "j3": ["gain"],
+    }
+
+
+def test_gains_count_the_turns_of_a_continuous_joint(
+    arm: str, chain_of: ChainOf
+) -> None:
+    chain = chain_of(arm)
+    model = model_of(chain, {})
+    theta = model.parameters.vector({"j2.transmission.gain": 0.01})
+    q = np.zeros((2, 4))
+    q[:, 2] = 0.3, 0.3 + 4.0 * np.pi
+    found = model.joint_positions(q, theta) - q
+    np.testing.assert_allclose(found[:, 2], [0.003, 0.003 + 0.04 * np.pi], rtol=1e-12)
+    assert (found[:, [0, 1, 3]] == 0.0).all()
+
+
+# Gear ratios.
+
+
+@pytest.mark.parametrize(
+    ("ratios", "expected"),
+    [
+        ({}, {}),
+        ({"*": 80.0}, dict.fromkeys(("j0", "j1", "j2", "j3"), 80.0)),
+        # The last one that matches wins.
+        ({"j*": 80.0, "j1": 5.0}, {"j0": 80.0, "j1": 5.0, "j2": 80.0, "j3": 80.0}),
+        ({"j1": 5.0, "j[12]": 7.0}, {"j1": 7.0, "j2": 7.0}),
+        ({"j3": -0.5}, {"j3": -0.5}),
+    ],
+)
+def test_globs(
+    ratios: dict[str, float],
+    expected: dict[str, float],
+    arm: str,
+    chain_of: ChainOf,
+) -> None:
+    chain = chain_of(arm)
+    model = model_of(chain, ratios)
+    names = [n for n in model.parameters.names if n.endswith(".motor_sin")]
+    assert names == [f"{joint}.transmission.motor_sin" for joint in expected]
+    q = np.tile([0.013], (1, 4))
+    theta = model.parameters.vector(dict.fromkeys(names, 1.0))
+    found = (model.joint_positions(q, theta) - q)[0]
+    waves = [np.sin(0.013 * expected.get(joint, 0.0)) for joint in chain.joints]
+    np.testing.assert_allclose(found, waves, rtol=0, atol=1e-15)
+
+
+def test_brackets_in_the_name_of_a_joint(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
+    chain = chain_of(
+        urdf_of(
+            {"name": "j[1]", "parent": "a", "child": "b"},
+            {"name": "j1", "parent": "b", "child": "c"},
+        )
+    )
+    names = [s.parameter.name for s in Transmission({"j[1]": 9.0}).screws(chain)]
+    assert [n for n in names if "motor" in n] == [
+        "j[1].transmission.motor_sin",
+        "j[1].transmission.motor_cos",
+    ]
+
+
+def test_a_gear_ratio_of_no_joint(arm: str, chain_of: ChainOf) -> None:
+    chain = chain_of(arm, "l1", "l3")
+    with pytest.raises(OptionError) as caught:
+        Transmission({"j1": 5.0, "j3": 80.0}).screws(chain)
+    assert str(caught.value) == (
+        "no joint of the chain matches 'j3' (column 'gear_ratios'); allowed: j1, j2"
+    )
+    setup = Setup(
+        parameters=("transmission",), gear_ratios={"elbow": 2.0}, file="s.yaml"
+    )
+    with pytest.raises(OptionError, match=r"^s\.yaml: no joint .* matches 'elbow' "):
+        nominal_problem(chain, "pose", setup)
+
+
+# What can be known.
+
+STATUS = tuple[dict[str, str], dict[str, str]]
+
+
+def status_of(chain: Chain, setup: Setup) -> STATUS:
+    """Status of every parameter, and the sums."""
+    found = calib_pin.identify(chain, "pose", setup)
+    return (
+        {p.name: p.status for p in found.parameters},
+        {g.expression: g.unit for g in found.groups},
+    )
+
+
+def test_harmonics_of_every_joint_are_identifiable() -> None:
+    chain = calib_pin.load_chain("pa10")
+    status, sums = status_of(chain, Setup(parameters=("transmission",)))
+    own = {name: s for name, s in status.items() if ".transmission." in name}
+    assert len(own) == 35
+    assert set(own.values()) == {"identifiable"}
+    assert not sums
+
+
+def test_the_gain_of_a_sliding_base_joint_is_not_its_placement(
+    arm: str, chain_of: ChainOf
+) -> None:
+    """Where a joint starts is a matter of the frames, how far it goes is not."""
+    chain = chain_of(arm, "l1", "l4")
+    base = FrameSetup(estimate=True)
+    setup = Setup(parameters=("joint-offset", "transmission"), base_frame=base)
+    status, _ = status_of(chain, setup)
+    assert status["j1.transmission.gain"] == "identifiable"
+    assert status["j1.joint-offset.q"] != "identifiable"
+    assert status["j3.transmission.gain"] == "identifiable"
+    assert status["j2.transmission.sin1"] == "identifiable"
+
+
+def test_a_motor_that_turns_as_its_joint_is_the_same_wave(
+    arm: str, chain_of: ChainOf
+) -> None:
+    setup = Setup(parameters=("transmission",), gear_ratios={"j0": 1.0, "j2": -2.0})
+    status, sums = status_of(chain_of(arm), setup)
+    assert set(sums) == {
+        "j0.transmission.sin1 + j0.transmission.motor_sin",
+        "j0.transmission.cos1 + j0.transmission.motor_cos",
+        "j2.transmission.sin2 - j2.transmission.motor_sin",
+        "j2.transmission.cos2 + j2.transmission.motor_cos",
+    }
+    assert status["j0.transmission.motor_sin"] == "coupled"
+    assert status["j0.transmission.sin2"] == "identifiable"

@@ -1,0 +1,101 @@
+"""What is stored restores exactly, and what is not one is refused with a reason."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib_pin.residual_models import (
+    RESIDUAL_MODELS,
+    GaussianProcessOptions,
+    NetworkOptions,
+    ResidualModel,
+    fit_gaussian_process,
+    fit_network,
+    restore,
+)
+
+
+@pytest.fixture(scope="module", params=[*RESIDUAL_MODELS, "tip"])
+def model(request: pytest.FixtureRequest, study: Callable[..., Any]) -> ResidualModel:
+    rows, rng = study(shifts=2).rows(40, 5e-6, 0), np.random.default_rng(0)
+    if request.param == "network":
+        options = NetworkOptions(units=3, members=2, steps=(6, 2))
+        return fit_network(rows, rng, options=options)
+    spaces = ("tip",) if request.param == "tip" else ("joint",)
+    return fit_gaussian_process(
+        rows, rng, options=GaussianProcessOptions(searched=60, spaces=spaces)
+    )
+
+
+def test_restores_exactly(model: ResidualModel, study: Callable[..., Any]) -> None:
+    found = restore(json.loads(json.dumps(model.document(), allow_nan=False)), 6)
+    q = study().rows(20, 0.0, 7).q
+    np.testing.assert_allclose(found(q), model(q), rtol=1e-12)
+    np.testing.assert_allclose(found.deviation(q), model.deviation(q), rtol=1e-12)
+    np.testing.assert_array_equal(found.shift, model.shift)
+    np.testing.assert_array_equal(found.region.weight(q), model.region.weight(q))
+    assert (found.name, found.space) == (model.name, model.space)
+    assert found.document() == model.document()
+
+
+def test_every_key_is_needed(model: ResidualModel) -> None:
+    document = model.document()
+    for key in document:
+        parts = {k: v for k, v in document.items() if k != key}
+        with pytest.raises(ValueError, match=r"'\w[\w ]*' (is|has)"):
+            restore(parts, 6)
+        for wrong in (None, "__import__('os')", [[1.0], [2.0, 3.0]], {"a": 1}, True):
+            with pytest.raises(ValueError, match=r"'\w[\w ]*' (is|has|holds)"):
+                restore({**document, key: wrong}, 6)
+
+
+def changed(document: Any, path: str, value: Any) -> Any:
+    """A document with another value at a path such as `region.reach`."""
+    key, _, rest = path.partition(".")
+    inner = changed(document[key], rest, value) if rest else value
+    return {**document, key: inner}
+
+
+@pytest.mark.parametrize(
+    ("path", "value", "reason"),
+    [
+        ("kind", "pickle", "'kind' is not one of network, gaussian-process"),
+        ("kind", ["network"], "'kind' is not one of"),
+        ("region", [1.0], "'region' is not a mapping"),
+        ("region.angles", None, "'angles' is not a mapping"),
+        ("region.reach", 0.0, "'reach' holds a number that is not positive"),
+        ("region.reach", float("nan"), "'reach' holds a number that is not finite"),
+        ("region.reach", "0.3", "'reach' is not an array of numbers"),
+        ("region.anchors", [], "'anchors' has the shape"),
+        ("region.anchors", [[0.0] * 5], r"'anchors' has the shape \(1, 5\)"),
+        ("region.fade", [1.0] * 5 + [10**400], "'fade' is not an array of numbers"),
+        ("region.fade", [1.0] * 5 + [1e300], "'fade' holds a number .* too large"),
+        ("region.middle", [0.0] * 5 + [None], "'middle' is not an array of numbers"),
+        ("region.middle", [0.0] * 5 + [float("inf")], "'middle' holds a number"),
+        ("shift", [[1.0]], "'shift' has the shape"),
+        ("held_out", [1.0], "'held_out' has the shape"),
+    ],
+)
+def test_malformed_documents(
+    model: ResidualModel, path: str, value: Any, reason: str
+) -> None:
+    with pytest.raises(ValueError, match=reason):
+        restore(changed(model.document(), path, value), 6)
+
+
+def test_of_another_robot(model: ResidualModel) -> None:
+    with pytest.raises(ValueError, match="shape"):
+        restore(model.document(), 7)
+    for wrong in (None, [], "network", 3.0):
+        with pytest.raises(ValueError, match="'residual model' is not a mapping"):
+            restore(wrong, 6)
+
+
+def test_huge_sizes(model: ResidualModel) -> None:
+    with pytest.raises(ValueError, match="more than"):
+        restore(changed(model.document(), "shift", [0.0] * 4_000_001), 6)

@@ -1,0 +1,154 @@
+"""Commands that make up for errors, and what is said of them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from typing import Literal
+
+import numpy as np
+import pytest
+
+from calib_pin.compensation import JUMP, compensate, follow
+from calib_pin.inverse_kinematics import Joints
+from calib_pin.io.urdf import load_chain
+from calib_pin.problem import nominal_problem
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.spatial import Floats, invert
+
+
+@pytest.fixture(scope="module")
+def model() -> CalibratedModel:
+    """An UR10 with errors of millimeters, about known frames."""
+    setup = Setup(
+        base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4)),
+        tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3)),
+    )
+    chain = load_chain("example:ur10_robot", tip="tool0")
+    problem = nominal_problem(chain, "pose", setup)
+    theta = 1e-3 * np.random.default_rng(0).normal(size=len(problem.parameters))
+    theta[problem.parameters.nuisance] = 0.0
+    return CalibratedModel.create(problem, theta)
+
+
+@pytest.fixture
+def q() -> Floats:
+    """A motion away from singularities."""
+    part = np.linspace(0.0, 1.0, 40)[:, None]
+    first = np.array([0.2, -1.2, 1.5, -0.8, 1.2, 0.3])
+    return first + part * np.array([0.8, 0.4, -0.5, 0.3, 0.4, 1.0])
+
+
+def test_targets(model, q):
+    targets = model.poses(q)
+    found = compensate(model, targets, q + 1e-3)
+    assert found.reached.all()
+    np.testing.assert_allclose(found.q, q, atol=1e-8)
+    assert found.oriented
+    # Before: where the real robot goes with what the nominal one would be told.
+    nominal = model.error.poses(found.nominal, 0.0 * model.theta)
+    np.testing.assert_allclose(nominal, targets, atol=1e-9)
+    real = model.poses(found.nominal)
+    distances = np.linalg.norm((real - targets)[:, :3, 3], axis=1)
+    np.testing.assert_allclose(found.position_before, distances, atol=1e-12)
+    assert distances.min() > 1e-4
+    assert found.orientation_before.min() > 1e-4
+    np.testing.assert_array_equal(found.corrections, found.q - found.nominal)
+    assert 1e-4 < np.abs(found.corrections).max() < 0.1
+
+
+def test_a_motion(model, q):
+    found = follow(model, q)
+    assert found.reached.all()
+    assert not found.jumps.any()
+    tips = model.error.tip_poses(found.q, model.theta)
+    np.testing.assert_allclose(tips, model.chain.poses(q), atol=1e-9)
+    np.testing.assert_array_equal(found.nominal, q)
+    assert np.abs(found.corrections).max() < 0.05
+    # As smooth as the motion itself.
+    bends = np.diff(found.corrections, n=2, axis=0)
+    assert np.abs(bends).max() < 1e-4
+
+
+def test_only_positions(model, q):
+    found = follow(model, q, orientation=False)
+    assert found.reached.all()
+    assert not found.oriented
+    assert (found.orientation == 0.0).all()
+    assert (found.orientation_before == 0.0).all()
+    tips = model.error.tip_poses(found.q, model.theta)
+    expected = model.chain.poses(q)[:, :3, 3]
+    np.testing.assert_allclose(tips[:, :3, 3], expected, atol=1e-9)
+    whole = follow(model, q)
+    smaller = np.linalg.norm(found.corrections, axis=1)
+    assert (smaller <= np.linalg.norm(whole.corrections, axis=1) + 1e-12).all()
+
+
+def test_the_base_frame_does_not_matter_to_a_motion(model, q):
+    moved = model.error.with_frames(model.error.base.inverse(), model.error.tool)
+    other = follow(replace(model, error=moved), q)
+    np.testing.assert_allclose(other.q, follow(model, q).q, atol=1e-9)
+
+
+def test_jumps(model, q):
+    found = follow(model, q)
+    torn = found.q.copy()
+    torn[7:] += 1.01 * JUMP * np.eye(6)[4]
+    torn[20:] += 0.9 * JUMP
+    assert np.flatnonzero(replace(found, q=torn).jumps).tolist() == [7]
+    assert len(follow(model, q[:1]).jumps) == 1
+    assert len(follow(model, q[:0]).jumps) == 0
+
+
+def test_a_target_that_the_nominal_robot_cannot_reach(model):
+    # Straight out: the real arm reaches a little farther than the nominal one, or less.
+    q = np.tile([0.3, -0.8, 0.0, 0.2, 0.5, 0.1], (20, 1))
+    q[:, 0] = np.linspace(-3.0, 3.0, 20)
+    found = compensate(model, model.poses(q), q)
+    assert found.reached.all()
+    lost = np.isnan(found.nominal).any(axis=1)
+    assert lost.any()
+    assert np.isnan(found.position_before[lost]).all()
+    assert len(found.corrections) == (~lost).sum()
+    assert np.isfinite(found.corrections).all()
+
+
+def test_at_a_limit(model, q):
+    joints = Joints.of(model.chain)
+    q[3, 5] = joints.upper[5]
+    found = compensate(model, model.poses(q), q)
+    assert found.reached.all()
+    assert np.flatnonzero(found.at_limit).tolist() == [3]
+
+
+@dataclass(frozen=True)
+class Learned:
+    """A motion of the tool that was learned."""
+
+    shift: Floats
+    space: Literal["tip"] = "tip"
+
+    def __call__(self, q: Floats) -> Floats:
+        return 1e-3 * np.sin(q)
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+
+def test_what_was_learned_of_the_tool_moves_the_tip(model, q):
+    learned = Learned(np.zeros(len(model.theta)))
+    model = replace(model, error=model.error.with_learned(learned))
+    found = follow(model, q)
+    assert found.reached.all()
+    # The tool stands still on the tip.
+    tool = model.error.tool.homogeneous
+    tips = invert(model.error.base.homogeneous) @ model.poses(found.q) @ invert(tool)
+    np.testing.assert_allclose(tips, model.chain.poses(q), atol=1e-9)
+
+
+def test_where_nothing_was_learned(model, q, monkeypatch):
+    assert not follow(model, q).outside.any()
+    monkeypatch.setattr(CalibratedModel, "outside", lambda _, q: q[:, 0] >= 0.6)
+    for found in (follow(model, q), compensate(model, model.poses(q), q)):
+        np.testing.assert_array_equal(found.outside, found.q[:, 0] >= 0.6)
+        assert 0 < found.outside.sum() < len(q)

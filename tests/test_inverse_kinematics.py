@@ -1,0 +1,523 @@
+"""Inverse kinematics: exact, within limits, closest to the start, and honest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from itertools import product
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.chain import Chain
+from calib_pin.inverse_kinematics import (
+    Joints,
+    Kinematics,
+    Solutions,
+    commands,
+    kinematics,
+    reach,
+    search,
+)
+from calib_pin.io.results import write_urdf
+from calib_pin.io.urdf import load_chain
+from calib_pin.problem import nominal_problem
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.spatial import Floats, so3_log
+
+ROBOTS = {
+    "ur10": ("example:ur10_robot", None, "tool0"),
+    "pa10": ("pa10", None, None),
+    "space7": ("space7", None, None),
+    "panda": ("example:panda", None, "panda_hand"),
+    # A prismatic joint, and a branch that is passed backwards.
+    "tiago": ("example:tiago_no_hand", None, "arm_7_link"),
+    "talos": (
+        "example:talos_reduced",
+        "gripper_right_base_link",
+        "gripper_left_base_link",
+    ),
+}
+REDUNDANT = ("pa10", "space7", "panda", "tiago", "talos")
+FRAMES = Setup(
+    base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4)),
+    tool_frame=FrameSetup((0.02, 0.03, 0.1), (-0.1, 0.2, 0.3)),
+)
+
+
+def robot(name: str) -> Chain:
+    file, base, tip = ROBOTS[name]
+    return load_chain(file, base=base, tip=tip)
+
+
+def calibrated(chain: Chain, size: float = 1e-3, **settings: Any) -> CalibratedModel:
+    """A robot with errors of geometry, and of gears where there are any."""
+    setup = replace(FRAMES, **settings)
+    problem = nominal_problem(chain, "pose", setup)
+    theta = np.random.default_rng(0).normal(size=len(problem.parameters))
+    theta[problem.parameters.nuisance] = 0.0
+    return CalibratedModel.create(problem, size * theta)
+
+
+def configurations(chain: Chain, count: int, seed: int = 1) -> Floats:
+    joints, rng = Joints.of(chain), np.random.default_rng(seed)
+    lower = np.maximum(joints.lower, -np.pi)
+    return rng.uniform(lower, np.minimum(joints.upper, np.pi), (count, len(lower)))
+
+
+def beside(chain: Chain, q: Floats, size: float) -> Floats:
+    noise = np.random.default_rng(2).normal(size=q.shape)
+    return Joints.of(chain).within(q + size * noise)
+
+
+def errors(T: Floats, targets: Floats) -> tuple[Floats, Floats]:
+    """Distances [m] and angles [rad]."""
+    turned = np.swapaxes(T[:, :3, :3], 1, 2) @ targets[:, :3, :3]
+    way = (T - targets)[:, :3, 3]
+    return np.linalg.norm(way, axis=1), np.linalg.norm(so3_log(turned), axis=1)
+
+
+def check(model: CalibratedModel, found: Solutions, targets: Floats) -> None:
+    """Reached, exactly, within the limits."""
+    assert found.reached.all()
+    distances, angles = errors(model.poses(found.q), targets)
+    assert distances.max() < 1e-9
+    assert angles.max() < 1e-9
+    np.testing.assert_allclose(found.position, distances, atol=1e-12)
+    joints = Joints.of(model.chain)
+    assert (found.q >= joints.lower).all()
+    assert (found.q <= joints.upper).all()
+
+
+# --- exact -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_from_no_start(name):
+    chain = robot(name)
+    model = calibrated(chain)
+    targets = model.poses(configurations(chain, 150))
+    check(model, commands(model, targets), targets)
+
+
+@pytest.mark.parametrize("name", ROBOTS)
+def test_from_a_start_nearby(name):
+    chain = robot(name)
+    model = calibrated(chain)
+    q = configurations(chain, 300)
+    targets, start = model.poses(q), beside(chain, q, 3e-3)
+    found = commands(model, targets, start)
+    check(model, found, targets)
+    assert np.median(np.abs(found.q - start)) < 0.01
+
+
+def test_corrections_that_no_urdf_can_hold():
+    chain = robot("ur10")
+    model = calibrated(chain, parameters=("placement", "transmission"))
+    assert not model.error.geometric
+    targets = model.poses(configurations(chain, 100))
+    check(model, commands(model, targets), targets)
+
+
+def test_what_was_learned_counts():
+    class Bent:
+        space = "joint"
+
+        def __init__(self, parameters: int) -> None:
+            self.shift = np.zeros(parameters)
+
+        def __call__(self, q: Floats) -> Floats:
+            return 5e-3 * np.sin(3.0 * q)
+
+        def weight(self, q: Floats) -> Floats:
+            return np.ones(len(q))
+
+    chain = robot("ur10")
+    model = calibrated(chain)
+    learned = Bent(len(model.theta))
+    model = replace(model, error=model.error.with_learned(learned))
+    q = configurations(chain, 100)
+    found = commands(model, model.poses(q), q + 1e-3)
+    check(model, found, model.poses(q))
+    T, _ = kinematics(model, nominal=True)(q)
+    expected = model.error.with_learned(None).poses(q, 0.0 * model.theta)
+    np.testing.assert_allclose(T, expected, atol=1e-15)
+
+
+def test_independent_forward_kinematics(tmp_path, independent_poses):
+    chain = robot("ur10")
+    model = calibrated(chain)
+    targets = model.poses(configurations(chain, 5))
+    found = commands(model, targets)
+    write_urdf(model, tmp_path / "corrected.urdf")
+    urdf = (tmp_path / "corrected.urdf").read_bytes()
+    for q, target in zip(found.q, targets, strict=True):
+        named = dict(zip(chain.joints, q, strict=True))
+        (F,) = independent_poses(urdf, named, [(chain.base, chain.tip)])
+        T = model.error.base.homogeneous @ F @ model.tool.homogeneous
+        np.testing.assert_allclose(T, target, atol=2e-9)
+
+
+def test_large_errors():
+    chain = robot("ur10")
+    model = calibrated(chain, size=0.05)
+    targets = model.poses(configurations(chain, 150))
+    check(model, commands(model, targets), targets)
+
+
+@pytest.mark.parametrize("name", ["ur10", "pa10"])
+def test_only_positions(name):
+    chain = robot(name)
+    model = calibrated(chain)
+    targets = model.poses(configurations(chain, 150))
+    found = commands(model, targets, orientation=False)
+    assert found.reached.all()
+    assert errors(model.poses(found.q), targets)[0].max() < 1e-9
+    assert (found.orientation == 0.0).all()
+    # The rotation of a target is not looked at.
+    targets[:, :3, :3] = np.nan
+    again = commands(model, targets, orientation=False)
+    np.testing.assert_array_equal(again.q, found.q)
+
+
+@pytest.mark.parametrize("name", ["ur10", "space7"])
+def test_singular_targets(name):
+    chain = robot(name)
+    model = calibrated(chain, size=0.0)
+    # Stretched elbows, aligned wrists, both, and the zero position.
+    q = configurations(chain, 40)
+    for k, joints in enumerate(((2,), (4,), (2, 4), range(len(chain.joints)))):
+        q[k::4, list(joints)] = 0.0
+    targets = model.poses(q)
+    # Where the arm just reaches, the error is that of the joints squared.
+    found = commands(model, targets, beside(chain, q, 0.1))
+    check(model, found, targets)
+
+
+def test_frames_and_points():
+    model = calibrated(robot("ur10"))
+    q = configurations(model.chain, 4)
+    F = model.error.tip_poses(q, model.theta)
+    base, tool = model.error.base.homogeneous, model.error.tool.homogeneous
+    for frame, point in product(("measuring", "base"), ("tool", "tip")):
+        left = base if frame == "measuring" else np.eye(4)
+        right = tool if point == "tool" else np.eye(4)
+        evaluate = kinematics(model, frame=frame, point=point)
+        T, J = evaluate(q)
+        np.testing.assert_allclose(T, left @ F @ right, atol=1e-14)
+        for joint, step in enumerate(1e-6 * np.eye(q.shape[1])):
+            ahead, behind = (evaluate(q + sign * step)[0] for sign in (1.0, -1.0))
+            turned = np.swapaxes(behind[:, :3, :3], 1, 2) @ ahead[:, :3, :3]
+            R, moved = np.swapaxes(T[:, :3, :3], 1, 2), (ahead - behind)[:, :3, 3:]
+            linear = (R @ moved)[:, :, 0]
+            twist = np.hstack([linear, so3_log(turned)]) / 2e-6
+            np.testing.assert_allclose(J[:, :, joint], twist, atol=1e-8)
+        found = commands(model, T, q + 0.01, frame=frame, point=point)
+        np.testing.assert_allclose(found.q, q, atol=1e-6)
+
+
+# --- limits ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ur10", "space7", "tiago"])
+def test_limits_are_never_left(name):
+    chain = robot(name)
+    joints = Joints.of(chain)
+    narrow = replace(joints, lower=0.3 * joints.lower, upper=0.3 * joints.upper)
+    narrow = replace(
+        narrow,
+        lower=np.maximum(narrow.lower, joints.lower),
+        upper=np.maximum(narrow.upper, narrow.lower + 0.1),
+    )
+    model = calibrated(chain)
+    evaluate, seen = kinematics(model), []
+
+    def watched(q: Floats) -> tuple[Floats, Floats]:
+        seen.append(q)
+        return evaluate(q)
+
+    # Half of the targets are behind the limits, and the starts outside.
+    q = configurations(chain, 60)
+    q[::2] = narrow.within(q[::2])
+    targets = model.poses(q)
+    found = search(watched, targets, narrow, q + 0.5)
+    assert found.reached[::2].mean() > 0.9
+    every = np.concatenate([found.q, *seen])
+    assert (every >= narrow.lower).all()
+    assert (every <= narrow.upper).all()
+    assert found.reached.sum() < 60
+    distances, angles = errors(evaluate(found.q)[0], targets)
+    np.testing.assert_allclose(found.position, distances, atol=1e-12)
+    np.testing.assert_allclose(found.orientation, angles, atol=1e-9)
+    assert (found.reached == (np.maximum(distances, angles) < 1e-9)).all()
+
+
+def test_a_target_at_a_limit():
+    chain = robot("pa10")
+    model, joints = calibrated(chain), Joints.of(chain)
+    q = configurations(chain, 100)
+    q[:, 1], q[:, 3] = joints.upper[1], joints.lower[3]
+    targets = model.poses(q)
+    found = commands(model, targets, beside(chain, q, 0.02))
+    check(model, found, targets)
+
+
+def test_limits_of_a_chain(urdf_of, chain_of):
+    chain = chain_of(
+        urdf_of(
+            {"name": "a", "parent": "0", "child": "1", "limits": (-np.pi, np.pi)},
+            {"name": "b", "parent": "1", "child": "2", "limits": (0, 0)},
+            {"name": "c", "parent": "2", "child": "3", "type": "continuous"},
+            {"name": "d", "parent": "3", "child": "4", "type": "prismatic"},
+            {"name": "e", "parent": "4", "child": "5", "limits": (1, 2)},
+        )
+    )
+    joints = Joints.of(chain)
+    inf = np.inf
+    np.testing.assert_allclose(joints.lower, [-np.pi, -inf, -inf, -2, 1])
+    np.testing.assert_allclose(joints.upper, [np.pi, inf, inf, 2, 2])
+    np.testing.assert_allclose(joints.home, [0, 0, 0, 0, 1.5])
+    q = np.array([[4.0, 7.0, 7.0, 3.0, 0.0]])
+    np.testing.assert_allclose(joints.within(q), [[np.pi, 7, 7, 2, 1]])
+    turned = joints.turned(np.array([[3.0, 7.0, -7.0, 1.5, 1.5]]), 0.0 * q)
+    np.testing.assert_allclose(turned, [[3, 7 - 2 * np.pi, 2 * np.pi - 7, 1.5, 1.5]])
+
+
+def test_continuous_joints_stay_in_the_turn_of_the_start(urdf_of, chain_of):
+    place = pin.SE3(pin.exp3(np.array([0.5, 0.2, 0.1])), np.array([0.3, 0.1, 0.4]))
+    chain = chain_of(
+        urdf_of(
+            *(
+                {
+                    "name": f"j{k}",
+                    "parent": str(k),
+                    "child": str(k + 1),
+                    "type": "continuous",
+                    "placement": place,
+                    "axis": ((0, 0, 1), (0, 1, 0), (1, 0, 0))[k % 3],
+                }
+                for k in range(6)
+            )
+        )
+    )
+    model = calibrated(chain)
+    turns = 2.0 * np.pi * np.array([1.0, -1.0, 2.0, 0.0, 5.0, -3.0])
+    q = configurations(chain, 50)
+    targets = model.poses(q)
+    found = commands(model, targets, q + turns + 1e-2)
+    check(model, found, targets)
+    np.testing.assert_allclose(found.q, q + turns, atol=1e-6)
+    # From far away as well, and with gears whose errors grow from turn to turn.
+    model = calibrated(chain, parameters=("placement", "transmission"))
+    targets = model.poses(q)
+    start = np.full_like(q, 20.0)
+    found = commands(model, targets, start)
+    check(model, found, targets)
+    assert np.abs(found.q - start).max() < np.pi + 0.1
+    assert np.abs(commands(model, targets).q).max() < np.pi + 0.1
+
+
+# --- redundancy --------------------------------------------------------------------
+
+
+def optimality(evaluate: Kinematics, found: Solutions, start: Floats, joints: Joints):
+    """What is left of the way to the start, were the target held, (N,).
+
+    At the closest solution the way is a combination of the rows of J and of what
+    joints at their limits are pushed outward with.
+    """
+    _, J = evaluate(found.q)
+    way, at_limit = start - found.q, joints.at_limit(found.q)
+    left = np.empty(len(way))
+    for k, free in enumerate(~at_limit):
+        y = np.linalg.lstsq(J[k][:, free].T, way[k, free], rcond=None)[0]
+        rest = way[k] - J[k].T @ y
+        inward = np.where(found.q[k] >= joints.upper, -rest, rest)
+        left[k] = np.where(free, np.abs(rest), inward).max()
+    return left
+
+
+@pytest.mark.parametrize("name", REDUNDANT)
+@pytest.mark.parametrize("size", [3e-3, 0.2])
+def test_closest_to_the_start(name, size):
+    chain = robot(name)
+    model, joints = calibrated(chain), Joints.of(chain)
+    q = configurations(chain, 100)
+    targets, start = model.poses(q), beside(chain, q, size)
+    evaluate = kinematics(model)
+    found = reach(evaluate, targets, start, joints)
+    assert found.reached.mean() >= 0.99
+    left = optimality(evaluate, found, start, joints)[found.reached]
+    assert np.quantile(left, 0.99) < 1e-7
+    moved = np.linalg.norm(found.q - start, axis=1)
+    assert (moved <= np.linalg.norm(q - start, axis=1) + 1e-9)[found.reached].all()
+
+
+def test_closest_position_to_a_start_far_away():
+    chain = robot("ur10")
+    model, joints = calibrated(chain), Joints.of(chain)
+    targets = model.poses(configurations(chain, 100))
+    start = np.tile([0.1, -1.0, 1.0, 0.3, 0.8, 0.0], (100, 1))
+
+    def positions(q: Floats) -> tuple[Floats, Floats]:
+        T, J = kinematics(model)(q)
+        return T, J[:, :3]
+
+    found = reach(kinematics(model), targets, start, joints, orientation=False)
+    assert found.reached.mean() > 0.9
+    left = optimality(positions, found, start, joints)[found.reached]
+    assert np.quantile(left, 0.98) < 1e-6
+
+
+def planar(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+    """Three joints in a plane, with links of 1, 0.8 and 0.5 m."""
+    steps = [0.0, 1.0, 0.8]
+    placements = [pin.SE3(np.eye(3), np.array([x, 0.0, 0.0])) for x in steps]
+    joints = [
+        {"name": f"j{k}", "parent": str(k), "child": str(k + 1), "placement": M}
+        for k, M in enumerate(placements)
+    ]
+    end = pin.SE3(np.eye(3), np.array([0.5, 0.0, 0.0]))
+    tip = {"name": "t", "parent": "3", "child": "tip", "type": "fixed"}
+    return chain_of(urdf_of(*joints, {**tip, "placement": end}))
+
+
+def test_brute_force(urdf_of, chain_of):
+    chain = planar(urdf_of, chain_of)
+    model, joints = calibrated(chain, size=0.0), Joints.of(chain)
+    start = np.array([[0.3, 0.9, 0.4], [0.1, 1.2, 1.9], [-1.9, 1.0, 0.5]])
+    targets = model.poses(start + np.array([[0.5, -0.4, 0.2]]) * [[1], [-1], [1]])
+    found = reach(kinematics(model), targets, start, joints, orientation=False)
+    assert found.reached.all()
+    F = model.error.base.inverse().homogeneous @ targets
+    reach_of_tool = np.array([0.5, 0.0]) + model.error.tool.translation[:2]
+    # The last angle on a grid fixes a two-link arm for each elbow.
+    last = np.linspace(-2.0, 2.0, 400_001)
+    turn = np.exp(1j * last)
+    second = 0.8 + turn * complex(*reach_of_tool)
+    for k in range(len(start)):
+        goal = complex(*F[k, :2, 3])
+        best = np.inf
+        cosine = (abs(goal) ** 2 - 1.0 - np.abs(second) ** 2) / (2 * np.abs(second))
+        possible = np.abs(cosine) <= 1.0
+        for elbow in (1.0, -1.0):
+            angle = elbow * np.arccos(cosine[possible])
+            q2 = angle - np.angle(second[possible])
+            q2 = (q2 + np.pi) % (2 * np.pi) - np.pi
+            arm = 1.0 + np.exp(1j * q2) * second[possible]
+            q1 = np.angle(goal / arm)
+            q = np.stack([q1, q2, last[possible]], axis=1)
+            q = q[(joints.within(q) == q).all(axis=1)]
+            best = min(best, np.linalg.norm(q - start[k], axis=1).min())
+        assert np.linalg.norm(found.q[k] - start[k]) == pytest.approx(best, abs=1e-8)
+
+
+def test_fewer_joints_than_components(urdf_of, chain_of):
+    chain = planar(urdf_of, chain_of)
+    model = calibrated(chain, size=0.0)
+    q = np.random.default_rng(0).uniform(-1.5, 1.5, (20, 3))
+    targets = model.poses(q)
+    check(model, commands(model, targets), targets)
+    # Out of the plane is out of reach; the best there is lies below.
+    targets[:, :3, 3] += 0.01 * model.error.base.rotation[:, 2]
+    found = commands(model, targets, q + 0.01, orientation=False)
+    assert not found.reached.any()
+    np.testing.assert_allclose(found.position, 0.01, atol=1e-7)
+
+
+# --- what cannot be reached --------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["ur10", "pa10"])
+@pytest.mark.parametrize("given", [True, False])
+def test_out_of_reach(name, given):
+    chain = robot(name)
+    model = calibrated(chain)
+    q = configurations(chain, 4)
+    targets = model.poses(q)
+    targets[::2, :3, 3] *= 5.0
+    targets[::2, 2, 3] += 3.0
+    found = commands(model, targets, q + 0.05 if given else None)
+    np.testing.assert_array_equal(found.reached, [False, True, False, True])
+    assert (found.position[::2] > 0.5).all()
+    joints = Joints.of(chain)
+    np.testing.assert_array_equal(joints.within(found.q), found.q)
+    distances, _ = errors(model.poses(found.q), targets)
+    np.testing.assert_allclose(found.position, distances, atol=1e-12)
+
+
+def test_just_out_of_reach_is_not_reached(urdf_of, chain_of):
+    chain = planar(urdf_of, chain_of)
+    model = calibrated(chain, size=0.0)
+    # The tool stands beside the arm, so it reaches farthest with a bent last joint.
+    tool = model.error.tool.translation
+    last = -np.arctan2(tool[1], 0.5 + tool[0])
+    targets = model.poses(np.tile([0.4, 0.0, last], (3, 1)))
+    outward = model.error.base.rotation @ [np.cos(0.4), np.sin(0.4), 0.0]
+    targets[:, :3, 3] += np.array([[-1e-4], [1e-8], [1e-3]]) * outward
+    found = commands(model, targets, orientation=False)
+    np.testing.assert_array_equal(found.reached, [True, False, False])
+    np.testing.assert_allclose(found.position[1:], [1e-8, 1e-3], rtol=1e-3)
+
+
+def test_not_a_number_reaches_nothing():
+    model = calibrated(robot("ur10"))
+    targets = model.poses(configurations(model.chain, 3))
+    targets[1, 0, 3] = np.nan
+    found = commands(model, targets)
+    np.testing.assert_array_equal(found.reached, [True, False, True])
+    assert np.isfinite(found.q).all()
+
+
+# --- as a whole --------------------------------------------------------------------
+
+
+def test_rows_do_not_depend_on_each_other():
+    model = calibrated(robot("pa10"))
+    q = configurations(model.chain, 5)
+    targets = model.poses(q)
+    targets[3, :3, 3] += 5.0
+    for start in (None, q + 0.1):
+        found = commands(model, targets, start)
+        for k in range(5):
+            one = None if start is None else start[k : k + 1]
+            alone = commands(model, targets[k : k + 1], one)
+            assert alone.reached[0] == found.reached[k]
+            if alone.reached[0]:
+                np.testing.assert_allclose(alone.q[0], found.q[k], atol=1e-6)
+
+
+def test_same_again():
+    model = calibrated(robot("space7"))
+    targets = model.poses(configurations(model.chain, 50))
+    first, second = commands(model, targets), commands(model, targets)
+    np.testing.assert_array_equal(first.q, second.q)
+
+
+def test_nothing_to_do():
+    model = calibrated(robot("ur10"))
+    for start in (None, np.empty((0, 6))):
+        found = commands(model, np.empty((0, 4, 4)), start)
+        assert found.q.shape == (0, 6)
+        assert len(found) == len(found.reached) == len(found.position) == 0
+
+
+def test_arguments_stay_as_they_are():
+    model = calibrated(robot("pa10"))
+    q = configurations(model.chain, 20)
+    targets, start = model.poses(q), q + 0.3
+    before = targets.copy(), start.copy()
+    commands(model, targets, start)
+    np.testing.assert_array_equal(targets, before[0])
+    np.testing.assert_array_equal(start, before[1])
+
+
+def test_half_turns():
+    # The logarithm of a half turn has no derivative.
+    model = calibrated(robot("ur10"))
+    q = configurations(model.chain, 20)
+    targets = model.poses(q + np.pi * np.eye(6)[5])
+    check(model, commands(model, targets, q), targets)

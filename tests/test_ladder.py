@@ -1,0 +1,502 @@
+"""The model ladder: what it keeps, what it leaves, and what it says about the rest."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.chain import Chain
+from calib_pin.errors import OptionError
+from calib_pin.ladder import Climbed, climb
+from calib_pin.measurements import Measurements
+from calib_pin.problem import nominal_problem
+from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
+from calib_pin.result import Rung
+from calib_pin.setup import FrameSetup, Payload, Setup
+from calib_pin.spatial import Floats
+from calib_pin.training import FOLDS, cross_validate
+
+NOISE = 2e-5
+TOOL = FrameSetup((0.05, 0.08, 0.12))
+BOTH = "+ transmission + compliance"
+RUNGS = ["joint offset", "geometric", "+ transmission", "+ compliance", BOTH]
+LOADED = Setup(payloads={"load": Payload(10.0, (0.1, 0.05, 0.15))})
+WRIST = ("joint_5", "joint_6", "joint_7")
+
+
+@pytest.fixture(autouse=True)
+def no_residual_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    """They take long and have tests of their own."""
+    for name in list(RESIDUAL_MODELS):
+        monkeypatch.delitem(RESIDUAL_MODELS, name)  # type: ignore[arg-type]
+
+
+@pytest.fixture(scope="module")
+def chain(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+    """A quick arm of three joints, which are not neatly at right angles."""
+    rng = np.random.default_rng(2)
+    axes = [(0, 0, 1), (0, 1, 0.1), (0.1, 1, 0)]
+    reach = [(0, 0, 0.3), (0.1, 0, 0.2), (0.5, 0, 0)]
+    joints = [
+        {
+            "name": f"joint_{k}",
+            "parent": f"link_{k - 1}",
+            "child": f"link_{k}",
+            "axis": axis,
+            "placement": pin.SE3(pin.exp3(0.1 * rng.normal(size=3)), np.array(at)),
+            "mass": (4.0, (0.25, 0.05, 0.0)),
+        }
+        for k, (axis, at) in enumerate(zip(axes, reach, strict=True), start=1)
+    ]
+    tool = pin.SE3(pin.exp3(np.array([0.0, 1.2, 0.0])), np.array([0.4, 0.0, 0.0]))
+    fixed = {"parent": "link_3", "child": "tool", "type": "fixed", "placement": tool}
+    return chain_of(urdf_of(*joints, {"name": "flange", **fixed}))
+
+
+def simulated(
+    chain: Chain,
+    kinds: Sequence[str],
+    setup: Setup = LOADED,
+    *,
+    joints: Sequence[str] = (),
+    count: int = 50,
+    seed: int = 1,
+) -> Measurements:
+    """Positions of a robot with errors of some kinds, compliance of some joints."""
+    stated = replace(setup, parameters=tuple(kinds), tool_frame=TOOL)
+    problem = nominal_problem(chain, "position", stated)
+    rng = np.random.default_rng(seed)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    for k, parameter in enumerate(problem.parameters):
+        joint, kind, _ = parameter.name.split(".")
+        if kind == "compliance":
+            truth[k] = parameter.scale if not joints or joint in joints else 0.0
+    return calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE)
+
+
+def rungs(climbed: Climbed) -> dict[str, Rung]:
+    return {rung.name: rung for rung in climbed.ladder.rungs}
+
+
+def kept(climbed: Climbed) -> Rung:
+    return climbed.ladder.rungs[climbed.ladder.chosen]
+
+
+# What is kept.
+
+
+@pytest.mark.parametrize(
+    ("truth", "joints", "expected", "parameters"),
+    [
+        (["joint-offset"], (), "joint offset", ("joint-offset",)),
+        (["placement"], (), "geometric", ("placement",)),
+        (
+            ["placement", "transmission"],
+            (),
+            "+ transmission",
+            ("placement", "transmission"),
+        ),
+        # What a wrist carries depends on all joints: no wave of one can pass for it.
+        (
+            ["placement", "compliance"],
+            WRIST,
+            "+ compliance",
+            ("placement", "compliance"),
+        ),
+        (
+            ["joint-offset", "compliance"],
+            WRIST,
+            "+ compliance",
+            ("joint-offset", "compliance"),
+        ),
+        (
+            ["placement", "transmission", "compliance"],
+            (),
+            BOTH,
+            ("placement", "transmission", "compliance"),
+        ),
+        # Waves pass for it in part, but it needs no waves.
+        (
+            ["placement", "compliance"],
+            (),
+            "+ compliance",
+            ("placement", "compliance"),
+        ),
+    ],
+    ids=lambda value: "-".join(value) if isinstance(value, list) else None,
+)
+def test_what_a_robot_has_is_kept(
+    truth: list[str],
+    joints: tuple[str, ...],
+    expected: str,
+    parameters: tuple[str, ...],
+) -> None:
+    chain = calib_pin.load_chain("pa10")
+    rows = simulated(chain, truth, joints=joints, count=80)
+    climbed = climb(chain, rows, LOADED, 0)
+    assert list(rungs(climbed)) == RUNGS
+    found = kept(climbed)
+    assert (found.name, found.parameters) == (expected, parameters)
+    assert climbed.setup.parameters == parameters
+    helps = {rung.name for rung in climbed.ladder.rungs if rung.helps}
+    assert {"joint offset", expected} <= helps
+    assert ("geometric" in helps) == ("placement" in truth)
+    assert (BOTH in helps) == (expected == BOTH)
+    assert not any(rung.reason for rung in climbed.ladder.rungs)
+    # As good as the noise, and what it was before is seen.
+    assert found.score == pytest.approx(1.0, abs=0.3)
+    ((quantity, unit, mean),) = found.errors
+    assert (quantity, unit) == ("position", "m")
+    # The mean length of three components of unit deviation is 1.6.
+    assert mean == pytest.approx(1.6 * NOISE * found.score, rel=0.1)
+    assert climbed.trained.fit.rank == found.rank
+    assert set(climbed.trained.problem.setup.parameters) == set(parameters)
+
+
+def test_waves_under_a_larger_compliance_are_found() -> None:
+    """Alone they do not help, and without them nothing is good."""
+    chain = calib_pin.load_chain("pa10")
+    wall = replace(LOADED, gravity=(0.0, 9.81, 0.0))
+    everything = ["placement", "transmission", "compliance"]
+    rows = simulated(chain, everything, wall, count=80, seed=2)
+    climbed = climb(chain, rows, wall, 0)
+    assert kept(climbed).parameters == tuple(everything)
+    assert kept(climbed).score < 2.0
+
+
+def test_the_scores_are_those_of_unseen_rows(chain: Chain) -> None:
+    rows = simulated(chain, ["placement"])
+    climbed = climb(chain, rows, Setup(), 0)
+    assert len(climbed.unseen) == FOLDS
+    order = np.argsort(np.concatenate([part.positions for part in climbed.unseen]))
+    after = np.concatenate([part.after for part in climbed.unseen])[order]
+    found = kept(climbed)
+    sizes = np.sqrt(np.mean((after / NOISE) ** 2, axis=1))
+    assert found.score == pytest.approx(sizes.mean())
+    assert found.deviation == pytest.approx(sizes.std(ddof=1) / np.sqrt(50))
+    assert found.errors[0][2] == pytest.approx(np.linalg.norm(after, axis=1).mean())
+    # The fit itself has seen them all.
+    _, fitted = climbed.trained.errors(rows)
+    assert np.mean(fitted**2) < np.mean(after**2)
+
+
+def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
+    rows = simulated(chain, ["dh"])
+    setup = Setup(parameters=("compliance", "dh", "joint-offset"))
+    climbed = climb(chain, rows, setup, 0)
+    assert [rung.parameters for rung in climbed.ladder.rungs] == [
+        ("joint-offset",),
+        ("dh",),
+        ("dh", "transmission"),
+        ("dh", "compliance"),
+        ("dh", "transmission", "compliance"),
+    ]
+    # Nothing but offsets and corrections is no geometry.
+    climbed = climb(chain, rows, Setup(parameters=("joint-offset",)), 0)
+    assert climbed.ladder.rungs[1].parameters == ("placement",)
+
+
+def test_gear_ratios_and_gravity_stay_on_every_rung(chain: Chain) -> None:
+    gears = replace(LOADED, gear_ratios={"joint_2": 50.0}, gravity=(0.0, 9.81, 0.0))
+    rows = simulated(chain, ["placement", "transmission", "compliance"], gears)
+    right, wrong = (climb(chain, rows, setup, 0) for setup in (gears, LOADED))
+    assert kept(right).parameters == ("placement", "transmission", "compliance")
+    assert kept(right).score < 0.5 * kept(wrong).score
+    names = right.trained.problem.parameters.names
+    assert "joint_2.transmission.motor_sin" in names
+
+
+def test_calibrating_with_the_ladder(chain: Chain) -> None:
+    """The result is that of the kept rung, cross-validated already."""
+    rows = simulated(chain, ["placement", "transmission"], Setup())
+    result = calib_pin.calibrate(chain, rows, ladder=True)
+    assert result.ladder is not None
+    rung = result.ladder.rungs[result.ladder.chosen]
+    assert rung.name == "+ transmission"
+    assert result.model.setup.parameters == rung.parameters
+    plain = calib_pin.calibrate(chain, rows, Setup(parameters=rung.parameters))
+    assert plain.ladder is None
+    np.testing.assert_array_equal(result.model.theta, plain.model.theta)
+    assert result.errors == plain.errors
+    assert (result.verdict, result.validation) == ("good", "5-fold")
+    assert result.errors[0].validation_after is not None
+    assert rung.errors[0][2] == result.errors[0].validation_after.mean
+
+
+def test_unseen_rows_of_a_file_check_what_the_ladder_kept(chain: Chain) -> None:
+    rows = simulated(chain, ["placement"], Setup())
+    training, unseen = rows.rows(np.arange(30)), rows.rows(np.arange(30, 50))
+    result = calib_pin.calibrate(chain, training, validation=unseen, ladder=True)
+    assert result.ladder is not None
+    assert (result.validation, result.validated) == ("file", 20)
+    # They have no part in the choice.
+    alone = climb(chain, training, Setup(), 0).ladder
+    assert alone == result.ladder
+
+
+# How rows are divided.
+
+
+def test_a_repeated_row_is_never_on_both_sides(
+    chain: Chain, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    rows = simulated(chain, ["placement"])
+    order = np.random.default_rng(0).permutation(np.repeat(np.arange(50), 3))
+    thrice = rows.rows(order)
+    noise = NOISE * np.random.default_rng(1).normal(size=thrice.values.shape)
+    thrice = replace(thrice, values=thrice.values + noise)
+    seen: list[list[Any]] = []
+
+    def watched(
+        chain: Chain, rows: Measurements, setup: Setup, masks: list[Any], *rest: Any
+    ) -> Any:
+        seen.append(masks)
+        return cross_validate(chain, rows, setup, masks, *rest)
+
+    monkeypatch.setattr("calib_pin.ladder.cross_validate", watched)
+    climb(chain, thrice, Setup(), 0)
+    assert len(seen) == len(RUNGS)
+    for masks in seen:
+        # All rungs are judged in the same parts.
+        np.testing.assert_array_equal(masks, seen[0])
+        np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
+        for mask in masks:
+            assert set(order[mask]).isdisjoint(order[~mask])
+
+
+def test_repetitions_make_no_score_more_certain(chain: Chain) -> None:
+    """A deviation counts configurations, however often each was read."""
+    rows = simulated(chain, ["placement"])
+    once = climb(chain, rows, Setup(), 0)
+    often = climb(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
+    for one, other in zip(once.ladder.rungs[:2], often.ladder.rungs, strict=False):
+        assert other.score == pytest.approx(one.score, rel=1e-3)
+        assert other.deviation == pytest.approx(one.deviation, rel=1e-3)
+
+
+def test_the_seed_divides(chain: Chain) -> None:
+    rows = simulated(chain, ["placement"])
+    first, again, other = (
+        [rung.score for rung in climb(chain, rows, Setup(), seed).ladder.rungs]
+        for seed in (3, 3, 4)
+    )
+    assert first == again
+    assert first != other
+
+
+# What cannot be tried.
+
+
+def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
+    """Five of seven configurations tell of offsets, but not of all the geometry."""
+    rows = simulated(chain, ["joint-offset"], count=7)
+    climbed = climb(chain, rows, Setup(), 0)
+    offset, geometric, transmission, compliance, both = climbed.ladder.rungs
+    assert not offset.reason and kept(climbed) is offset
+    assert not compliance.reason
+    for rung in (geometric, transmission, both):
+        assert rung.reason == "7 configurations are too few to leave a part out"
+        assert np.isnan(rung.score) and rung.rank == 0 and not rung.errors
+        assert not rung.helps
+
+
+def test_too_few_rows_for_any_rung(chain: Chain) -> None:
+    rows = simulated(chain, ["joint-offset"], count=4)
+    with pytest.raises(OptionError) as caught:
+        climb(chain, rows, Setup(), 0)
+    assert str(caught.value) == (
+        "the model ladder has no footing: 4 configurations are too few to leave a part "
+        "out"
+    )
+    # However often they were read.
+    with pytest.raises(OptionError, match="no footing: 4 configurations"):
+        climb(chain, rows.rows(np.repeat(np.arange(4), 20)), Setup(), 0)
+
+
+def test_without_masses_the_compliance_rung_says_why() -> None:
+    chain = calib_pin.load_chain("space6")
+    rows = simulated(chain, ["placement"], Setup())
+    climbed = climb(chain, rows, Setup(), 0)
+    rung = rungs(climbed)["+ compliance"]
+    assert rung.reason == (
+        "'compliance' needs something that gravity pulls at: there is no gravity, or "
+        "the links of 'space6' have no mass that loads a joint and there is no payload"
+    )
+    assert np.isnan(rung.score) and not rung.helps
+    assert kept(climbed).name == "geometric"
+    # A payload is enough.
+    assert not rungs(climb(chain, rows, LOADED, 0))["+ compliance"].reason
+
+
+def test_several_payloads_are_no_compliance(chain: Chain) -> None:
+    payloads = {"a": Payload(1.0), "b": Payload(2.0)}
+    rows = simulated(chain, ["placement"], Setup())
+    climbed = climb(chain, rows, Setup(payloads=payloads), 0)
+    assert rungs(climbed)["+ compliance"].reason.startswith("'payloads' names 2;")
+
+
+# Names and globs.
+
+
+def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
+    fixed = ("joint_3.placement.x", "joint_[12].transmission.*", "base.frame.z")
+    rows = simulated(chain, ["placement", "transmission"], Setup(fixed=fixed))
+    setup = Setup(
+        fixed=fixed,
+        bounds={"*.joint-offset.q": 1.0, "joint_3.transmission.gain": 1.0},
+        prior={"*.compliance.k": 1.0},
+        base_frame=FrameSetup((0.0, 0.0, 0.0)),
+    )
+    climbed = climb(chain, rows, setup, 0)
+    plain = climb(chain, rows, replace(setup, fixed=("base.frame.z",)), 0)
+    names = ("joint offset", "+ transmission")
+    fewer = [rungs(plain)[n].rank - rungs(climbed)[n].rank for n in names]
+    assert fewer[0] == 0 and fewer[1] >= 10
+    assert kept(climbed).name == kept(plain).name == "+ transmission"
+    # The setup of the result has what its own parameters understand.
+    assert climbed.setup.fixed == setup.fixed
+    assert climbed.setup.bounds == {"joint_3.transmission.gain": 1.0}
+    assert climbed.setup.prior == {}
+    found = climbed.trained.problem.parameters
+    assert not found.free[found.index("joint_2.transmission.sin1")]
+    assert found.free[found.index("joint_3.transmission.sin1")]
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"fixed": ("joint_3.placment.x",)},
+        {"bounds": {"joint_3.placment.x": 0.1}},
+        {"prior": {"joint_3.placment.x": 0.1}},
+    ],
+)
+def test_a_pattern_of_no_rung(stated: Mapping[str, Any], chain: Chain) -> None:
+    rows = simulated(chain, ["placement"], Setup())
+    with pytest.raises(OptionError) as caught:
+        climb(chain, rows, Setup(file="s.yaml", **stated), 0)
+    assert str(caught.value) == (
+        "s.yaml: no parameter matches 'joint_3.placment.x' (did you mean "
+        "'joint_3.placement.x'?)"
+    )
+
+
+def test_motors_without_a_gear_ratio_are_on_no_rung(chain: Chain) -> None:
+    rows = simulated(chain, ["placement"], Setup())
+    fixed = ("joint_1.transmission.motor_*",)
+    with pytest.raises(OptionError, match="no parameter matches 'joint_1"):
+        climb(chain, rows, Setup(fixed=fixed), 0)
+    climb(chain, rows, Setup(fixed=fixed, gear_ratios={"joint_1": 50.0}), 0)
+
+
+# Learned rungs.
+
+
+@dataclass(frozen=True)
+class Wave:
+    """Every joint moves with the one before, which no parameter knows."""
+
+    size: float
+    shift: Floats
+    space: Literal["joint", "tip"] = "joint"
+
+    @property
+    def region(self) -> Self:
+        return self
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.asarray(self.size * np.sin(5.0 * np.roll(q, 1, axis=1)))
+
+
+@dataclass(frozen=True)
+class Trainer:
+    """Knows the truth, or something else, without looking."""
+
+    size: float
+
+    def __call__(
+        self,
+        rows: TrainingRows,
+        rng: np.random.Generator,
+        *,
+        progress: Callable[[float], None] | None = None,
+    ) -> Wave:
+        if not self.size:
+            raise OptionError("it has no mind to learn")
+        if progress is not None:
+            progress(0.5)
+        return Wave(self.size, np.zeros(rows.shifts))
+
+
+@pytest.fixture
+def trainers(no_residual_models: None, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name, size in (("lazy", 0.0), ("wrong", -2e-4), ("right", 5e-4)):
+        trainer = Trainer(size)
+        monkeypatch.setitem(RESIDUAL_MODELS, name, trainer)  # type: ignore[arg-type]
+
+
+def waving(chain: Chain, rows: Measurements) -> Measurements:
+    """The same rows of a robot that has the wave as well."""
+    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
+    zero = np.zeros(len(problem.error.screws))
+    wave = Wave(5e-4, np.zeros(len(zero)))
+    moved = replace(problem.error, learned=wave).poses(rows.q, zero)
+    change = moved - problem.error.poses(rows.q, zero)
+    return replace(rows, values=rows.values + change[:, :3, 3])
+
+
+@pytest.mark.usefixtures("trainers")
+def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
+    rows = waving(chain, simulated(chain, ["joint-offset"], Setup()))
+    climbed = climb(chain, rows, Setup(), 0)
+    found = rungs(climbed)
+    assert list(found) == [*RUNGS, "+ lazy", "+ wrong", "+ right"]
+    below = ("joint-offset",)
+    for name in ("lazy", "wrong", "right"):
+        rung = found[f"+ {name}"]
+        assert (rung.learned, rung.parameters) == (name, below)
+    assert found["+ lazy"].reason == "it has no mind to learn"
+    assert not found["+ wrong"].helps and not found["+ wrong"].reason
+    assert kept(climbed) is found["+ right"] and kept(climbed).helps
+    assert kept(climbed).score < 0.3 * found["joint offset"].score
+    assert climbed.setup.learned == "right"
+    learned = climbed.trained.problem.error.learned
+    assert isinstance(learned, LearnedCorrection)
+    assert isinstance(learned.model, Wave) and learned.model.size == 5e-4
+    # Its errors on unseen rows, not those of the parameters alone.
+    after = np.concatenate([part.after for part in climbed.unseen])
+    mean = np.linalg.norm(after, axis=1).mean()
+    assert kept(climbed).errors[0][2] == pytest.approx(mean)
+    assert mean < 0.3 * found["joint offset"].errors[0][2]
+
+
+@pytest.mark.usefixtures("trainers")
+def test_what_need_not_be_learned_is_not(chain: Chain) -> None:
+    rows = simulated(chain, ["placement"], Setup())
+    climbed = climb(chain, rows, Setup(learned="right"), 0)
+    # Only what the setup asks for is tried.
+    assert list(rungs(climbed)) == [*RUNGS, "+ right"]
+    assert kept(climbed).name == "geometric"
+    assert climbed.setup.learned is None
+    assert climbed.trained.problem.error.learned is None
+    assert not rungs(climbed)["+ right"].helps
+    assert rungs(climbed)["+ right"].parameters == ("placement",)
+
+
+@pytest.mark.usefixtures("trainers")
+def test_progress_goes_up_the_ladder(chain: Chain) -> None:
+    told: list[tuple[str, float]] = []
+    rows = simulated(chain, ["placement"], Setup())
+    climb(chain, rows, Setup(), 0, lambda stage, part: told.append((stage, part)))
+    stages, parts = zip(*told, strict=True)
+    assert list(dict.fromkeys(stages)) == [*RUNGS, "+ lazy", "+ wrong", "+ right"]
+    assert list(parts) == sorted(parts)
+    assert parts[0] == 0.0 and 0.9 < parts[-1] <= 1.0

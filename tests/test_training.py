@@ -1,0 +1,287 @@
+"""Folds, unseen rows, and what a residual model is given to learn from."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.chain import Chain
+from calib_pin.fit import fit
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem, nominal_problem
+from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.spatial import Floats
+from calib_pin.training import (
+    FOLDS,
+    cross_validate,
+    folds,
+    portion,
+    train,
+    training_rows,
+)
+
+Measured = Callable[..., Problem]
+
+SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
+
+
+def measured_rows(
+    setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
+) -> tuple[Chain, Measurements]:
+    """Positions of `space6`; the readings of a configuration differ by noise."""
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(1)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(
+        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
+    )
+    # Readings of one configuration need not stand side by side.
+    return chain, rows.rows(rng.permutation(len(rows)))
+
+
+# Folds.
+
+
+@pytest.mark.parametrize("seed", [0, 1])
+@pytest.mark.parametrize("repeats", [1, 4])
+def test_repetitions_stay_together(repeats: int, seed: int) -> None:
+    chain, rows = measured_rows(repeats=repeats, count=43)
+    masks = folds(rows, train(chain, rows, SETUP, 0).fit, seed)
+    assert len(masks) == FOLDS
+    np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
+    configurations = [
+        ({tuple(q) for q in rows.q[mask]}, {tuple(q) for q in rows.q[~mask]})
+        for mask in masks
+    ]
+    assert all(left.isdisjoint(kept) for left, kept in configurations)
+    assert sorted(len(left) for left, _ in configurations) == [8, 8, 9, 9, 9]
+
+
+def test_folds_are_drawn_by_the_seed() -> None:
+    chain, rows = measured_rows()
+    fitted = train(chain, rows, SETUP, 0).fit
+    first, again, other = (np.array(folds(rows, fitted, seed)) for seed in (3, 3, 4))
+    assert np.array_equal(first, again)
+    assert not np.array_equal(first, other)
+
+
+def test_few_configurations_have_no_folds() -> None:
+    """What is fitted without a part must still determine the robot."""
+    chain, rows = measured_rows()
+    labels = rows.groups()
+    rank = train(chain, rows, SETUP, 0).fit.structure.rank
+    # So many configurations that four parts of five hold more values than that.
+    enough = next(n for n in range(5, 40) if 3 * (n - -(-n // 5)) > rank)
+    for count, expected in ((enough - 1, 0), (enough, FOLDS), (4, 0)):
+        some = rows.rows(labels < count)
+        assert len(folds(some, train(chain, some, SETUP, 0).fit, 0)) == expected
+    # Repetitions do not help.
+    thrice = rows.rows(np.repeat(np.flatnonzero(labels < enough - 1), 3))
+    assert not folds(thrice, train(chain, thrice, SETUP, 0).fit, 0)
+
+
+def test_every_plane_stays_in_every_part() -> None:
+    known = FrameSetup(estimate=False)
+    setup = Setup(
+        parameters=("joint-offset",),
+        base_frame=known,
+        tool_frame=known,
+        planes={
+            "a": PlaneSetup((0.0, 1.0, 4.6), -0.69),
+            "b": PlaneSetup((1.0, 0.3, 4.0), -0.69),
+        },
+    )
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "plane-distance", setup)
+    rows = calib_pin.simulate(
+        problem, problem.held, np.random.default_rng(0), count=100, noise=1e-4
+    )
+    fitted = fit(replace(problem, data=rows), np.random.default_rng(0))
+    assert len(folds(rows, fitted, 0)) == FOLDS
+    of_b = [k for k, name in enumerate(rows.target) if name == "b"]
+    few = rows.rows(np.setdiff1d(np.arange(100), of_b[4:]))
+    assert not folds(few, fitted, 0)
+
+
+# Cross-validation.
+
+
+def test_unseen_rows_are_not_fitted() -> None:
+    chain, rows = measured_rows(repeats=2)
+    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
+    parts = list(cross_validate(chain, rows, SETUP, masks, 0))
+    positions = np.concatenate([part.positions for part in parts])
+    assert sorted(positions) == list(range(len(rows)))
+    for part, mask in zip(parts, masks, strict=True):
+        np.testing.assert_array_equal(part.positions, np.flatnonzero(mask))
+        assert part.before.shape == part.after.shape == (mask.sum(), 3)
+        assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
+    # Whatever the left-out values are, the model that meets them is the same.
+    values = rows.values.copy()
+    values[masks[2]] += 0.01
+    spoiled = replace(rows, values=values)
+    (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0)
+    np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-15)
+
+
+def test_progress_of_a_cross_validation() -> None:
+    chain, rows = measured_rows()
+    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
+    told: list[tuple[str, float]] = []
+    for _ in cross_validate(
+        chain, rows, SETUP, masks, 0, lambda stage, part: told.append((stage, part))
+    ):
+        pass
+    stages, parts = zip(*told, strict=True)
+    assert list(dict.fromkeys(stages)) == [f"check {k} of 5" for k in range(1, 6)]
+    assert list(parts) == sorted(parts)
+    assert parts[0] == 0.0 and parts[-1] <= 1.0
+
+
+def test_a_portion_never_goes_back() -> None:
+    told: list[float] = []
+    part = portion(told.append, 0.2, 0.4)
+    assert part is not None
+    for done in (0.5, 0.1, 1.0, 0.0):
+        part(done)
+    np.testing.assert_allclose(told, [0.2, 0.4, 0.4, 0.6, 0.6])
+    assert portion(None, 0.0, 1.0) is None
+
+
+# What is learned from.
+
+
+@pytest.mark.parametrize("space", ["joint", "tip"])
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_derivatives_of_training_rows(
+    model: str, space: str, special_chain: Chain, measured: Measured, framed: Setup
+) -> None:
+    problem = measured(
+        special_chain,
+        model,
+        ["placement", "transmission"],
+        5,
+        gear_ratios=framed.gear_ratios,
+    )
+    rng = np.random.default_rng(4)
+    theta = 0.02 * rng.normal(size=len(problem.parameters))
+    directions = rng.normal(size=(len(problem.error.screws), 3))
+    rows = training_rows(problem, theta, directions)
+    assert rows.shifts == 3
+    np.testing.assert_array_equal(rows.q, problem.data.q)
+    np.testing.assert_array_equal(rows.groups, problem.data.groups())
+    np.testing.assert_array_equal(rows.revolute, special_chain.revolute)
+    call = rows.by_joint if space == "joint" else rows.by_tip
+    size = len(special_chain.joints) if space == "joint" else 6
+    correction, shift = np.zeros((5, size)), 0.01 * rng.normal(size=3)
+    if space == "joint":
+        # Twists of the tip do not add up; their derivative is that at zero.
+        correction = 0.02 * rng.normal(size=(5, size))
+    at = call(correction, shift)
+    step = 1e-6
+
+    def difference(by_correction: Floats, by_shift: Floats) -> Floats:
+        ahead, behind = (
+            call(correction + s * by_correction, shift + s * by_shift).residual
+            for s in (step, -step)
+        )
+        return np.asarray((ahead - behind) / (2.0 * step))
+
+    still = np.zeros_like(correction), np.zeros(3)
+    for k in range(size):
+        found = difference(np.tile(np.eye(size)[k], (5, 1)), still[1])
+        largest = np.abs(at.by_correction).max()
+        np.testing.assert_allclose(
+            at.by_correction[:, :, k], found, rtol=0, atol=2e-7 * largest
+        )
+    for k in range(3):
+        found = difference(still[0], np.eye(3)[k])
+        largest = np.abs(at.by_shift).max()
+        np.testing.assert_allclose(
+            at.by_shift[:, :, k], found, rtol=0, atol=2e-7 * largest
+        )
+    # Nothing learned leaves the residual of the problem.
+    plain = call(*still).residual
+    expected = problem.errors(theta) / problem.sigma
+    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A correction of all joints by one number."""
+
+    size: float
+    shift: Floats
+    space: Literal["joint", "tip"] = "joint"
+
+    @property
+    def region(self) -> Self:
+        return self
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.full_like(q, self.size)
+
+
+class Memory:
+    """A residual model that remembers what it was given."""
+
+    def __init__(self) -> None:
+        self.rows: list[TrainingRows] = []
+        self.draws: list[float] = []
+
+    def __call__(
+        self, rows: TrainingRows, rng: np.random.Generator, *, progress: Any = None
+    ) -> Steps:
+        self.rows.append(rows)
+        self.draws.append(rng.random())
+        return Steps(0.001, np.zeros(rows.shifts))
+
+
+@pytest.fixture
+def memory(monkeypatch: pytest.MonkeyPatch) -> Memory:
+    result = Memory()
+    monkeypatch.setitem(RESIDUAL_MODELS, "memory", result)  # type: ignore[arg-type]
+    return result
+
+
+def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
+    chain, rows = measured_rows()
+    plain = train(chain, rows, SETUP, 3)
+    learned = train(chain, rows, replace(SETUP, learned="memory"), 3)
+    np.testing.assert_array_equal(learned.fit.theta, plain.fit.theta)
+    assert learned.fit.problem.error.learned is None
+    # It learned from what the fit has left, about the fitted frames.
+    (given,) = memory.rows
+    # Not those that turn the tool, which no position shows.
+    assert given.shifts == learned.fit.rank
+    zero = np.zeros((len(rows), 6)), np.zeros(given.shifts)
+    sigma = plain.fit.problem.sigma
+    left = plain.fit.problem.errors(plain.fit.theta) / sigma
+    np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
+    # And it predicts.
+    corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
+    before, after = learned.errors(rows)
+    np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(before, plain.errors(rows)[0])
+
+
+def test_each_part_learns_without_the_others(memory: Memory) -> None:
+    chain, rows = measured_rows(repeats=2)
+    setup = replace(SETUP, learned="memory")
+    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
+    list(cross_validate(chain, rows, setup, masks, 7))
+    for given, mask in zip(memory.rows, masks, strict=True):
+        np.testing.assert_array_equal(given.q, rows.q[~mask])
+    # The same seed in all of them.
+    assert len(set(memory.draws)) == 1

@@ -285,16 +285,26 @@ def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
                 yield names[j], names[i], float(correlation[i, j])
 
 
-def outliers(fitted: Fit) -> tuple[Outlier, ...]:
-    """Rows beyond the chi-square quantile that one row in a hundred sets exceeds."""
+def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
+    """Rows beyond the chi-square quantile that one row in a hundred sets exceeds.
+
+    Args:
+        fitted: The fit.
+        errors: Errors of its rows, with what was learned on top, shape (N, d).
+    """
     from scipy.special import chdtri
 
     if not np.isfinite(fitted.sigma0) or fitted.sigma0 == 0.0:
         return ()
     data = fitted.problem.data
-    whitened = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
-    # A row that spoils the fit must not make outliers of all the others.
-    unit = fitted.sigma0 if data.sigma is None else max(1.0, fitted.sigma0)
+    whitened = errors / fitted.problem.sigma
+    # What was learned explains a part of the scatter.
+    before = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
+    sizes = [float(np.linalg.norm(rows)) for rows in (whitened, before)]
+    unit = fitted.sigma0 * min(sizes[0] / max(sizes[1], 1e-300), 1.0)
+    if data.sigma is not None:
+        # A row that spoils the fit must not make outliers of all the others.
+        unit = max(1.0, unit)
     squares = np.sum((whitened / unit) ** 2, axis=1)
     limit = chdtri(whitened.shape[1], 0.01 / len(data))
     order = np.argsort(-squares, kind="stable")

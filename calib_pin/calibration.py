@@ -33,6 +33,7 @@ from calib_pin.result import (
     Evaluation,
     Identification,
     QuantityErrors,
+    UrdfResult,
 )
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
@@ -130,11 +131,9 @@ def calibrate(
         checks = [(part.before, part.after) for part in parts]
         method = f"{len(checks)}-fold" if checks else "none"
     fitted = trained.fit
-    geometric, geometry = trained.problem.error.geometric, trained
-    if not geometric:
-        geometry = geometry_alone(chain, training, fitted.problem.setup, seed)
     errors = tuple(_quantity_errors(trained, checks))
     status, reason = verdict(fitted, errors)
+    urdf = _urdf(chain, training, trained, unseen if validate else None, seed)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
         model=CalibratedModel.create(trained.problem, trained.theta),
@@ -152,7 +151,7 @@ def calibrate(
         dof=fitted.dof,
         sigma0=fitted.sigma0,
         stated_sigma=training.sigma is not None,
-        outliers=outliers(fitted),
+        outliers=outliers(fitted, trained.errors(training)[1]),
         solver=fitted.solver,
         evaluator=fitted.evaluator,
         history=tuple(
@@ -174,8 +173,8 @@ def calibrate(
             if name
         ),
         ladder=None if climbed is None else climbed.ladder,
-        geometry=CalibratedModel.create(geometry.problem, geometry.theta),
-        urdf=() if geometric else _urdf_errors(geometry, unseen),
+        urdf=urdf,
+        silent=trained.silent,
     )
 
 
@@ -300,15 +299,37 @@ def _split(
     return training, unseen if len(unseen) else None, "set"
 
 
-def _urdf_errors(
-    geometry: Trained, unseen: Measurements | None
-) -> tuple[tuple[str, str, Accuracy], ...]:
-    """Accuracy of the geometry alone, which is all that a URDF can hold."""
-    rows = geometry.problem.data if unseen is None else unseen
-    _, errors = geometry.errors(rows)
-    return tuple(
-        (quantity.name, quantity.unit, Accuracy.of(quantity.errors(errors)))
-        for quantity in geometry.problem.measurement.quantities
+def _urdf(
+    chain: Chain,
+    rows: Measurements,
+    trained: Trained,
+    unseen: Measurements | None,
+    seed: int,
+) -> UrdfResult | None:
+    """The geometry alone, judged like a calibration of its own.
+
+    None where the calibration is nothing but geometry.
+    """
+    if trained.problem.error.geometric:
+        return None
+    setup = geometry_alone(chain, rows, trained.fit.problem.setup)
+    if not setup.parameters:
+        return UrdfResult(None, (), "nothing of this calibration has a place in a URDF")
+    if setup.parameters == trained.fit.problem.setup.parameters:
+        fitted = trained.fit
+        geometry = Trained(fitted, *fitted.problem.at(fitted.theta))
+    else:
+        geometry = train(chain, rows, setup, seed)
+    if unseen is not None:
+        checks = [geometry.errors(unseen)]
+    else:
+        masks = folds(rows, geometry.fit, seed)
+        parts = cross_validate(chain, rows, setup, masks, seed)
+        checks = [(part.before, part.after) for part in parts]
+    errors = tuple(_quantity_errors(geometry, checks))
+    _, reason = verdict(geometry.fit, errors)
+    return UrdfResult(
+        CalibratedModel.create(geometry.problem, geometry.theta), errors, reason
     )
 
 

@@ -31,6 +31,7 @@ __all__ = [
     "ParameterEstimate",
     "QuantityErrors",
     "Rung",
+    "UrdfResult",
 ]
 
 
@@ -256,8 +257,11 @@ class CalibratedModel:
         return self.error.learned is None and not moved
 
     @property
-    def geometry(self) -> CalibratedModel:
-        """The model without what a URDF cannot hold."""
+    def without_corrections(self) -> CalibratedModel:
+        """The model without what a URDF cannot hold: of a true robot, its geometry.
+
+        Of a fit that is no use, see `CalibrationResult.geometry`.
+        """
         theta = self.theta.copy()
         theta[self.error.joint_corrections] = 0.0
         return replace(self, error=self.error.with_learned(None), theta=theta)
@@ -295,13 +299,26 @@ class CalibratedModel:
 
 
 @dataclass(frozen=True)
+class UrdfResult:
+    """The geometry alone, of a calibration that is more than a URDF can hold.
+
+    Attributes:
+        model: The robot calibrated by its geometry; None without parameters of it.
+        errors: Accuracy by quantity, judged like that of the calibration.
+        reason: Why there must be no URDF; empty where it is good.
+    """
+
+    model: CalibratedModel | None
+    errors: tuple[QuantityErrors, ...]
+    reason: str
+
+
+@dataclass(frozen=True)
 class CalibrationResult(Identification):
     """Everything a calibration found.
 
     Attributes:
         model: The calibrated robot.
-        geometry: The same robot calibrated by its geometry alone, which is what a URDF
-            can hold; the model itself where there is nothing else.
         reference: The nominal robot about the registered frames and instrument that
             the values of their parameters deviate from.
         verdict: `good` or `untrusted`.
@@ -328,13 +345,11 @@ class CalibrationResult(Identification):
         covariance: Of the parameters, shape (P, P).
         files: Measurement files.
         ladder: The model ladder, if one was climbed.
-        urdf: Name, unit and accuracy of every quantity with the geometry alone, on the
-            rows set aside for validation if there are any, else on the fitted ones;
-            empty where there is nothing but geometry.
+        urdf: The geometry alone, where the model is more than that.
+        silent: Name of the residual model that found nothing to correct, if one did.
     """
 
     model: CalibratedModel
-    geometry: CalibratedModel
     reference: CalibratedModel
     verdict: str
     reason: str
@@ -358,7 +373,17 @@ class CalibrationResult(Identification):
     covariance: Floats = field(repr=False)
     files: tuple[str, ...] = ()
     ladder: Ladder | None = None
-    urdf: tuple[tuple[str, str, Accuracy], ...] = ()
+    urdf: UrdfResult | None = None
+    silent: str = ""
+
+    @property
+    def geometry(self) -> CalibratedModel | None:
+        """What a URDF gets: the best geometry; None where it must not have any."""
+        if self.verdict != "good":
+            return None
+        if self.urdf is None:
+            return self.model
+        return None if self.urdf.reason else self.urdf.model
 
 
 @dataclass(frozen=True)

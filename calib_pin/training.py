@@ -43,6 +43,7 @@ __all__ = [
     "named",
     "parameter_names",
     "portion",
+    "shifts",
     "shuffled_groups",
     "train",
     "training_rows",
@@ -73,11 +74,13 @@ class Trained:
         fit: The fit of the parameters.
         problem: Its problem about the solution, with what was learned.
         theta: Parameter values about that, shape (P,).
+        silent: Name of the residual model that found nothing to correct, if one did.
     """
 
     fit: Fit
     problem: Problem
     theta: Floats
+    silent: str = ""
 
     def errors(self, rows: Measurements) -> tuple[Floats, Floats]:
         """Errors of N rows in the units of the residual, shape (N, d) each.
@@ -135,34 +138,37 @@ def train(
         return Trained(fitted, problem, theta)
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
-    directions = _shifts(fitted)
+    directions = shifts(fitted)
     found = RESIDUAL_MODELS[setup.learned](
         training_rows(problem, theta, directions),
         rng,
         progress=portion(progress, part, 1.0 - part),
     )
+    if not (found.shift.any() or found(problem.data.q).any()):
+        # Nothing held on rows that it had not seen.
+        nothing = replace(problem, setup=replace(setup, learned=None))
+        return Trained(fitted, nothing, theta, silent=setup.learned)
     learned = LearnedCorrection(found, directions @ found.shift)
     error = problem.error.with_learned(learned)
     return Trained(fitted, replace(problem, error=error), theta)
 
 
-def geometry_alone(
-    chain: Chain, rows: Measurements, setup: Setup, seed: int
-) -> Trained:
-    """The best of what a URDF can hold.
+def geometry_alone(chain: Chain, rows: Measurements, setup: Setup) -> Setup:
+    """The setup of what a URDF can hold; without parameters where that is nothing.
 
     What a fit with gears and compliance leaves to the geometry is no use without them:
-    a gear ratio and an offset that nearly cancel, say.
+    a gear ratio and an offset that nearly cancel, say. It needs a fit of its own.
 
     Args:
         chain: The nominal chain.
         rows: The rows to fit.
         setup: What is estimated, what is known.
-        seed: As for `train`.
     """
+    plain = replace(setup, learned=None)
     names = tuple(name for name in setup.parameters if name not in BEYOND)
-    plain = with_parameters(chain, rows, replace(setup, learned=None), names)
-    return train(chain, rows, plain, seed)
+    if names == setup.parameters:
+        return plain
+    return with_parameters(chain, rows, plain, names)
 
 
 def with_parameters(
@@ -245,7 +251,7 @@ class _Given:
         return np.ones(len(q))
 
 
-def _shifts(fitted: Fit) -> Floats:
+def shifts(fitted: Fit) -> Floats:
     """Directions of the error model that the fit could tell, in its scales, (P', k).
 
     Those of the robot and the frames; the instrument stays as it was fitted.

@@ -8,6 +8,7 @@ from typing import Literal
 import numpy as np
 import pytest
 
+import calib_pin
 from calib_pin.compensation import JUMP, compensate, follow
 from calib_pin.inverse_kinematics import Joints
 from calib_pin.io.urdf import load_chain
@@ -152,3 +153,39 @@ def test_where_nothing_was_learned(model, q, monkeypatch):
     for found in (follow(model, q), compensate(model, model.poses(q), q)):
         np.testing.assert_array_equal(found.outside, found.q[:, 0] >= 0.6)
         assert 0 < found.outside.sum() < len(q)
+
+
+@pytest.mark.parametrize(
+    ("parameters", "learned", "count"),
+    [
+        (("placement",), None, 60),
+        (("placement", "transmission", "compliance"), None, 100),
+        (("placement",), "network", 80),
+    ],
+    ids=["geometry", "structure", "network"],
+)
+def test_the_real_robot_is_as_accurate_as_the_model(
+    parameters: tuple[str, ...], learned: str | None, count: int
+) -> None:
+    """Commanded targets are reached as well as unseen rows are predicted."""
+    chain = calib_pin.load_chain("pa10")
+    tool = FrameSetup((0.06, 0.02, 0.1), (0.0, 0.0, 0.0))
+    kinds = ("placement", "transmission", "compliance")
+    real = nominal_problem(chain, "position", Setup(parameters=kinds, tool_frame=tool))
+    rng = np.random.default_rng(5)
+    truth = calib_pin.draw_errors(real.parameters, rng)
+    rows = calib_pin.simulate(real, truth, rng, count=count, noise=2e-5)
+    unseen = calib_pin.simulate(real, truth, rng, count=300, noise=0.0)
+    unseen = replace(unseen, sigma=np.full_like(unseen.values, 2e-5))
+    setup = Setup(parameters=parameters, learned=learned)
+    result = calib_pin.calibrate(chain, rows, setup, validation=unseen)
+    expected = result.errors[0].validation_after
+    assert expected is not None and result.verdict == "good"
+
+    targets = real.error.poses(chain.random_configurations(300, rng), truth)
+    found = compensate(result.model, targets, orientation=False)
+    assert found.reached.mean() > 0.99
+    assert found.position[found.reached].max() < 1e-9
+    reached = real.error.poses(found.q, truth)[:, :3, 3]
+    errors = np.linalg.norm(reached - targets[:, :3, 3], axis=1)[found.reached]
+    assert errors.mean() < 1.2 * expected.mean

@@ -57,6 +57,57 @@ def test_ur10_through_the_written_urdf(
     assert frozen.errors[0][2].mean <= 0.41e-3
 
 
+def ur10_rows(name: str, chain: calib_pin.Chain) -> calib_pin.Measurements:
+    file = DATA / "ur10_tmac" / f"{name}.csv"
+    return calib_pin.read_measurements(file, chain, model="position")
+
+
+def test_ur10_with_a_network(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
+) -> None:
+    """Another tool's Gaussian process leaves 0.169 mm of the unseen rows."""
+    chain, _ = ur10
+    result = calib_pin.calibrate(
+        chain,
+        ur10_rows("train", chain),
+        calib_pin.Setup(learned="network"),
+        validation=ur10_rows("validate", chain),
+    )
+    assert (result.verdict, result.validated) == ("good", 2000)
+    after = result.errors[0].validation_after
+    assert after is not None and after.mean <= 0.15e-3
+    # The URDF is that of the geometry alone.
+    assert result.urdf is not None and result.geometry is result.urdf.model
+    alone = result.urdf.errors[0].validation_after
+    assert alone is not None and 0.38e-3 < alone.mean <= 0.41e-3
+
+
+def test_ur10_with_fifty_rows_leaves_the_network_out(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
+) -> None:
+    chain, _ = ur10
+    rows = ur10_rows("train", chain).rows(np.arange(50))
+    setup = calib_pin.Setup(learned="network")
+    ladder = calib_pin.calibrate(chain, rows, setup, ladder=True).ladder
+    assert ladder is not None
+    network = ladder.rungs[-1]
+    assert network.learned == "network" and not network.helps
+    assert ladder.rungs[ladder.chosen].learned is None
+
+
+def test_ur10_with_some_more_rows_the_ladder_climbs_to_the_network(
+    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
+) -> None:
+    chain, _ = ur10
+    rows = ur10_rows("train", chain).rows(np.arange(0, 500, 4))
+    setup = calib_pin.Setup(learned="network")
+    result = calib_pin.calibrate(chain, rows, setup, ladder=True)
+    assert result.ladder is not None
+    rungs = {rung.name: rung.score for rung in result.ladder.rungs}
+    assert result.ladder.rungs[result.ladder.chosen].name == "+ network"
+    assert rungs["+ network"] < 0.5 * rungs["geometric"]
+
+
 def test_ur10_still_looks_like_a_ur10(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
 ) -> None:

@@ -236,7 +236,7 @@ def _write(
     refers = None if learned is None else reference(learned)
     document = encode(calibration_document(result, provenance, refers))
     written = []
-    if result.verdict == "good":
+    if result.geometry is not None:
         write_urdf(result.geometry, files.urdf, force=force)
         written.append(files.urdf)
     if learned is not None:
@@ -248,7 +248,7 @@ def _write(
         if path not in written and exists(path):
             path.unlink()
             notice(f"removed {path} of an earlier run")
-    if result.verdict == "good" and result.geometry.tool_carries_tip:
+    if result.geometry is not None and result.geometry.tool_carries_tip:
         notice(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "
             "error behind that joint stands in frames.tool of calibration.json"

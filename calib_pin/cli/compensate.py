@@ -76,7 +76,8 @@ def compensate(
 
     Commands for targets have a column 'row', the line of the target. A motion keeps its
     other columns; its commands bring the tip to where the nominal robot's tip would be
-    in the base link (a robot of fewer than six joints: the position). Exit status 2: a
+    in the base link (a robot of fewer than six joints: the position), as exactly as the
+    places of base and tool are known. Exit status 2: a
     target cannot be reached (only the others are written, of a motion nothing), or the
     calibration must not be trusted (nothing is written).
     """
@@ -86,9 +87,13 @@ def compensate(
 
     from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import encode
-    from calib_pin.io.results import read_calibration
+    from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.targets import command_columns, read_target_file, write_commands
-    from calib_pin.report.compensation_text import compensation_report, line_list
+    from calib_pin.report.compensation_text import (
+        accuracy_lines,
+        compensation_report,
+        line_list,
+    )
     from calib_pin.report.text import untrusted
     from calib_pin.setup import Setup
 
@@ -105,6 +110,7 @@ def compensate(
     check_outputs((output,), (calibration, targets, setup), force)
     doubts: list[str] = []
     model = read_calibration(calibration, notice=doubts.append)
+    accuracy = read_accuracy(calibration)
     check_outputs((output,), _read_along(calibration, model), force)
     asked = read_target_file(
         targets,
@@ -120,8 +126,9 @@ def compensate(
             file=targets,
         )
     oriented = asked.oriented and not position
-    of_tool = oriented and point != "tip" and model.measurement.name == "position"
-    if of_tool and not quiet:
+    measured_point = model.measurement.name == "position"
+    of_tool = asked.T is not None and point != "tip"
+    if oriented and of_tool and measured_point and not quiet:
         notice(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
@@ -129,6 +136,16 @@ def compensate(
     # What cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
+    free = model.error.parameters.free
+    of_base, of_tip = frame == "base", point == "tip"
+    if asked.T is None:
+        of_base = of_tip = True
+    if ((of_base and free[:6].any()) or (of_tip and free[-6:].any())) and not quiet:
+        notice(
+            "base or tool were estimated along with the robot, so where the base link "
+            "and the tip link are is known up to a fixed displacement each; state them "
+            "in the setup file, or give targets of the tool in the measuring frame"
+        )
     found = _run(model, asked, frame or FRAMES[0], point or POINTS[0], position)
     motion = asked.T is None
     (rows,) = np.nonzero(found.reached)
@@ -145,6 +162,7 @@ def compensate(
         )
     if json:
         document = _document(found, model, asked, doubts, output if written else None)
+        document["model_errors"] = accuracy
         typer.echo(encode(document).decode(), nl=False)
     elif not quiet:
         if doubts:
@@ -156,6 +174,8 @@ def compensate(
                 found, model.chain, motion=motion, file=str(targets), lines=lines
             )
         )
+        for line in accuracy_lines(accuracy):
+            show(line)
         typer.echo(f"wrote {output}" if written else "wrote nothing")
     elif doubts:
         notice(f"untrusted: {doubts[0]}")

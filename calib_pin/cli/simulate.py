@@ -179,7 +179,7 @@ def simulate(
     typer.echo(f"wrote {len(rows)} rows to {output}")
     if truth is not None:
         true = CalibratedModel.create(problem, theta)
-        write_urdf(true.geometry, truth, force=force)
+        write_urdf(true.without_corrections, truth, force=force)
         if true.tool_carries_tip:
             notice(f"{truth} lacks the error behind the last joint, which has no place")
         if not true.geometric:

@@ -26,6 +26,7 @@ from calib_pin.result import (
     Identification,
     Ladder,
     QuantityErrors,
+    UrdfResult,
 )
 
 __all__ = [
@@ -206,16 +207,20 @@ def calibration_document(
         "planes": _planes(model.measurement, result.reference.measurement),
         "residual_model": None if residual_model is None else dict(residual_model),
         "model_ladder": None if result.ladder is None else _ladder(result.ladder),
-        "urdf": {
-            name: {"unit": unit, **asdict(accuracy)}
-            for name, unit, accuracy in result.urdf
-        },
+        "urdf": None if result.urdf is None else _urdf(result.urdf, result.validation),
         "setup": setup_document(model.setup),
         "provenance": {
             **provenance.versions,
             "command": list(provenance.command),
             "created": provenance.created,
         },
+    }
+
+
+def _urdf(urdf: UrdfResult, method: str) -> Json:
+    return {
+        "reason": urdf.reason,
+        "errors": {e.name: _errors(e, method) for e in urdf.errors},
     }
 
 

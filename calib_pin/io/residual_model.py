@@ -94,7 +94,9 @@ def read_residual_model(
         raise InputError("edited or damaged: its checksum does not match", file=path)
     _require_same_robot(document.get("robot"), error.chain, path)
     if content is not None and sha256(data) != content:
-        raise InputError("belongs to another calibration of this robot", file=path)
+        raise InputError(
+            "not the file that this calibration was written with", file=path
+        )
     try:
         shift = numbers(document, "shift", (len(error.screws),))
         model = restore(document.get("model"), len(error.chain.joints))

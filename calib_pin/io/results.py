@@ -33,7 +33,7 @@ from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
-__all__ = ["read_calibration", "write_urdf"]
+__all__ = ["read_accuracy", "read_calibration", "write_urdf"]
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""
@@ -84,6 +84,8 @@ def read_calibration(
     try:
         model = _model(document, robot)
         learned = _learned(document.get("residual_model"))
+        if (learned is None) != (model.setup.learned is None):
+            raise ValueError("'residual_model' and 'setup.learned' need each other")
         verdict = document["verdict"]
         if notice is not None and verdict["status"] != "good":
             notice(f"{path} must not be trusted: {verdict['reason']}")
@@ -98,6 +100,35 @@ def read_calibration(
     name, content = learned
     found = read_residual_model(Path(path).parent / name, model.error, content)
     return replace(model, error=model.error.with_learned(found))
+
+
+def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
+    """What a `calibration.json` says of its accuracy on unseen rows.
+
+    Args:
+        path: The file, which `read_calibration` has read.
+
+    Returns:
+        Unit, mean, max and method of every quantity; none where nothing was checked.
+    """
+    errors = json.loads(read_bytes(path).decode("utf-8-sig")).get("errors")
+    result: dict[str, dict[str, Any]] = {}
+    try:
+        for name, error in errors.items():
+            after, unit = error["validation"]["after"], error["unit"]
+            if after is not None and unit in ("m", "rad"):
+                mean, largest = _numbers([after["mean"], after["max"]], 2)
+                method = _text(error["validation"]["method"])
+                result[name] = {
+                    "unit": unit,
+                    "mean": mean,
+                    "max": largest,
+                    "method": method,
+                }
+    except (AttributeError, KeyError, TypeError, ValueError) as error:
+        reason = f"damaged or edited calibration: 'errors': {error}"
+        raise InputError(reason, file=path) from error
+    return result
 
 
 def write_urdf(
@@ -212,6 +243,8 @@ def _learned(stated: Mapping[str, Any] | None) -> tuple[str, str] | None:
     """Name and SHA-256 of the file of what was learned, if anything was."""
     if stated is None:
         return None
+    if not isinstance(stated, Mapping):
+        raise ValueError("'residual_model' is not a mapping")
     # Its name alone: a calibration does not reach into other folders.
     return Path(_text(stated["file"])).name, _text(stated["sha256"])
 

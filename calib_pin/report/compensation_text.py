@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from typing import Any
 
 import numpy as np
 from rich.console import Group, RenderableType
@@ -14,7 +15,7 @@ from calib_pin.compensation import Compensation
 from calib_pin.report.tables import DISPLAY, number, table
 from calib_pin.spatial import Floats
 
-__all__ = ["compensation_report", "line_list"]
+__all__ = ["accuracy_lines", "compensation_report", "line_list"]
 
 SHOWN = 12
 """Lines that are named before the rest is only counted."""
@@ -75,6 +76,22 @@ def compensation_report(
     return Group(*parts)
 
 
+def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Text]:
+    """How far the model itself is off, by what a calibration says of unseen rows.
+
+    Args:
+        errors: Unit, mean, max and method by quantity.
+    """
+    for name, error in errors.items():
+        unit, factor = DISPLAY[error["unit"]]
+        mean, largest = (number(factor * error[key]) for key in ("mean", "max"))
+        yield Text(
+            f"On unseen rows ({error['method']}) the model itself is off by {mean} "
+            f"{unit} mean, {largest} max ({name}).",
+            style="dim",
+        )
+
+
 def line_list(lines: Sequence[int] | np.ndarray) -> str:
     """Line numbers in words."""
     names = [str(int(line)) for line in lines[:SHOWN]]
@@ -85,7 +102,10 @@ def line_list(lines: Sequence[int] | np.ndarray) -> str:
 
 def _errors(found: Compensation) -> RenderableType:
     """Errors at the nominal commands and at those that were found."""
-    errors = table("Distance from the targets", ("commands", "mean", "max", "unit"))
+    errors = table(
+        "Distance from the targets, as the calibrated model has it",
+        ("commands", "mean", "max", "unit"),
+    )
     errors.columns[1].justify = "left"
     stages = [
         ("position", "m", found.position_before, found.position),

@@ -31,6 +31,7 @@ from calib_pin.result import (
     QuantityErrors,
 )
 from calib_pin.solvers import Status
+from calib_pin.training import BEYOND
 
 __all__ = [
     "evaluation_report",
@@ -39,6 +40,9 @@ __all__ = [
     "report",
     "untrusted",
 ]
+
+TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
+"""What residual models are called in sentences."""
 
 LISTED_ROWS = 5
 """Outliers and correlated pairs that are listed before the rest is only counted."""
@@ -212,12 +216,19 @@ def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
                 accuracies.add_row(name, rows, robot, *cells)
                 name = rows = ""
     yield accuracies
+    if result.ladder is not None and result.validation.endswith("-fold"):
+        yield Text(
+            "The same parts have chosen the model; rows of their own (--validation) "
+            "are the stricter check.",
+            style="dim",
+        )
     yield Text(_registered(result), style="dim")
 
 
 def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
     """How far the corrected robot is from the nominal one: it must look like it."""
-    corrections = result.geometry.urdf_corrections()
+    geometry = result.geometry or (result.model if result.urdf is None else None)
+    corrections = {} if geometry is None else geometry.urdf_corrections()
     if not corrections:
         return
     shifts = {j: float(np.linalg.norm(M.translation)) for j, M in corrections.items()}
@@ -234,24 +245,34 @@ def _moves(result: CalibrationResult) -> Iterator[RenderableType]:
 
 def _beyond(result: CalibrationResult) -> Iterator[RenderableType]:
     """What a URDF cannot hold, and how good it is without."""
-    if not result.urdf:
+    if result.silent:
+        yield Text(
+            f"The {TITLES[result.silent]} found nothing that holds on rows it had not "
+            "seen: nothing is corrected.",
+            style="dim",
+        )
+    if result.urdf is None:
         return
-    kinds = [
-        name
-        for name in result.model.setup.parameters
-        if name in ("transmission", "compliance")
-    ]
-    learned = result.model.setup.learned
-    if learned is not None:
-        kinds.append(f"what the {learned.replace('-', ' ')} has learned")
-    means = ", ".join(
-        f"{name} {number(DISPLAY[unit][1] * accuracy.mean)} {DISPLAY[unit][0]}"
-        for name, unit, accuracy in result.urdf
-    )
-    rows = "fitted" if result.validation not in ("set", "file", "holdout") else "unseen"
+    setup = result.model.setup
+    kinds: list[str] = [name for name in setup.parameters if name in BEYOND]
+    if setup.learned is not None:
+        kinds.append(f"what the {TITLES[setup.learned]} has learned")
+    said = f"A URDF cannot hold {' and '.join(kinds)}. "
+    if result.urdf.reason:
+        yield Text(
+            f"{said}None is written: {result.urdf.reason.rstrip('.')}.",
+            style="bold red",
+        )
+        return
+    means = []
+    for error in result.urdf.errors:
+        accuracy = error.validation_after or error.after
+        shown, factor = DISPLAY[error.unit]
+        means.append(f"{error.name} {number(factor * accuracy.mean)} {shown}")
+    rows = "fitted" if result.validation == "none" else "unseen"
     yield Text(
-        f"A URDF cannot hold {' and '.join(kinds)}. It gets the best geometry without: "
-        f"mean error on {rows} rows {means}. `calib-pin compensate` uses all.",
+        f"{said}It gets the best geometry without: mean error on {rows} rows "
+        f"{', '.join(means)}. `calib-pin compensate` uses all.",
         style="dim",
     )
 
@@ -303,8 +324,10 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
 
 
 def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
+    learned = result.model.setup.learned is not None
     yield ""
-    yield Text("Statistics", style="bold")
+    title = "Statistics of the parameters, before what is learned"
+    yield Text(title if learned else "Statistics", style="bold")
     grid = Table.grid(padding=(0, 2))
     sigmas = "stated" if result.stated_sigma else "assumed"
     grid.add_row("  chi-square", f"{number(result.chi2)} with {result.dof} dof")
@@ -323,7 +346,7 @@ def _statistics(result: CalibrationResult) -> Iterator[RenderableType]:
         interval = f"{number(low)} ... {number(high)}"
         grid.add_row("", f"{where} the 95 % interval {interval}")
     yield grid
-    if remark:
+    if remark and not learned:
         yield Padding(f"The rows scatter {remark}", (0, 0, 0, 2))
     pairs = result.identifiability.correlated
     if pairs:

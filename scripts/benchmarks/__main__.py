@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import basic, evolution, planning, rows
+from benchmarks import basic, beyond, evolution, planning, rows
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
@@ -13,6 +13,7 @@ BENCHMARKS = {
     "evolution": evolution.main,
     "rows": rows.main,
     "planning": planning.main,
+    "beyond": beyond.main,
 }
 
 

@@ -596,8 +596,9 @@ def test_gears_and_compliance_from_simulation_to_evaluation(tmp_path, monkeypatc
     # Twenty times worse without them, on the same unseen rows.
     unseen = accuracy["validation"]["after"]["rms"]
     assert unseen < 1e-4
-    assert found["urdf"]["position"]["unit"] == "m"
-    assert found["urdf"]["position"]["rms"] > 10.0 * unseen
+    alone = found["urdf"]["errors"]["position"]
+    assert (alone["unit"], found["urdf"]["reason"]) == ("m", "")
+    assert alone["validation"]["after"]["rms"] > 10.0 * unseen
     assert (
         json.loads(json.dumps(setup_document(read_setup("setup.yaml"))))
         == (found["setup"])
@@ -885,3 +886,35 @@ def test_bundled_robots_from_simulation_to_evaluation(
     assert found["robot"]["file"] == robot
     assert read_setup(setup).parameters == tuple(found["setup"]["parameters"])
     assert json.loads(json.dumps(setup_document(read_setup(setup)))) == found["setup"]
+
+
+def test_no_urdf_that_is_worse_than_the_nominal_one(tmp_path, monkeypatch, run):
+    """Geometry that takes compliance for its own errors goes wrong elsewhere."""
+    monkeypatch.chdir(tmp_path)
+    Path("setup.yaml").write_text(
+        "tip: tool\nmodel: position\nparameters: [placement, compliance]\n"
+        "payloads: {load: {mass: 5, com: [0, 0, 0.1]}}\n"
+    )
+    Path("err.yaml").write_text(
+        "joint_2.compliance.k: 5.0e-5\njoint_3.compliance.k: 1.0e-4\n"
+        "joint_4.compliance.k: 2.0e-4\n"
+    )
+    words = "simulate pa10 --setup setup.yaml --errors err.yaml --count 14 --seed 3"
+    assert run(f"{words} --noise 2e-5 -o rows.csv").status == 0
+    Path("out").mkdir()
+    Path("out/pa10.urdf").write_text("of an earlier run")
+    result = run("calibrate pa10 rows.csv --setup setup.yaml -o out --force")
+    assert result.status == 0 and result.out.startswith("GOOD")
+    said = " ".join(result.out.split())
+    assert "A URDF cannot hold compliance. None is written: " in said
+    assert result.err == "calib-pin: note: removed out/pa10.urdf of an earlier run\n"
+    assert {path.name for path in Path("out").iterdir()} == {"calibration.json"}
+    assert document("out")["urdf"]["reason"]
+
+    words = "calibrate pa10 rows.csv --setup setup.yaml --parameters compliance -o bare"
+    result = run(words)
+    assert result.status == 0
+    assert "nothing of this calibration has a place in a URDF" in " ".join(
+        result.out.split()
+    )
+    assert not Path("bare/pa10.urdf").exists()

@@ -61,13 +61,13 @@ def test_it_predicts_as_before(learned: CalibrationResult, folder: Path) -> None
     assert isinstance(found, LearnedCorrection) and found.model.name == "network"
     np.testing.assert_allclose(model.poses(q), learned.model.poses(q), atol=1e-13)
     # It does correct something.
-    plain = model.geometry.poses(q)
+    plain = model.without_corrections.poses(q)
     assert np.abs(plain - model.poses(q)).max() > 1e-5
     assert not model.outside(q).all()
 
 
 def test_nothing_was_learned(learned: CalibrationResult) -> None:
-    assert encode_residual_model(learned.model.geometry) is None
+    assert encode_residual_model(learned.model.without_corrections) is None
 
 
 def test_it_is_plain_numbers(folder: Path) -> None:
@@ -164,7 +164,7 @@ def test_of_another_calibration(learned: CalibrationResult, folder: Path) -> Non
     data = encode_residual_model(replace(learned.model, error=error))
     assert data is not None
     (folder / FILE_NAME).write_bytes(data)
-    assert refusal(folder) == ": belongs to another calibration of this robot"
+    assert refusal(folder) == ": not the file that this calibration was written with"
 
 
 def test_of_other_parameters(learned: CalibrationResult, folder: Path) -> None:
@@ -188,3 +188,16 @@ def test_models_are_those_of_the_calibration(folder: Path) -> None:
     model = read_calibration(folder / "calibration.json")
     assert isinstance(model, CalibratedModel)
     assert model.setup.learned == "network"
+
+
+@pytest.mark.parametrize("change", ["null", "delete", "text"])
+def test_what_was_learned_cannot_get_lost(folder: Path, change: str) -> None:
+    file = folder / "calibration.json"
+    document = json.loads(file.read_text())
+    if change == "delete":
+        del document["residual_model"]
+    else:
+        document["residual_model"] = None if change == "null" else "network"
+    file.write_text(json.dumps(document))
+    with pytest.raises(InputError, match="'residual_model'"):
+        read_calibration(file)

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.calibration import make_problem
 from calib_pin.fit import Fit, fit
+from calib_pin.problem import make_problem
 from calib_pin.residual_models import (
     GaussianProcessOptions,
     Linearized,

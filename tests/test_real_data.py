@@ -95,19 +95,6 @@ def test_ur10_with_fifty_rows_leaves_the_network_out(
     assert ladder.rungs[ladder.chosen].learned is None
 
 
-def test_ur10_with_some_more_rows_the_ladder_climbs_to_the_network(
-    ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
-) -> None:
-    chain, _ = ur10
-    rows = ur10_rows("train", chain).rows(np.arange(0, 500, 4))
-    setup = calib_pin.Setup(learned="network")
-    result = calib_pin.calibrate(chain, rows, setup, ladder=True)
-    assert result.ladder is not None
-    rungs = {rung.name: rung.score for rung in result.ladder.rungs}
-    assert result.ladder.rungs[result.ladder.chosen].name == "+ network"
-    assert rungs["+ network"] < 0.5 * rungs["geometric"]
-
-
 def test_ur10_still_looks_like_a_ur10(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
 ) -> None:

@@ -106,7 +106,7 @@ def open_chain(robot: str, setup: Setup) -> Chain:
 
     if robot.endswith(".json"):
         raise RobotError(
-            "this command needs a robot; a calibration can only be evaluated",
+            "this command needs a robot; a calibration is for evaluate and compensate",
             file=robot,
             allowed="a URDF file, such as the corrected one",
         )

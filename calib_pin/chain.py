@@ -12,7 +12,7 @@ errors `M_j Exp(xi_j)`. Joints above the common ancestor cancel and are locked.
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -142,6 +142,8 @@ class Chain:
             self.revolute[:, None], subspaces[:, 3:], subspaces[:, :3]
         )
         self._q_index = np.array([self._model.idx_qs[j] for j in self._ids])
+        # A continuous joint has two entries in q and one in the velocities.
+        self._v_index = np.array([self._model.idx_vs[j] for j in self._ids])
         self._continuous = np.array([self._model.nqs[j] == 2 for j in self._ids])
         lower = self._model.lowerPositionLimit[self._q_index]
         upper = self._model.upperPositionLimit[self._q_index]
@@ -179,7 +181,7 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4).
         """
-        return self._sweep(q, placements, None, None)
+        return self._sweep(q, placements, pin.forwardKinematics)
 
     def regressor(
         self, q: Floats, placements: Sequence[pin.SE3] | None = None
@@ -194,13 +196,14 @@ class Chain:
             `T_base_tip`, shape (N, 4, 4), and R, shape (N, 6, 6 n): the body twist of
             the tip per placement twist, joints in chain order.
         """
-        shape = (len(q), 6, 6 * (self._model.njoints - 1))
-        R_tip = np.empty(shape)
-        R_base = np.empty(shape) if self.reversed.any() else None
-        T = self._sweep(q, placements, R_tip, R_base)
-        if R_base is not None:
-            R_tip -= adjoint(invert(T)) @ R_base
-        return T, R_tip[:, :, self._columns]
+        T, R = self._differentiate(
+            q,
+            placements,
+            6 * (self._model.njoints - 1),
+            pin.forwardKinematics,
+            pin.computeFrameKinematicRegressor,
+        )
+        return T, R[:, :, self._columns]
 
     def jacobian(
         self, q: Floats, placements: Sequence[pin.SE3] | None = None
@@ -216,27 +219,14 @@ class Chain:
         Returns:
             `T_base_tip`, shape (N, 4, 4), and body twists of the tip, (N, 6, n).
         """
-        model, data = self._model, self._data
-        self._place(placements)
-        shape = (len(q), 6, len(self.joints))
-        T, J = np.empty((len(q), 4, 4)), np.empty(shape)
-        J_base = np.empty(shape) if self.reversed.any() else None
-        base = np.empty((len(q) if self.reversed.any() else min(len(q), 1), 4, 4))
-        order = [model.idx_vs[joint] for joint in self._ids]
-        for i, configuration in enumerate(self._configurations(q)):
-            pin.computeJointJacobians(model, data, configuration)
-            T[i] = pin.updateFramePlacement(model, data, self._tip_id).homogeneous
-            J[i] = pin.getFrameJacobian(model, data, self._tip_id, pin.LOCAL)[:, order]
-            if i < len(base):
-                placed = pin.updateFramePlacement(model, data, self._base_id)
-                base[i] = placed.homogeneous
-            if J_base is not None:
-                of_base = pin.getFrameJacobian(model, data, self._base_id, pin.LOCAL)
-                J_base[i] = of_base[:, order]
-        T = invert(base) @ T
-        if J_base is not None:
-            J -= adjoint(invert(T)) @ J_base
-        return T, J
+        T, J = self._differentiate(
+            q,
+            placements,
+            self._model.nv,
+            pin.computeJointJacobians,
+            pin.getFrameJacobian,
+        )
+        return T, J[:, :, self._v_index]
 
     @property
     def motions(self) -> Floats:
@@ -272,12 +262,10 @@ class Chain:
             mass = pin.Inertia(payload.mass, np.array(payload.com), np.zeros((3, 3)))
             model.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
         data = model.createData()
-        # Joint velocities are not unit columns of q where a joint is continuous.
-        order = [model.idx_vs[joint] for joint in self._ids]
         torques = np.empty((len(q), len(self.joints)))
         for i, configuration in enumerate(self._configurations(q)):
             holding = pin.computeGeneralizedGravity(model, data, configuration)
-            torques[i] = -holding[order]
+            torques[i] = -holding[self._v_index]
         return torques
 
     def joint_frames(self) -> Floats:
@@ -295,33 +283,58 @@ class Chain:
         """Configurations drawn uniformly within the limits, shape (count, n)."""
         return rng.uniform(self.lower, self.upper, (count, len(self.joints)))
 
+    def _differentiate(
+        self,
+        q: Floats,
+        placements: Sequence[pin.SE3] | None,
+        width: int,
+        prepare: Callable[..., object],
+        of_frame: Callable[..., Floats],
+    ) -> tuple[Floats, Floats]:
+        """Tip poses in the base frame, and the tip's body twists by something.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            placements: Joint placements in chain order; None for the nominal ones.
+            width: Number of columns.
+            prepare: What Pinocchio does with a configuration.
+            of_frame: Its local twists of a frame after that, shape (6, width).
+        """
+        at_tip = np.empty((len(q), 6, width))
+        at_base = np.empty(at_tip.shape) if self.reversed.any() else None
+
+        def fill(i: int) -> None:
+            frames = (self._tip_id, at_tip), (self._base_id, at_base)
+            for frame, result in frames:
+                if result is not None:
+                    result[i] = of_frame(self._model, self._data, frame, pin.LOCAL)
+
+        T = self._sweep(q, placements, prepare, fill)
+        if at_base is not None:
+            at_tip -= adjoint(invert(T)) @ at_base
+        return T, at_tip
+
     def _sweep(
         self,
         q: Floats,
         placements: Sequence[pin.SE3] | None,
-        R_tip: Floats | None,
-        R_base: Floats | None,
+        prepare: Callable[..., object],
+        fill: Callable[[int], None] | None = None,
     ) -> Floats:
-        """Tip poses in the base frame; fills the regressors that are given."""
+        """Tip poses in the base frame; tells when each configuration is in place."""
         model, data, tip_id = self._model, self._data, self._tip_id
         self._place(placements)
         tip = np.empty((len(q), 4, 4))
         # Without a joint between them the base stands still in the root.
         base = np.empty((len(q) if self.reversed.any() else min(len(q), 1), 4, 4))
         for i, configuration in enumerate(self._configurations(q)):
-            pin.forwardKinematics(model, data, configuration)
+            prepare(model, data, configuration)
             tip[i] = pin.updateFramePlacement(model, data, tip_id).homogeneous
             if i < len(base):
                 placed = pin.updateFramePlacement(model, data, self._base_id)
                 base[i] = placed.homogeneous
-            if R_tip is not None:
-                R_tip[i] = pin.computeFrameKinematicRegressor(
-                    model, data, tip_id, pin.LOCAL
-                )
-            if R_base is not None:
-                R_base[i] = pin.computeFrameKinematicRegressor(
-                    model, data, self._base_id, pin.LOCAL
-                )
+            if fill is not None:
+                fill(i)
         return invert(base) @ tip
 
     def _subspace(self, joint: int) -> Floats:

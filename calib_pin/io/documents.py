@@ -14,6 +14,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.assessment import chi2_interval
+from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import MeasurementModel
@@ -38,6 +39,7 @@ __all__ = [
     "encode",
     "identification_document",
     "plan_document",
+    "require_format",
     "sha256",
 ]
 
@@ -74,6 +76,34 @@ def encode(document: Mapping[str, Any]) -> bytes:
     text = json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
     # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
     return text.encode("utf-8", "backslashreplace") + b"\n"
+
+
+def require_format(
+    document: object, what: str, name: str, newest: int, file: str | Path
+) -> Json:
+    """A document of one of our formats, of a version that can be read.
+
+    Args:
+        document: What the file holds.
+        what: What it is called in messages.
+        name: Name of the format.
+        newest: Newest version that can be read.
+        file: The file.
+
+    Raises:
+        InputError: If it is anything else.
+    """
+    if not isinstance(document, dict) or document.get("format") != name:
+        raise InputError(f"not a {what} of calib-pin", file=file)
+    version = document.get("version")
+    if type(version) is not int or not 1 <= version <= newest:
+        raise InputError(
+            f"a {what} of another version",
+            file=file,
+            value=version,
+            allowed=f"1 to {newest}",
+        )
+    return document
 
 
 def identification_document(found: Identification) -> Json:

@@ -46,6 +46,7 @@ __all__ = [
     "read_targets",
     "write_configurations",
     "write_measurements",
+    "write_table",
 ]
 
 
@@ -207,7 +208,7 @@ def write_configurations(
         '0.0,0.0,0.0,0.5,0.0,0.0'
     """
     columns = _configuration_columns(chain, q, target, joints)
-    _write_table(path, columns, comments, force)
+    write_table(path, columns, comments, force)
 
 
 def write_measurements(
@@ -242,15 +243,27 @@ def write_measurements(
         ['lift,distance', '0.25,1.5']
     """
     check_model(measurements.model)
-    _write_table(path, dict(_columns(measurements)), comments, force)
+    write_table(path, dict(_columns(measurements)), comments, force)
 
 
-def _write_table(
+def write_table(
     path: Path,
-    columns: Mapping[str, Sequence[float] | Sequence[str]],
+    columns: Mapping[str, Sequence[object]],
     comments: Sequence[str],
     force: bool,
 ) -> None:
+    """Write a CSV file.
+
+    Args:
+        path: File to write.
+        columns: Cells of every column by its header.
+        comments: Lines for the head of the file.
+        force: Whether an existing file is replaced.
+
+    Raises:
+        OptionError: If the file exists and `force` is false.
+        OutputError: If it cannot be written.
+    """
     buffer = io.StringIO(newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:

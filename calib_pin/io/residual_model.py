@@ -20,7 +20,7 @@ from typing import Any
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError
-from calib_pin.io.documents import Json, sha256
+from calib_pin.io.documents import Json, require_format, sha256
 from calib_pin.io.files import read_bytes
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
@@ -79,16 +79,7 @@ def read_residual_model(
         found = getattr(mistake, "msg", mistake)
         reason = f"not a residual model, or truncated: {found}"
         raise InputError(reason, file=path) from mistake
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError("not a residual model of calib-pin", file=path)
-    version = document.get("version")
-    if type(version) is not int or not 1 <= version <= VERSION:
-        raise InputError(
-            "a residual model of another version",
-            file=path,
-            value=version,
-            allowed=f"1 to {VERSION}",
-        )
+    document = require_format(document, "residual model", FORMAT, VERSION, path)
     stated = document.pop("sha256", None)
     if stated != _digest(document):
         raise InputError("edited or damaged: its checksum does not match", file=path)

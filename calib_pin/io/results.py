@@ -23,7 +23,7 @@ from calib_pin.errors import (
     OutputError,
     RobotError,
 )
-from calib_pin.io.documents import FORMAT, VERSION, Json, sha256
+from calib_pin.io.documents import FORMAT, VERSION, Json, require_format, sha256
 from calib_pin.io.files import read_bytes
 from calib_pin.io.residual_model import read_residual_model
 from calib_pin.io.setup import CONDITIONS, setup_of
@@ -70,16 +70,7 @@ def read_calibration(
         line = getattr(error, "lineno", None)
         reason = f"not a calibration: {getattr(error, 'msg', error)}"
         raise InputError(reason, file=path, line=line) from error
-    if not isinstance(document, dict) or document.get("format") != FORMAT:
-        raise InputError("not a calibration of calib-pin", file=path)
-    version = document.get("version")
-    if type(version) is not int or not 1 <= version <= VERSION:
-        raise InputError(
-            "a calibration of another version",
-            file=path,
-            value=version,
-            allowed=f"1 to {VERSION}",
-        )
+    document = require_format(document, "calibration", FORMAT, VERSION, path)
     robot = _find_robot(document, Path(path))
     try:
         model = _model(document, robot)

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import csv
-import io
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +12,6 @@ from numpy.typing import NDArray
 from calib_pin.chain import Chain
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Table, read_table
-from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
     column_values,
@@ -28,7 +25,7 @@ from calib_pin.io.measured_columns import (
     check_spread,
     read_values,
 )
-from calib_pin.io.measurements import column_name
+from calib_pin.io.measurements import column_name, write_table
 from calib_pin.setup import JointMap
 from calib_pin.spatial import Floats, from_quaternion
 
@@ -167,26 +164,18 @@ def write_commands(
         '0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
     found = command_columns(targets, q, rows)
-    columns: dict[str, tuple[str, Sequence[object]]]
     if targets.T is None:
-        columns = {
-            name: found.get(name, (column.header, column.cells))
+        columns = dict(
+            found.get(name, (column.header, column.cells))
             for name, column in targets.table.columns.items()
-        }
+        )
     else:
         if ROW in found:
             raise OutputError(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
-        lines = targets.lines[rows].tolist()
-        columns = {**found, ROW: (ROW, lines)}
-    buffer = io.StringIO(newline="")
-    for comment in comments:
-        buffer.write(f"# {comment}\n")
-    writer = csv.writer(buffer, lineterminator="\n")
-    writer.writerow([header for header, _ in columns.values()])
-    writer.writerows(zip(*(cells for _, cells in columns.values()), strict=True))
-    write_atomically(path, buffer.getvalue().encode(), force=force)
+        columns = {**dict(found.values()), ROW: targets.lines[rows].tolist()}
+    write_table(path, columns, comments, force)
 
 
 def command_columns(

@@ -33,6 +33,7 @@ __all__ = [
     "outliers",
     "registration_reason",
     "structural_ranks",
+    "unexplained",
     "verdict",
 ]
 
@@ -42,12 +43,56 @@ CORRELATED = 0.95
 WEAK_PART = 0.1
 """Part of a parameter in directions left at nominal from which it counts as weak."""
 
+SCALE = (
+    "the scale is unobservable: with all lengths longer by one factor the robot fits "
+    "these rows as well; state a known distance, between two sockets say ('distances' "
+    "in the setup file), or hold a length that is known ('fixed')"
+)
+"""Why a robot of unknown size must not be trusted."""
+
+CHECK = (
+    "check the base and tip links, the joint columns with their signs and offsets, and "
+    "units"
+)
+"""What to do about rows that nothing explains."""
+
+LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi), "px": ("px", 1.0)}
+"""Unit and factor in which errors are shown that nothing explains."""
+
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
 
-def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
-    """`good` or `untrusted`, and the reason where it is not good."""
+def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
+    """What no calibration of a robot can explain; empty where there is nothing.
+
+    Args:
+        fitted: The fit.
+        errors: Accuracy by quantity.
+    """
+    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
+    if free.any() and fitted.directions.robot.shape[1] == 0:
+        return "the errors are so large that the rows tell nothing of the robot"
+    for quantity in errors:
+        if quantity.after.rms > UNEXPLAINED * expected_size(quantity.unit):
+            shown, factor = LARGE[quantity.unit]
+            return (
+                f"{quantity.name} errors of {factor * quantity.after.rms:.3g} {shown} "
+                "rms remain, far more than a robot's geometry explains"
+            )
+    return ""
+
+
+def verdict(
+    fitted: Fit, errors: Sequence[QuantityErrors], advice: str = CHECK
+) -> tuple[str, str]:
+    """`good` or `untrusted`, and the reason where it is not good.
+
+    Args:
+        fitted: The fit.
+        errors: Accuracy by quantity.
+        advice: What to do about rows that nothing explains.
+    """
     rows, rank = fitted.problem.distinct_values, fitted.structure.rank
     if rows < rank:
         return "untrusted", (
@@ -61,20 +106,11 @@ def verdict(fitted: Fit, errors: Sequence[QuantityErrors]) -> tuple[str, str]:
         )
     if not fitted.result.status.success:
         return "untrusted", fitted.result.status.advice
-    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
-    if free.any() and fitted.directions.robot.shape[1] == 0:
-        return "untrusted", (
-            "the rows fit so badly that they tell nothing of the robot; check the base "
-            "and tip links, the joint columns with their signs and offsets, and units"
-        )
+    if not fitted.structure.scaled:
+        return "untrusted", SCALE
+    if reason := unexplained(fitted, errors):
+        return "untrusted", f"{reason}; {advice}"
     for quantity in errors:
-        if quantity.after.rms > UNEXPLAINED * expected_size(quantity.unit):
-            return "untrusted", (
-                f"{quantity.name} errors of {quantity.after.rms:.3g} {quantity.unit} "
-                "rms remain, far more than a robot's geometry explains; check the base "
-                "and tip links, the joint columns with their signs and offsets, and "
-                "units"
-            )
         before, after = quantity.validation_before, quantity.validation_after
         # Compared by rms: it is what least squares minimizes. Rounding aside.
         if before and after and after.rms > before.rms * (1.0 + 1e-6) + 1e-12:
@@ -241,6 +277,7 @@ def _ranks(
         weak=0,
         revealed=0,
         correlated=(),
+        scale_observable=structure.scaled,
     )
 
 
@@ -302,16 +339,17 @@ def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
     before = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
     sizes = [float(np.linalg.norm(rows)) for rows in (whitened, before)]
     unit = fitted.sigma0 * min(sizes[0] / max(sizes[1], 1e-300), 1.0)
-    if data.sigma is not None:
+    if data.stated:
         # A row that spoils the fit must not make outliers of all the others.
         unit = max(1.0, unit)
     squares = np.sum((whitened / unit) ** 2, axis=1)
-    limit = chdtri(whitened.shape[1], 0.01 / len(data))
+    # Mixed rows have only the components of their own model.
+    limit = chdtri(np.isfinite(fitted.problem.sigma).sum(axis=1), 0.01 / len(data))
     order = np.argsort(-squares, kind="stable")
     return tuple(
         Outlier(data.place(int(row)), int(row), float(np.sqrt(squares[row])))
         for row in order
-        if squares[row] > limit
+        if squares[row] > limit[row]
     )
 
 

@@ -7,24 +7,27 @@ calibration on other data. `identify` looks at the structure without measurement
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.assessment import (
+    CHECK,
     estimates,
     fitted_ranks,
     outliers,
     registration_reason,
     structural_ranks,
+    unexplained,
     verdict,
 )
 from calib_pin.chain import Chain
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.fit import analyze_structure, register
+from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
-from calib_pin.measurements import Measurements
+from calib_pin.measurements import AT, Measurements
 from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.result import (
     Accuracy,
@@ -36,7 +39,6 @@ from calib_pin.result import (
     UrdfResult,
 )
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 from calib_pin.training import (
     FOLDS,
     Stages,
@@ -46,9 +48,11 @@ from calib_pin.training import (
     folds,
     geometry_alone,
     named,
+    placed,
     portion,
     shuffled_groups,
     train,
+    validation_name,
 )
 
 __all__ = ["calibrate", "evaluate", "identify"]
@@ -103,7 +107,12 @@ def calibrate(
         ('good', 34)
     """
     setup = setup or Setup()
-    training, unseen, method = _split(measurements, validation, holdout, seed)
+    if validation is not None:
+        validation = validation.among(measurements.model)
+    training, unseen, method = _split(measurements, setup, validation, holdout, seed)
+    _require_ends(
+        setup, (measurements,) if validation is None else (measurements, validation)
+    )
     climbed = climb(chain, training, setup, seed, progress) if ladder else None
     alone = unseen is not None or not validate
     share = 1.0 if alone else 1.0 / (1 + FOLDS)
@@ -117,22 +126,28 @@ def calibrate(
         if progress is not None:
             progress(stage, share + (1.0 - share) * part)
 
-    checks: list[tuple[Floats, Floats]] = []
+    checks: tuple[Unseen, ...] = ()
     if not validate:
         method = "none"
     elif unseen is not None:
-        checks = [trained.errors(unseen)]
+        checks = (trained.unseen(unseen),)
     else:
-        parts: Iterable[Unseen] = ()
+        masks = folds(training, trained.fit, seed)
         if climbed is not None:
-            parts = climbed.unseen
-        elif masks := folds(training, trained.fit, seed):
-            parts = cross_validate(chain, training, setup, masks, seed, checking)
-        checks = [(part.before, part.after) for part in parts]
-        method = f"{len(checks)}-fold" if checks else "none"
+            checks = climbed.unseen
+        elif masks:
+            checks = tuple(
+                cross_validate(chain, training, setup, masks, seed, checking)
+            )
+        method = validation_name(training, setup, masks[: len(checks)])
     fitted = trained.fit
     errors = tuple(_quantity_errors(trained, checks))
-    status, reason = verdict(fitted, errors)
+    advice = CHECK
+    if unexplained(fitted, errors):
+        tell = named(progress, "joint readings")
+        if suggestion := suggest_readings(chain, training, setup, tell):
+            advice = suggestion.text(chain.joints, setup.joints)
+    status, reason = verdict(fitted, errors, advice)
     urdf = _urdf(chain, training, trained, unseen if validate else None, seed)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
@@ -146,11 +161,11 @@ def calibrate(
         errors=errors,
         validation=method,
         training=len(training),
-        validated=sum(len(before) for before, _ in checks),
+        validated=sum(len(check.before) for check in checks),
         chi2=2.0 * fitted.result.cost,
         dof=fitted.dof,
         sigma0=fitted.sigma0,
-        stated_sigma=training.sigma is not None,
+        stated_sigma=training.stated,
         outliers=outliers(fitted, trained.errors(training)[1]),
         solver=fitted.solver,
         evaluator=fitted.evaluator,
@@ -175,6 +190,8 @@ def calibrate(
         ladder=None if climbed is None else climbed.ladder,
         urdf=urdf,
         silent=trained.silent,
+        distances=trained.distances
+        + tuple(distance for check in checks for distance in check.distances),
     )
 
 
@@ -201,6 +218,7 @@ def evaluate(
     """
     outside = 0
     if isinstance(robot, CalibratedModel):
+        measurements = measurements.among(robot.measurement.name)
         problem = robot.problem(measurements)
         outside = int(robot.outside(measurements.q).sum())
         theta = np.concatenate(
@@ -218,17 +236,25 @@ def evaluate(
         problem, result = register(problem, theta)
         theta = result.x
         reason = registration_reason(problem, result)
-    residual = problem.errors(theta)
+    known = {feature.name for feature in problem.measurement.features}
+    problem, theta = placed(problem, theta, measurements)
+    residual = problem.shown(theta)
     return Evaluation(
         errors=tuple(
-            (quantity.name, quantity.unit, Accuracy.of(quantity.errors(residual)))
+            (quantity.name, quantity.unit, Accuracy.of(sizes))
             for quantity in problem.measurement.quantities
+            if len(sizes := quantity.errors(residual))
         ),
         rows=len(measurements),
         registered=registration,
         verdict="untrusted" if reason else "good",
         reason=reason,
         outside=outside,
+        placed=tuple(
+            feature.name
+            for feature in problem.measurement.features
+            if feature.name not in known
+        ),
     )
 
 
@@ -261,8 +287,34 @@ def identify(
     )
 
 
+def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
+    """Refuse known distances between what no row names.
+
+    Raises:
+        OptionError: If there are such.
+    """
+    names = {
+        half
+        for rows in parts
+        for part in rows.parts
+        for target in dict.fromkeys(rows.of(part))
+        for half in target.split(AT)
+    }
+    for distance in setup.distances:
+        for end in distance.between:
+            if end not in names:
+                reason = f"'distances' names '{end}', which no row does"
+                raise OptionError(
+                    f"{reason}{nearest(end, names)}",
+                    file=setup.file or None,
+                    value=list(distance.between),
+                    allowed=", ".join(sorted(filter(None, names))) or None,
+                )
+
+
 def _split(
     measurements: Measurements,
+    setup: Setup,
     validation: Measurements | None,
     holdout: float | None,
     seed: int,
@@ -287,7 +339,7 @@ def _split(
             raise OptionError(
                 "holdout is out of range", value=holdout, allowed="between 0 and 1"
             )
-        labels, order = shuffled_groups(training, seed)
+        labels, order = shuffled_groups(training, setup, seed)
         count = max(1, round(holdout * len(training)))
         size = np.cumsum(np.bincount(labels)[order])
         chosen = np.zeros(len(order), bool)
@@ -321,11 +373,10 @@ def _urdf(
     else:
         geometry = train(chain, rows, setup, seed)
     if unseen is not None:
-        checks = [geometry.errors(unseen)]
+        checks = [geometry.unseen(unseen)]
     else:
         masks = folds(rows, geometry.fit, seed)
-        parts = cross_validate(chain, rows, setup, masks, seed)
-        checks = [(part.before, part.after) for part in parts]
+        checks = list(cross_validate(chain, rows, setup, masks, seed))
     errors = tuple(_quantity_errors(geometry, checks))
     _, reason = verdict(geometry.fit, errors)
     return UrdfResult(
@@ -334,14 +385,21 @@ def _urdf(
 
 
 def _quantity_errors(
-    trained: Trained, unseen: Sequence[tuple[Floats, Floats]]
+    trained: Trained, unseen: Sequence[Unseen]
 ) -> Iterator[QuantityErrors]:
     """Accuracy before and after, on the fitted and on the unseen rows."""
     stages = trained.errors(trained.fit.problem.data)
-    parts = [np.concatenate(part) for part in zip(*unseen, strict=True)]
+    parts = []
+    if unseen:
+        parts = [
+            np.concatenate([check.before for check in unseen]),
+            np.concatenate([check.after for check in unseen]),
+        ]
     for quantity in trained.problem.measurement.quantities:
         before, after = (Accuracy.of(quantity.errors(errors)) for errors in stages)
-        accuracies = [Accuracy.of(quantity.errors(errors)) for errors in parts]
+        sizes = [quantity.errors(errors) for errors in parts]
+        # Of mixed rows, those that are unseen may all be of another model.
+        accuracies = [Accuracy.of(size) for size in sizes if len(size)]
         yield QuantityErrors(
             quantity.name, quantity.unit, before, after, *(accuracies or (None, None))
         )

@@ -307,7 +307,9 @@ class Chain:
             frames = (self._tip_id, at_tip), (self._base_id, at_base)
             for frame, result in frames:
                 if result is not None:
-                    result[i] = of_frame(self._model, self._data, frame, pin.LOCAL)
+                    twists = of_frame(self._model, self._data, frame, pin.LOCAL)
+                    # Of a robot with one joint Pinocchio returns a vector.
+                    result[i] = twists.reshape(6, width)
 
         T = self._sweep(q, placements, prepare, fill)
         if at_base is not None:

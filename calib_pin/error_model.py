@@ -152,6 +152,7 @@ class ErrorModel:
         base: Reference pose of the base link in the measuring frame.
         tool: Reference pose of the tool in the tip frame.
         learned: What was learned beside the parameters.
+        payload: Name of what the robot carries where rows do not say.
 
     Example:
         >>> import numpy as np, calib_pin
@@ -167,6 +168,7 @@ class ErrorModel:
     base: pin.SE3
     tool: pin.SE3
     learned: Learned | None = None
+    payload: str = ""
 
     @staticmethod
     def create(
@@ -215,6 +217,10 @@ class ErrorModel:
         """The same model with another learned correction, or without one."""
         return replace(self, learned=learned)
 
+    def carrying(self, payload: str) -> ErrorModel:
+        """The same model with what the robot carries where rows do not say."""
+        return replace(self, payload=payload)
+
     @cached_property
     def parameters(self) -> ParameterSet:
         """The parameters, in the order of the screws."""
@@ -236,15 +242,26 @@ class ErrorModel:
         """Whether there is nothing but geometry, which a URDF can hold."""
         return self.learned is None and len(self.joint_corrections) == 0
 
-    def factors(self, q: Floats) -> Floats:
-        """What the screws of joint corrections are multiplied by, (N, n) -> (N, C)."""
+    def factors(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+        """What the screws of joint corrections are multiplied by, shape (N, C).
+
+        Args:
+            q: Commanded joint positions, shape (N, n) [rad, m].
+            payload: Name of what the robot carries in each row; default the only
+                payload that there is.
+
+        Raises:
+            InputError: If there are several payloads, or none of that name.
+        """
         values: dict[JointFunctions, Floats] = {}
+        if self.payload and not any(payload):
+            payload = (self.payload,) * len(q)
         result = np.empty((len(q), len(self.joint_corrections)))
         for k, position in enumerate(self.joint_corrections):
             factor = self.screws[position].factor
             assert factor is not None
             if factor.functions not in values:
-                values[factor.functions] = factor.functions(q)
+                values[factor.functions] = factor.functions(q, payload)
             result[:, k] = values[factor.functions][:, factor.column]
         return result
 
@@ -290,15 +307,18 @@ class ErrorModel:
             return np.asarray(T)
         return interpolate(self.with_learned(None).poses(q, theta, factors), T, weight)
 
-    def tip_poses(self, q: Floats, theta: Floats) -> Floats:
+    def tip_poses(
+        self, q: Floats, theta: Floats, payload: Sequence[str] = ()
+    ) -> Floats:
         """Poses of the corrected tip in the base link, shape (N, 4, 4).
 
         A motion of the tool that was learned is left out: it stands behind the tool.
+        Arguments as for `factors` and `poses`.
         """
         theta = self._shifted(theta)
         _, placements, tip, _ = self._placed(self.corrections(theta))
-        F = self.chain.poses(self._moved(q, theta, self.factors(q)), placements)
-        return np.asarray(F @ tip.homogeneous)
+        moved = self._moved(q, theta, self.factors(q, payload))
+        return np.asarray(self.chain.poses(moved, placements) @ tip.homogeneous)
 
     def linearize(
         self, q: Floats, theta: Floats, factors: Floats | None = None
@@ -340,7 +360,9 @@ class ErrorModel:
             learned=motion,
         )
 
-    def kinematics(self, q: Floats, theta: Floats) -> tuple[Floats, Floats]:
+    def kinematics(
+        self, q: Floats, theta: Floats, payload: Sequence[str] = ()
+    ) -> tuple[Floats, Floats]:
         """Tool poses and their derivative by the joint positions.
 
         That of the corrections of joint positions by these is neglected, and so is the
@@ -349,17 +371,18 @@ class ErrorModel:
         Args:
             q: Commanded joint positions, shape (N, n) [rad, m].
             theta: Parameter values, shape (P,).
+            payload: As for `factors`.
 
         Returns:
             Poses, shape (N, 4, 4), and body twists of the tool, shape (N, 6, n).
         """
         if self.learned is not None:
-            linear = self.linearize(q, theta)
+            linear = self.linearize(q, theta, self.factors(q, payload))
             return linear.T, linear.joint_twists()
         base, placements, tip, tool = self._placed(self.corrections(theta))
         moved = q
         if theta[self.joint_corrections].any():
-            moved = self._moved(q, theta, self.factors(q))
+            moved = self._moved(q, theta, self.factors(q, payload))
         F, J = self.chain.jacobian(moved, placements)
         to_tool = tip * tool
         T = base.homogeneous @ F @ to_tool.homogeneous

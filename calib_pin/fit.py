@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.configurations import observable_configurations
 from calib_pin.directions import (
     Directions,
     appearing,
@@ -17,7 +18,8 @@ from calib_pin.directions import (
 )
 from calib_pin.identifiability import Structure, structure
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem, observable_configurations
+from calib_pin.problem import Problem
+from calib_pin.scale import scale_observable
 from calib_pin.solve import Progress, Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
@@ -139,7 +141,7 @@ def _fit(
     last = solutions[-1]
     found_by = [solution.found for solution in reversed(solutions)]
     searched = next((found for found in found_by if found.evolution), found_by[0])
-    weight = 1.0 if problem.data.sigma is not None else last.sigma0**2
+    weight = 1.0 if problem.data.stated else last.sigma0**2
     return Fit(
         problem=problem,
         before=before.x,
@@ -372,7 +374,11 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    count = max(50, -(-3 * len(problem.parameters) // problem.components))
+    # Mixed rows have only a part of the components each.
+    least = min(
+        q.columns.stop - q.columns.start for q in problem.measurement.quantities
+    )
+    count = max(50, -(-3 * len(problem.parameters) // least))
     q, target = observable_configurations(problem, theta, count, rng)
     found, J = structure_at(problem, theta, q, target)
     return found, visible_directions(J, problem.parameters)
@@ -392,6 +398,7 @@ def structure_at(
     Returns:
         The structure, and the whitened Jacobian with the rows of the priors, (M, P).
     """
-    _, J = problem.about(theta, q, target).linearize_rows(theta)
-    rows = len(q) * problem.components
-    return structure(J[:rows], problem.parameters, len(q)), J
+    there = problem.about(theta, q, target)
+    _, J = there.linearize_rows(theta)
+    found = structure(J[: len(J) - problem.priors], problem.parameters, len(q))
+    return replace(found, scaled=scale_observable(there, theta)), J

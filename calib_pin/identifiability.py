@@ -84,6 +84,7 @@ class Structure:
         configurations: Number of configurations they belong to.
         combinations: The identifiable combinations, one per rank, in order.
         unidentifiable: Positions of the free parameters without any effect.
+        scaled: Whether measurements tell how large the robot is.
     """
 
     singular_values: Floats
@@ -92,6 +93,7 @@ class Structure:
     configurations: int
     combinations: tuple[Combination, ...]
     unidentifiable: tuple[int, ...]
+    scaled: bool = True
 
     @property
     def gap(self) -> float:
@@ -118,14 +120,18 @@ def structure(
     rank = int((s > tolerance).sum())
     found = np.flatnonzero(free)
     # The rows S V^T carry the same relations between columns as A, without its noise.
-    pivots, C = combinations(s[:rank, None] * Vt[:rank], rank)
-    scale = parameters.scales[free]
+    of_free = np.cumsum(free) - 1
+    order = of_free[[k for k in parameters.eliminated if free[k]]]
+    early, ordered = combinations((s[:rank, None] * Vt[:rank])[:, order], rank)
+    pivots, C = order[early], np.zeros_like(ordered)
+    C[:, order] = ordered
+    scale, at = parameters.scales[free], np.argsort(order)
     sums = []
     for row, pivot in zip(C, pivots, strict=True):
         coefficients = row * scale[pivot] / scale
         terms = [
             (int(found[k]), float(coefficients[k]))
-            for k in np.flatnonzero(np.abs(row) > 0.0)
+            for k in sorted(np.flatnonzero(np.abs(row) > 0.0), key=at.__getitem__)
         ]
         sums.append(_readable(terms, parameters))
     used = {position for combination in sums for position, _ in combination.terms}

@@ -258,7 +258,7 @@ def _sizes(rows: Measurements, problem: Problem, unseen: Sequence[Unseen]) -> Fl
         np.concatenate([part.positions for part in unseen]), kind="stable"
     )
     after = np.concatenate([part.after for part in unseen])[order]
-    size = np.sqrt(np.mean((after / sigma) ** 2, axis=1))
+    size = np.sqrt(np.nanmean((after / sigma) ** 2, axis=1))
     labels = rows.groups()
     return np.asarray(np.bincount(labels, size) / np.bincount(labels))
 

@@ -176,6 +176,7 @@ class _Chunk:
             values=data.values[rows],
             sigma=None,
             target=data.target[rows],
+            payload=data.payload[rows],
             validate=data.validate[rows],
             lines=data.lines[rows],
             files=data.files[rows],

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any
@@ -11,9 +12,31 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 
-__all__ = ["Measurements"]
+__all__ = ["AT", "LAYOUT", "PART", "PLUS", "Measurements"]
 
 Floats = NDArray[np.float64]
+
+LAYOUT: Mapping[str, tuple[int, int]] = {
+    "position": (3, 3),
+    "pose": (7, 6),
+    "plane-distance": (1, 1),
+    "point-distance": (1, 1),
+    "relative-distance": (1, 1),
+    "fixed-point": (0, 3),
+    "plane-contact": (0, 1),
+    "sphere-contact": (0, 1),
+    "camera": (2, 2),
+}
+"""Columns of the values and components of the residual of each model."""
+
+PLUS = "+"
+"""Stands between the names of models that are measured together."""
+
+PART = ":"
+"""Stands between the name of a model and a target in mixed measurements."""
+
+AT = "@"
+"""Stands between a point of the tool and the place it is measured against."""
 
 SAME = 1e-6
 """Largest difference of joint positions within one configuration [rad, m]."""
@@ -21,20 +44,28 @@ SAME = 1e-6
 
 @dataclass(frozen=True)
 class Measurements:
-    """N measurements of one chain with one measurement model.
+    """N measurements of one chain with one measurement model, or with several.
 
     Attributes:
         joints: Names of the chain's joints, the columns of `q`.
         q: Commanded joint positions, shape (N, n) [rad, m].
-        model: Name of the measurement model, such as `position`.
+        model: Name of the measurement model, such as `position`; of several with a
+            plus between them.
         values: Measured values in the layout of the model, shape (N, D), SI units:
-            `position` x y z [m]; `pose` x y z [m] and the quaternion qx qy qz qw;
-            `plane-distance` the distance [m].
+            `position` x y z [m]; `pose` x y z [m] and the quaternion qx qy qz qw; the
+            distances one distance [m]; `camera` u v [px]; contacts none. Of several
+            models side by side, zero where a row has none.
         sigma: Standard deviations of the residual components, shape (N, d), or
             None where the file does not state them. For `pose` the last three belong
-            to the rotation vector in the tool frame [rad].
-        target: Name of the plane or reference point of each row, length N; empty
-            strings where the file names none.
+            to the rotation vector in the tool frame [rad]. Of several models side by
+            side: infinite for those of another model, NaN where none is stated.
+        target: Name of the plane, socket or reference point of each row, length N;
+            empty strings where the file names none. Of several models with the name
+            of the row's model before it, `fixed-point:front/0`.
+        payload: Name of what the robot carried, length N; empty strings where the
+            file names none.
+        start: Joint positions at which the relative measurement of a row starts, shape
+            (N, n) [rad, m]; NaN in rows of other models, empty where all are.
         validate: True for the rows that must not be fitted, shape (N,).
         lines: Line of each row in its file, shape (N,); 0 where there is no file.
         files: File of each row, length N; empty strings where there is none.
@@ -49,6 +80,8 @@ class Measurements:
     values: Floats
     sigma: Floats | None = None
     target: tuple[str, ...] = ()
+    payload: tuple[str, ...] = ()
+    start: Floats = field(default_factory=lambda: np.zeros((0, 0)))
     validate: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     files: tuple[str, ...] = ()
@@ -58,6 +91,7 @@ class Measurements:
         count = len(self.q)
         defaults = {
             "target": ("",) * count,
+            "payload": ("",) * count,
             "files": ("",) * count,
             "validate": np.zeros(count, bool),
             "lines": np.zeros(count, np.int64),
@@ -69,9 +103,11 @@ class Measurements:
             raise InputError(
                 f"q has shape {self.q.shape}, expected ({count}, {len(self.joints)})"
             )
-        for name in ("values", "target", "validate", "lines", "files"):
+        for name in ("values", "target", "payload", "validate", "lines", "files"):
             if len(getattr(self, name)) != count:
                 raise InputError(f"'{name}' has not the {count} rows of q")
+        if self.start.size and self.start.shape != self.q.shape:
+            raise InputError(f"start has shape {self.start.shape}, not that of q")
         if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
             raise InputError("measurements must be finite numbers")
         if self.values.ndim != 2 or (
@@ -79,14 +115,49 @@ class Measurements:
             and (self.sigma.ndim != 2 or len(self.sigma) != count)
         ):
             raise InputError(f"values and sigma must be tables of {count} rows")
-        if self.sigma is not None and not (
-            np.isfinite(self.sigma).all() and (self.sigma > 0).all()
-        ):
-            raise InputError("standard deviations must be positive finite numbers")
+        if self.sigma is not None:
+            told = np.isfinite(self.sigma) | (len(self.parts) > 1)
+            if not told.all() or (self.sigma <= 0.0).any():
+                raise InputError("standard deviations must be positive finite numbers")
 
     def __len__(self) -> int:
         """Number of rows."""
         return len(self.q)
+
+    @property
+    def parts(self) -> tuple[str, ...]:
+        """Names of the models."""
+        return tuple(self.model.split(PLUS))
+
+    @property
+    def stated(self) -> bool:
+        """Whether the rows state all their standard deviations."""
+        return self.sigma is not None and not bool(np.isnan(self.sigma).any())
+
+    def among(self, model: str) -> Measurements:
+        """The same rows in the columns of several models, where theirs are some.
+
+        Args:
+            model: Names of the models with a plus between them.
+        """
+        names = model.split(PLUS)
+        if self.model == model or not set(self.parts) <= set(names):
+            return self
+        none = self.rows(np.zeros(len(self), bool))
+        empty = [
+            replace(none, model=name, values=np.zeros((0, LAYOUT[name][0])), sigma=None)
+            for name in names
+        ]
+        return Measurements.concatenate([*empty, self])
+
+    def of(self, model: str) -> tuple[str, ...]:
+        """The plain target of each row of one model; empty in the other rows."""
+        if self.model == model:
+            return self.target
+        start = model + PART
+        return tuple(
+            t[len(start) :] if t.startswith(start) else "" for t in self.target
+        )
 
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
@@ -97,6 +168,8 @@ class Measurements:
             values=self.values[order],
             sigma=None if self.sigma is None else self.sigma[order],
             target=tuple(map(self.target.__getitem__, order.tolist())),
+            payload=tuple(map(self.payload.__getitem__, order.tolist())),
+            start=self.start[order] if self.start.size else self.start,
             validate=self.validate[order],
             lines=self.lines[order],
             files=tuple(map(self.files.__getitem__, order.tolist())),
@@ -170,24 +243,28 @@ class Measurements:
         return f"row {row}"
 
     @staticmethod
-    def concatenate(parts: list[Measurements]) -> Measurements:
-        """Join measurements of the same chain and model.
+    def concatenate(parts: Sequence[Measurements]) -> Measurements:
+        """Join measurements of the same chain, of one model or of several.
+
+        Of several models, a row keeps what belongs to its own; see the attributes.
 
         Raises:
-            InputError: If the joints or the models differ, or only some have sigmas.
+            InputError: If the joints differ, or only some rows of one model have
+                standard deviations.
         """
         first = parts[0]
         for part in parts[1:]:
-            if part.joints != first.joints or part.model != first.model:
-                raise InputError(
-                    f"cannot join '{part.model}' measurements with '{first.model}' ones"
-                )
+            if part.joints != first.joints:
+                raise InputError("cannot join measurements of different joints")
+        if any(part.model != first.model for part in parts):
+            parts = _side_by_side(parts)
+        parts = [part for part in parts if len(part)] or parts[:1]
+        first = parts[0]
+        for part in parts:
             if (part.sigma is None) != (first.sigma is None):
-                raise InputError(
-                    "cannot join measurements with and without standard deviations",
-                    file=part.files[0] or None,
-                )
+                raise _unlike(part)
         sigmas = [part.sigma for part in parts if part.sigma is not None]
+        started = any(part.start.size for part in parts)
         return Measurements(
             joints=first.joints,
             q=np.concatenate([part.q for part in parts]),
@@ -195,10 +272,75 @@ class Measurements:
             values=np.concatenate([part.values for part in parts]),
             sigma=np.concatenate(sigmas) if sigmas else None,
             target=sum((part.target for part in parts), ()),
+            payload=sum((part.payload for part in parts), ()),
+            start=np.concatenate(
+                [
+                    part.start if part.start.size else np.full(part.q.shape, np.nan)
+                    for part in parts
+                ]
+            )
+            if started
+            else first.start,
             validate=np.concatenate([part.validate for part in parts]),
             lines=np.concatenate([part.lines for part in parts]),
             files=sum((part.files for part in parts), ()),
         )
+
+
+def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
+    """Measurements of different models in the columns of all of them.
+
+    Raises:
+        InputError: If only some rows of one model have standard deviations.
+    """
+    names = tuple(dict.fromkeys(name for part in parts for name in part.parts))
+    widths = np.cumsum([(0, 0), *(LAYOUT[name] for name in names)], axis=0)
+    at = {name: (widths[k], widths[k + 1]) for k, name in enumerate(names)}
+    stated: dict[str, bool] = {}
+    result = []
+    for part in parts:
+        values = np.zeros((len(part), widths[-1][0]))
+        sigma = np.full((len(part), widths[-1][1]), np.inf)
+        several = len(part.parts) > 1
+        start = np.zeros(2, int)
+        for name in part.parts:
+            end = start + LAYOUT[name]
+            rows = np.array(
+                [t.startswith(name + PART) or not several for t in part.target], bool
+            )
+            start, before = end, start
+            if not rows.any():
+                continue
+            (a, b), (c, d) = at[name]
+            values[rows, a:c] = part.values[rows, before[0] : end[0]]
+            found = np.full((int(rows.sum()), LAYOUT[name][1]), np.nan)
+            if part.sigma is not None:
+                found = part.sigma[rows, before[1] : end[1]]
+            told = not bool(np.isnan(found).any())
+            if stated.setdefault(name, told) != told:
+                raise _unlike(part)
+            sigma[rows, b:d] = found
+        target = part.target
+        if not several:
+            target = tuple(f"{part.model}{PART}{name}" for name in target)
+        result.append(
+            replace(
+                part,
+                model=PLUS.join(names),
+                values=values,
+                sigma=sigma,
+                target=target,
+            )
+        )
+    return result
+
+
+def _unlike(part: Measurements) -> InputError:
+    """An error about rows that state standard deviations, or do not, unlike others."""
+    return InputError(
+        "cannot join measurements with and without standard deviations",
+        file=part.files[0] or None,
+    )
 
 
 def _split_groups(

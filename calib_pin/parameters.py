@@ -30,6 +30,8 @@ class Parameter:
         scale: Expected size of the value, in its unit; makes parameters comparable.
         nuisance: True for what belongs to the measurement and not to the robot:
             base frame, tool frame, planes. Nuisances absorb all that they can.
+        outer: True for what stands where the base does and not on the tool: planes,
+            sockets. In sums it comes before the base, wherever it stands in a set.
         free: Whether the value is estimated.
         lower: Lower bound, in the unit.
         upper: Upper bound, in the unit.
@@ -40,6 +42,7 @@ class Parameter:
     unit: str
     scale: float
     nuisance: bool = False
+    outer: bool = False
     free: bool = True
     lower: float = -np.inf
     upper: float = np.inf
@@ -103,6 +106,11 @@ class ParameterSet:
     def nuisance(self) -> NDArray[np.bool_]:
         """True for base, tool and instrument, shape (P,)."""
         return np.array([p.nuisance for p in self.parameters], bool)
+
+    @cached_property
+    def eliminated(self) -> NDArray[np.intp]:
+        """Positions in the order in which sums are formed, shape (P,)."""
+        return np.argsort([not p.outer for p in self.parameters], kind="stable")
 
     @cached_property
     def priors(self) -> Floats:

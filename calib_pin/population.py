@@ -5,9 +5,11 @@ from __future__ import annotations
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin import kernels
-from calib_pin.measurement_models import BatchedModel
+from calib_pin.measurement_models import Batch, BatchedModel, MeasurementModel
+from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
 from calib_pin.segments import Segments
 from calib_pin.spatial import Floats
@@ -28,8 +30,8 @@ class PopulationCost:
 
     Attributes:
         evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
-            measurement model has no batch form, or the joints have corrections, which
-            give every member other joint motions.
+            joints have corrections, which give every member other joint motions, or
+            rows are relative to others.
 
     Example:
         >>> import numpy as np, calib_pin
@@ -49,15 +51,22 @@ class PopulationCost:
         self._threads = Threads(threads)
         measurement = problem.measurement
         self.evaluator: Literal["kernel", "loop"] = "loop"
-        if isinstance(measurement, BatchedModel) and problem.error.geometric:
-            self.evaluator = "kernel"
-            self._segments = Segments.of(problem.error)
-            self._batch = measurement.batch(problem.data, 1.0 / problem.sigma)
-            self._motion, self._starts = kernels.motions(
-                problem.data.q[self._batch.order] * self._segments.signs,
-                self._segments.revolute,
-                self._batch.groups,
-            )
+        if not problem.error.geometric or measurement.relative:
+            return
+        self.evaluator = "kernel"
+        self._segments = Segments.of(problem.error)
+        weights = 1.0 / problem.sigma
+        found = None
+        if isinstance(measurement, BatchedModel):
+            found = measurement.batch(problem.data, weights)
+        if found is None:
+            found = posed_batch(measurement, problem.data, weights)
+        self._batch = found
+        self._motion, self._starts = kernels.motions(
+            problem.data.q[found.order] * self._segments.signs,
+            self._segments.revolute,
+            found.groups,
+        )
 
     def __call__(self, theta: Floats) -> Floats:
         """Costs of parameter values, shape (S, P) -> (S,)."""
@@ -76,5 +85,32 @@ class PopulationCost:
         pieces = self._threads.slices(len(theta), least)
         for _ in self._threads.map(evaluate, pieces):
             pass
-        priors = self._problem.prior_rows(theta)
-        return costs + 0.5 * np.asarray(np.sum(priors**2, axis=-1))
+        further = self._problem.further_rows(theta)
+        return costs + 0.5 * np.asarray(np.sum(further**2, axis=-1))
+
+
+def posed_batch(
+    measurement: MeasurementModel, data: Measurements, weights: Floats
+) -> Batch:
+    """The batch form of a model without a kernel: it looks at the poses of a member.
+
+    Args:
+        measurement: The model.
+        data: The N rows.
+        weights: Reciprocal standard deviations of the residual, shape (N, d).
+    """
+
+    def costs(
+        chains: Floats,
+        motion: Floats,
+        starts: NDArray[np.int64],
+        own: Floats,
+        costs: Floats,
+    ) -> None:
+        T = np.empty((len(data), 4, 4))
+        for k, chain in enumerate(chains):
+            kernels.poses(chain, motion, starts, T)
+            r = measurement.residual(T, own[k], data) * weights
+            costs[k] = 0.5 * float(np.vdot(r, r))
+
+    return Batch(np.arange(len(data)), (len(data),), costs)

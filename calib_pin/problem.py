@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -13,12 +13,19 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import InputError, OptionError
-from calib_pin.measurement_models import MeasurementModel, measurement_model
+from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.known_distances import KnownDistances
+from calib_pin.measurement_models import (
+    MeasurementModel,
+    Mixed,
+    measurement_model,
+)
+from calib_pin.measurement_models.features import slices
 from calib_pin.measurements import Measurements
+from calib_pin.parameterizations import NOTHING
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
+from calib_pin.spatial import Floats, adjoint, invert
 
 if TYPE_CHECKING:
     from calib_pin.many_rows import ManyRows
@@ -29,11 +36,9 @@ __all__ = [
     "frame_pose",
     "make_problem",
     "nominal_problem",
-    "observable_configurations",
+    "relative_rows",
+    "rows_where",
 ]
-
-DRAWS = 200
-"""Random configurations tried for each one that is wanted."""
 
 SAMPLE = 10_000
 """Rows that a closed-form start is made from; more do not help it."""
@@ -50,7 +55,8 @@ class Problem:
     """Whitened residuals of data as a function of the error parameters.
 
     The residual vector holds the rows of the data, each component divided by its
-    standard deviation, then one row per free parameter with a prior.
+    standard deviation, then one row per known distance between points that these rows
+    name, then one per free parameter with a prior.
 
     Attributes:
         error: The error model about its reference frames.
@@ -89,26 +95,52 @@ class Problem:
     @cached_property
     def sigma(self) -> Floats:
         """Standard deviation of every residual component, shape (N, d)."""
-        if self.data.sigma is not None:
+        assumed = assumed_sigma(self.measurement, self.setup.noise)
+        if self.data.sigma is None:
+            return np.tile(assumed, (len(self.data), 1))
+        if self.data.stated:
             return self.data.sigma
-        return np.tile(
-            assumed_sigma(self.measurement, self.setup.noise), (len(self.data), 1)
-        )
+        return np.where(np.isnan(self.data.sigma), assumed, self.data.sigma)
 
     @property
     def components(self) -> int:
         """Residual components of a row."""
         return int(self.measurement.quantities[-1].columns.stop)
 
+    @cached_property
+    def values(self) -> int:
+        """Measured values: what a row of mixed measurements lacks does not count."""
+        if self.data.sigma is None:
+            return len(self.data) * self.components
+        return int(np.isfinite(self.sigma).sum())
+
     @property
     def count(self) -> int:
-        """Components of the whitened residual: those of the rows and the priors."""
-        return len(self.data) * self.components + int(self._prior.sum())
+        """Components of the whitened residual: rows, known distances and priors."""
+        return self.values + len(self._distances) + self.priors
+
+    @property
+    def priors(self) -> int:
+        """Number of rows of priors, the last ones."""
+        return int(self._prior.sum())
 
     @property
     def distinct_values(self) -> int:
-        """Measured values, repetitions of a configuration left out."""
-        return self.data.configurations * self.components
+        """Measured values and distances, repetitions of a configuration left out."""
+        _, first = np.unique(self._repeated(), return_index=True)
+        values = len(first) * self.components
+        if self.data.sigma is not None:
+            values = int(np.isfinite(self.sigma[first]).sum())
+        return values + len(self._distances)
+
+    def _repeated(self) -> NDArray[np.int64]:
+        """Label of the rows that show one thing in one configuration, shape (N,)."""
+        labels = self.data.groups()
+        names = {name: k for k, name in enumerate(dict.fromkeys(self.data.target))}
+        if len(names) == 1:
+            return labels
+        index = np.array([names[name] for name in self.data.target], np.int64)
+        return labels * len(names) + index
 
     @cached_property
     def _prior(self) -> NDArray[np.bool_]:
@@ -136,13 +168,40 @@ class Problem:
         of_robot, own = self.split(theta)
         if self._many is not None:
             return self._many.errors(of_robot, own)
-        T = self.error.poses(self.data.q, of_robot, self._factors)
+        T = self._poses(self.data.q, of_robot, self._factors, self._begun)
         return self.measurement.residual(T, own, self.data)
 
+    def shown(self, theta: Floats) -> Floats:
+        """Residuals as `errors`, with NaN for what a row does not have, shape (N, d).
+
+        What cannot be predicted is infinite.
+        """
+        errors = self.errors(theta)
+        errors = np.where(np.isnan(errors), np.inf, errors)
+        return np.where(np.isfinite(self.sigma), errors, np.nan)
+
+    def poses(self, theta: Floats) -> Floats:
+        """Tool poses of the rows in the measuring frame, shape (N, 4, 4).
+
+        Those of relative measurements in the tool at the row's start.
+        """
+        of_robot, _ = self.split(theta)
+        return self._poses(self.data.q, of_robot, self._factors, self._begun)
+
     def residual(self, theta: Floats) -> Floats:
-        """Whitened residual, shape (M,): components of the rows, then the priors."""
+        """Whitened residual, shape (M,): rows, known distances, then the priors."""
         rows = (self.errors(theta) / self.sigma).reshape(-1)
-        return np.concatenate([rows, self.prior_rows(theta)])
+        own = self.split(theta)[1]
+        distances = self._distances.residual(own)
+        return np.concatenate([rows, distances, self.prior_rows(theta)])
+
+    def further_rows(self, theta: Floats) -> Floats:
+        """Whitened rows that are no rows of the data, (S, P) -> (S, p)."""
+        own = self.split(theta)[1]
+        distances = np.empty((len(theta), len(self._distances)))
+        for k, member in enumerate(own):
+            distances[k] = self._distances.residual(member)
+        return np.concatenate([distances, self.prior_rows(theta)], axis=1)
 
     def prior_rows(self, theta: Floats) -> Floats:
         """Parameters in standard deviations of their priors, (..., P) -> (..., p)."""
@@ -153,8 +212,8 @@ class Problem:
         if self._many is None:
             r = self.residual(theta)
             return 0.5 * float(r @ r)
-        prior = self.prior_rows(theta)
-        return self._many.cost(*self.split(theta)) + 0.5 * float(prior @ prior)
+        further = self.further_rows(theta[None])[0]
+        return self._many.cost(*self.split(theta)) + 0.5 * float(further @ further)
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual and its Jacobian by all parameters.
@@ -168,26 +227,37 @@ class Problem:
         """
         if self._many is None:
             return self.linearize_rows(theta)
-        return self._with_priors(theta, *self._many.normal(*self.split(theta)))
+        return self._with_further(theta, *self._many.normal(*self.split(theta)))
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` row by row, however many there are."""
         of_robot, own = self.split(theta)
         poses = self.error.linearize(self.data.q, of_robot, self._factors)
-        linear = self.measurement.linearize(poses.T, own, self.data)
-        weight = 1.0 / self.sigma[:, :, None]
-        blocks = [poses.derivative(linear.by_twist * weight)]
+        T, weight, begun = poses.T, 1.0 / self.sigma[:, :, None], self._begun
+        if begun.any():
+            start = self.error.linearize(
+                self.data.start[begun], of_robot, self._start_factors
+            )
+            T = T.copy()
+            T[begun] = invert(start.T) @ T[begun]
+        linear = self.measurement.linearize(T, own, self.data)
+        by_twist = linear.by_twist * weight
+        blocks = [poses.derivative(by_twist)]
+        if begun.any():
+            # The twist of T_0^-1 T is that of T without that of T_0, carried there.
+            carried = by_twist[begun] @ adjoint(invert(T[begun]))
+            blocks[0][begun] -= start.derivative(carried)
         if len(own):
             blocks.append(linear.by_own * weight)
         J = _joined(blocks, axis=2).reshape(-1, len(theta))
         r = (linear.residual / self.sigma).reshape(-1)
-        return self._with_priors(theta, r, J)
+        return self._with_further(theta, r, J)
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` to full precision, for decisions about ranks."""
         if self._many is None:
             return self.linearize(theta)
-        return self._with_priors(theta, *self._many.triangular(*self.split(theta)))
+        return self._with_further(theta, *self._many.triangular(*self.split(theta)))
 
     @property
     def many(self) -> bool:
@@ -197,26 +267,67 @@ class Problem:
     @cached_property
     def _factors(self) -> Floats:
         """Those of the joint corrections, which depend on commands alone, (N, C)."""
-        return self.error.factors(self.data.q)
+        return self.error.factors(self.data.q, self.data.payload)
+
+    @cached_property
+    def _start_factors(self) -> Floats:
+        """The same where relative measurements start."""
+        rows = np.flatnonzero(self._begun)
+        loads = [self.data.payload[k] for k in rows]
+        return self.error.factors(self.data.start[rows], loads)
+
+    @cached_property
+    def _begun(self) -> NDArray[np.bool_]:
+        """The rows that are measured relative to a start, shape (N,)."""
+        if not self.data.start.size:
+            return np.zeros(len(self.data), bool)
+        return np.asarray(np.isfinite(self.data.start[:, 0]))
+
+    def _poses(
+        self,
+        q: Floats,
+        of_robot: Floats,
+        factors: Floats | None,
+        begun: NDArray[np.bool_],
+    ) -> Floats:
+        """Poses of rows with the starts of the data."""
+        T = self.error.poses(q, of_robot, factors)
+        if begun.any():
+            start = self.data.start[begun]
+            T_0 = self.error.poses(start, of_robot, self._start_factors)
+            T[begun] = invert(T_0) @ T[begun]
+        return T
+
+    @cached_property
+    def _distances(self) -> KnownDistances:
+        """Known distances between points that the instrument knows."""
+        return KnownDistances.of(self.setup.distances, self.measurement.features)
 
     @cached_property
     def _many(self) -> ManyRows | None:
         """The compiled kernels where a Jacobian would be too large to be handy."""
         size = len(self.data) * self.components * len(self.parameters)
-        if size < MANY or not self.error.geometric:
+        if size < MANY or not self.error.geometric or self.measurement.relative:
             return None
         from calib_pin.many_rows import ManyRows
 
         return ManyRows(self.error, self.measurement, self.data, self.sigma)
 
-    def _with_priors(
+    def _with_further(
         self, theta: Floats, r: Floats, J: Floats
     ) -> tuple[Floats, Floats]:
-        """Residual and Jacobian with the rows of the priors behind them."""
-        if not self._prior.any():
+        """Residual and Jacobian with known distances and priors behind the rows."""
+        if not len(self._distances) and not self._prior.any():
             return r, J
+        own = self.split(theta)[1]
+        by_own = self._distances.jacobian(own)
+        distances = np.zeros((len(by_own), len(theta)))
+        distances[:, len(theta) - len(own) :] = by_own
         prior = np.diag(1.0 / self.parameters.priors)[self._prior]
-        return np.concatenate([r, prior @ theta]), np.concatenate([J, prior])
+        return (
+            np.concatenate([r, self._distances.residual(own), prior @ theta]),
+            np.concatenate([J, distances, prior]),
+        )
 
     def register(self, theta: Floats) -> Problem:
         """The same problem about closed-form frames and instrument references.
@@ -234,18 +345,40 @@ class Problem:
             self._given(self.setup.base_frame, slice(0, 6)),
             self._given(self.setup.tool_frame, slice(count - 6, count)),
         )
-        own = slice(count, None)
-        if self.measurement.missing and self._constrained(own):
-            raise OptionError(
-                f"fixed, bounds or prior on a part of an unknown instrument: "
-                f"{self.measurement.missing}",
-                file=self.setup.file or None,
-            )
-        F = self.error.tip_poses(few.q, self.split(theta)[0])
+        self._require_loose(count)
+        of_robot = self.split(theta)[0]
+        F = self.error.tip_poses(few.q, of_robot, few.payload)
+        if few.start.size:
+            begun = np.isfinite(few.start[:, 0])
+            loads = [few.payload[k] for k in np.flatnonzero(begun)]
+            F_0 = self.error.tip_poses(few.start[begun], of_robot, loads)
+            F[begun] = invert(F_0) @ F[begun]
         measurement, base, tool = self.measurement.register(F, few, *start)
         return replace(
             self, error=self.error.with_frames(base, tool), measurement=measurement
         )
+
+    def _require_loose(self, start: int) -> None:
+        """Refuse fixed, bounds or prior on what has no reference to be about.
+
+        Args:
+            start: Position of the first of the instrument's own parameters.
+        """
+        features = self.measurement.features
+        for feature, part in zip(features, slices(features), strict=True):
+            if feature.placed:
+                continue
+            own = slice(start + part.start, start + part.stop)
+            lower, upper = (bound[own] for bound in self.parameters.bounds)
+            priors = self.parameters.priors[own]
+            free = np.array([p.free for p in feature.parameters], bool)
+            held = free & ~self.parameters.free[own]
+            if held.any() or np.isfinite([lower, upper, priors]).any():
+                raise OptionError(
+                    "fixed, bounds or prior on a part of an unknown instrument: "
+                    f"{self.measurement.missing}",
+                    file=self.setup.file or None,
+                )
 
     def _given(self, frame: FrameSetup, part: slice) -> pin.SE3 | None:
         """The pose that a frame starts from, None for a closed-form estimate.
@@ -260,7 +393,7 @@ class Problem:
         return None
 
     def _constrained(self, part: slice) -> bool:
-        """Whether some parameters of an estimated frame or plane are tied down."""
+        """Whether some parameters of an estimated frame are tied down."""
         parameters = self.parameters
         lower, upper = parameters.bounds
         tied = np.isfinite([lower[part], upper[part], parameters.priors[part]]).any()
@@ -287,24 +420,79 @@ class Problem:
         )
         return moved, np.where(self.parameters.nuisance, 0.0, theta)
 
-    def about(self, theta: Floats, q: Floats, target: Sequence[str]) -> Problem:
+    def extended(self, theta: Floats, rows: Measurements) -> tuple[Problem, Floats]:
+        """The problem of other rows, with a place for what only these name.
+
+        Args:
+            theta: Parameter values, shape (P,).
+            rows: The other rows.
+
+        Returns:
+            The problem about its instrument, and its parameter values: those of the
+            instrument are zero.
+        """
+        of_robot, own = self.split(theta)
+        known = self.measurement.about(own)
+        there = replace(self, data=rows, measurement=known)
+        T = there.poses(np.concatenate([of_robot, 0.0 * own]))
+        measurement = known.extended(T, rows)
+        own = np.zeros(len(measurement.parameters))
+        return replace(there, measurement=measurement), np.concatenate([of_robot, own])
+
+    def about(
+        self,
+        theta: Floats,
+        q: Floats,
+        target: Sequence[str],
+        start: Floats | None = None,
+        payload: Sequence[str] = (),
+    ) -> Problem:
         """The problem with noise-free data of the model at other rows.
 
         Args:
             theta: Parameter values, shape (P,).
             q: Joint positions, shape (K, n) [rad, m].
             target: Target of each row.
+            start: Where relative measurements start, shape (K, n); default the row
+                before each.
+            payload: What each row carries; default `loads`.
         """
-        of_robot, own = self.split(theta)
-        T = self.error.poses(q, of_robot)
+        there = self.looking(q, target, start, payload)
+        own = self.split(theta)[1]
+        values = self.measurement.predict(there.poses(theta), own, target)
+        return replace(there, data=replace(there.data, values=values))
+
+    def looking(
+        self,
+        q: Floats,
+        target: Sequence[str],
+        start: Floats | None = None,
+        payload: Sequence[str] = (),
+    ) -> Problem:
+        """The problem with rows whose measured values are zero; see `about`."""
+        if self.measurement.relative and start is None:
+            start = np.roll(q, 1, axis=0)
+            start[~relative_rows(self.measurement, target)] = np.nan
         data = Measurements(
             joints=self.error.chain.joints,
             q=q,
             model=self.measurement.name,
-            values=self.measurement.predict(T, own, target),
+            values=np.zeros((len(q), self.measurement.width)),
+            sigma=absent(self.measurement, target),
             target=tuple(target),
+            payload=tuple(payload) or self.loads(len(q)),
+            start=np.zeros((0, 0)) if start is None else start,
         )
         return replace(self, data=data)
+
+    def loads(self, count: int) -> tuple[str, ...]:
+        """What the robot carries in rows that do not say: all payloads in turn.
+
+        Each stays for as many rows as there are targets, so that all meet.
+        """
+        names = tuple(dict.fromkeys(self.data.payload)) or ("",)
+        targets = len(set(self.data.target)) or 1
+        return tuple(names[k // targets % len(names)] for k in range(count))
 
     def split(self, theta: Floats) -> tuple[Floats, Floats]:
         """Values of the error model and of the measurement model, (..., P) each."""
@@ -322,6 +510,7 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
         OptionError: If a name in the setup does not exist.
     """
     model = measurement_model(data.model, setup, data.target)
+    _require_payloads(data, setup)
     base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
     try:
         error = ErrorModel.create(
@@ -329,7 +518,7 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
             setup.parameters,
             setup=setup,
             estimate_base=model.measuring_frame if base is None else base,
-            estimate_tool=True if tool is None else tool,
+            estimate_tool=model.sees_tool if tool is None else tool,
         )
     except OptionError as mistake:
         raise mistake.within(setup.file) from None
@@ -342,12 +531,17 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
     Raises:
         OptionError: If the instrument needs a reference that the setup lacks.
     """
+    measurement = measurement_model(model, setup)
+    targets = tuple(measurement.targets) or ("",)
+    payloads = tuple(setup.payloads) or ("",)
+    count = len(targets) * len(payloads)
     data = Measurements(
         joints=chain.joints,
-        q=np.zeros((len(setup.planes) or 1, len(chain.joints))),
+        q=np.zeros((count, len(chain.joints))),
         model=model,
-        values=np.zeros((len(setup.planes) or 1, 1)),
-        target=tuple(setup.planes) or ("",),
+        values=np.zeros((count, measurement.width)),
+        target=targets * len(payloads),
+        payload=tuple(name for name in payloads for _ in targets),
     )
     problem = make_problem(chain, data, setup)
     missing = problem.measurement.missing
@@ -355,6 +549,33 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
         raise OptionError(f"a {model} study without measurements: {missing}")
     frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
     return replace(problem, error=problem.error.with_frames(*frames))
+
+
+def _require_payloads(data: Measurements, setup: Setup) -> None:
+    """Refuse rows that carry something of which nothing is known.
+
+    Raises:
+        InputError: If there are such rows, and what they carry matters.
+    """
+    if not setup.payloads and "compliance" not in setup.parameters:
+        return
+    known = ("", NOTHING, *setup.payloads)
+    row = next((k for k, name in enumerate(data.payload) if name not in known), None)
+    if row is not None:
+        name = data.payload[row]
+        raise InputError(
+            f"{data.place(row)}: there is no payload '{name}'"
+            f"{nearest(name, setup.payloads)}",
+            column="payload",
+            allowed=", ".join(known[1:]),
+        )
+    if len(setup.payloads) > 1 and "" in data.payload:
+        row = data.payload.index("")
+        raise InputError(
+            f"{data.place(row)}: there are several payloads, and the row names none",
+            column="payload",
+            allowed=", ".join(known[1:]),
+        )
 
 
 def _joined(blocks: list[Floats], axis: int) -> Floats:
@@ -374,43 +595,43 @@ def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> 
         [
             np.full(
                 quantity.columns.stop - quantity.columns.start,
-                noise.get(quantity.name, quantity.sigma),
+                noise.get(quantity.noise or quantity.name, quantity.sigma),
             )
             for quantity in measurement.quantities
         ]
     )
 
 
-def observable_configurations(
-    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
-) -> tuple[Floats, tuple[str, ...]]:
-    """Random configurations within the limits at which the instrument can measure.
+def absent(measurement: MeasurementModel, target: Sequence[str]) -> Floats | None:
+    """Standard deviations of mixed rows that state none, see `Measurements.sigma`."""
+    if not isinstance(measurement, Mixed):
+        return None
+    return measurement.unstated(target)
+
+
+def relative_rows(
+    measurement: MeasurementModel, target: Sequence[str]
+) -> NDArray[np.bool_]:
+    """The rows that are measured relative to a start, shape (N,)."""
+    return rows_where(measurement, target, lambda part: part.relative)
+
+
+def rows_where(
+    measurement: MeasurementModel,
+    target: Sequence[str],
+    holds: Callable[[MeasurementModel], bool],
+) -> NDArray[np.bool_]:
+    """The rows of whose measurement model something holds, shape (N,).
 
     Args:
-        problem: Chain, frames, instrument; its data only name the targets.
-        theta: Parameter values, shape (P,).
-        count: Number K of configurations.
-        rng: Random generator.
-
-    Returns:
-        Joint positions, shape (K, n), and the target of each, in turn.
-
-    Raises:
-        InputError: If fewer than one configuration in two hundred can be measured.
+        measurement: The measurement model.
+        target: Target of each row.
+        holds: Whether it does of a model, a part of a mixed one.
     """
-    names = tuple(dict.fromkeys(problem.data.target)) or ("",)
-    target = tuple(names[i % len(names)] for i in range(count))
-    of_robot, own = problem.split(theta)
-    q_found, target_found = np.empty((0, len(problem.error.chain.joints))), []
-    for _ in range(DRAWS):
-        q = problem.error.chain.random_configurations(count, rng)
-        T = problem.error.poses(q, of_robot)
-        seen = problem.measurement.observable(T, own, target)
-        q_found = np.concatenate([q_found, q[seen]])
-        target_found += [target[i] for i in np.flatnonzero(seen)]
-        if len(q_found) >= count:
-            return q_found[:count], tuple(target_found[:count])
-    raise InputError(
-        f"only {len(q_found)} of {DRAWS * count} random configurations within the "
-        f"joint limits can be measured ({problem.measurement.name})"
-    )
+    if not isinstance(measurement, Mixed):
+        return np.full(len(target), holds(measurement))
+    rows = np.zeros(len(target), bool)
+    for name, part in measurement.parts.items():
+        if holds(part):
+            rows |= measurement.rows_of(name, target)
+    return rows

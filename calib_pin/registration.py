@@ -9,30 +9,48 @@ from __future__ import annotations
 from itertools import permutations, product
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.spatial import Floats, nearest_rotation, skew, so3_exp
 
-__all__ = ["register_plane", "register_points", "register_poses"]
+__all__ = [
+    "UNKNOWN",
+    "fit_pose",
+    "register_plane",
+    "register_points",
+    "register_poses",
+    "register_reached",
+]
+
+UNKNOWN = np.full((1, 3), np.nan)
+"""One point of the tool that nobody knows."""
 
 
 def register_points(
-    F: Floats, points: Floats, *, tool: Floats | None = None
+    F: Floats,
+    points: Floats,
+    *,
+    tool: Floats = UNKNOWN,
+    label: NDArray[np.int64] | None = None,
 ) -> tuple[Floats, Floats, Floats]:
-    """Fit `y_i = R (R_i t + p_i) + b` to points seen from an unknown frame.
+    """Fit `y_i = R (R_i t_l(i) + p_i) + b` to points seen from an unknown frame.
 
     For a given rotation R the best t and R^T b follow from a linear problem whose
     matrix [R_i, I] does not depend on R. With them projected out the cost is a
     quadratic form in the nine entries of R, so that a search over rotations costs
-    nothing: all 24 rotations of the cube are refined and the best one wins.
+    nothing: all 24 rotations of the cube are refined and the best one wins. Of several
+    points t every row sees one (Wu et al., partial pose measurements).
 
     Args:
         F: Tip poses (R_i, p_i) in the base, shape (N, 4, 4).
         points: Measured points y_i, shape (N, 3) [m].
-        tool: The point t in the tip frame where it is known, shape (3,) [m].
+        tool: Points t in the tip frame, shape (J, 3) [m]; NaN where unknown.
+        label: Which of them each row sees, shape (N,); default the first.
 
     Returns:
         Rotation R (3, 3) and translation b (3,) of the base in the measuring frame,
-        and the point t (3,) [m].
+        and the points t (J, 3) [m]; NaN where no row sees one that is unknown.
 
     Example:
         >>> import calib_pin
@@ -46,9 +64,26 @@ def register_points(
         >>> np.allclose(t, [0, 0, 0.1])
         True
     """
-    R = _minimize_over_rotations(_point_rows(F, points, tool))
-    b, t = _translations(R, F, points, None, tool)
+    label = np.zeros(len(F), np.int64) if label is None else label
+    R = _minimize_over_rotations(_point_rows(F, points, tool, label))
+    b, t = _translations(R, F, points, None, tool, label)
     return R, b, t
+
+
+def register_reached(
+    F: Floats,
+    points: Floats,
+    R: Floats,
+    b: Floats,
+    tool: Floats,
+    label: NDArray[np.int64],
+) -> Floats:
+    """Fit the points of a tool whose base is known; arguments as `register_points`.
+
+    Returns:
+        Points t (J, 3) [m]; NaN where no row sees one that is unknown.
+    """
+    return _translations(R, F, points, b, tool, label)[1]
 
 
 def register_poses(
@@ -79,17 +114,18 @@ def register_poses(
         (True, True)
     """
     R_f, R_y, points = F[:, :3, :3], poses[:, :3, :3], poses[:, :3, 3]
-    t = None if tool is None else tool[:3, 3]
+    label = np.zeros(len(F), np.int64)
+    t = UNKNOWN if tool is None else tool[None, :3, 3]
     R_x = None if tool is None else tool[:3, :3]
     if base is None:
-        rows = [_point_rows(F, points, t), _rotation_rows(R_f, R_y, R_x)]
+        rows = [_point_rows(F, points, t, label), _rotation_rows(R_f, R_y, R_x)]
         R_b, b = _minimize_over_rotations(np.concatenate(rows)), None
     else:
         R_b, b = base[:3, :3], base[:3, 3]
     if R_x is None:
         R_x = nearest_rotation(np.einsum("nji,kj,nkl->il", R_f, R_b, R_y))
-    b, t = _translations(R_b, F, points, b, t)
-    return _pose(R_b, b), _pose(R_x, t)
+    b, t = _translations(R_b, F, points, b, t, label)
+    return _pose(R_b, b), _pose(R_x, t[0])
 
 
 def register_plane(points: Floats) -> tuple[Floats, float]:
@@ -104,7 +140,26 @@ def register_plane(points: Floats) -> tuple[Floats, float]:
     return (normal, offset) if offset <= 0.0 else (-normal, -offset)
 
 
-def _point_rows(F: Floats, points: Floats, tool: Floats | None) -> Floats:
+def fit_pose(here: Floats, there: Floats) -> pin.SE3:
+    """The pose that brings points there, `there = R here + t` (Arun et al. 1987).
+
+    What the points leave open of the rotation is not turned.
+
+    Args:
+        here: Points, shape (K, 3) [m].
+        there: The same points in the other frame, shape (K, 3) [m].
+    """
+    center, target = here.mean(axis=0), there.mean(axis=0)
+    spread = (there - target).T @ (here - center)
+    # Of all rotations that fit equally well this takes the one closest to none.
+    size = np.linalg.norm(spread)
+    R = nearest_rotation(spread + 1e-9 * size * np.eye(3)) if size else np.eye(3)
+    return pin.SE3(R, target - R @ center)
+
+
+def _point_rows(
+    F: Floats, points: Floats, tool: Floats, label: NDArray[np.int64]
+) -> Floats:
     """Rows (A, a), shape (3 N, 10), whose residual `A vec(R) - a` a rotation leaves.
 
     It is that of `R^T (y_i - b) = R_i t + p_i` with R^T b, and t unless it is known,
@@ -116,10 +171,11 @@ def _point_rows(F: Floats, points: Floats, tool: Floats | None) -> Floats:
     L = np.zeros((count, 3, 3, 3))
     for k in range(3):
         L[:, k, :, k] = centered
-    right = F[:, :3, 3] if tool is None else F[:, :3, 3] + F[:, :3, :3] @ tool
+    right = F[:, :3, 3] + _known_offsets(F, tool, label)
     right = right - right.mean(axis=0)
     rows = np.column_stack([L.reshape(3 * count, 9), right.reshape(-1)])
-    U, s, _ = np.linalg.svd(_translation_matrix(F, tool is None), full_matrices=False)
+    matrix = _translation_matrix(F, _unknown(tool, label), label)
+    U, s, _ = np.linalg.svd(matrix, full_matrices=False)
     U = U[:, s > 1e-9 * s[0]]
     return np.asarray(rows - U @ (U.T @ rows))
 
@@ -139,29 +195,50 @@ def _rotation_rows(R_f: Floats, R_y: Floats, R_x: Floats | None) -> Floats:
     return np.column_stack([L.reshape(9 * count, 9), right.reshape(-1)])
 
 
-def _translation_matrix(F: Floats, tool: bool) -> Floats:
-    """Matrix of R^T b, and of t where it is unknown, shape (3 N, 3 or 6)."""
-    identity = np.broadcast_to(np.eye(3), (len(F), 3, 3))
-    blocks = [identity, F[:, :3, :3]] if tool else [identity]
+def _unknown(tool: Floats, label: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Points of the tool that are unknown and that some row sees."""
+    seen = np.bincount(label, minlength=len(tool)) > 0
+    return np.flatnonzero(np.isnan(tool[:, 0]) & seen)
+
+
+def _known_offsets(F: Floats, tool: Floats, label: NDArray[np.int64]) -> Floats:
+    """Rotated offsets of the known points, zero for the others, shape (N, 3)."""
+    offsets = np.nan_to_num(tool)[label]
+    return np.asarray(np.einsum("nij,nj->ni", F[:, :3, :3], offsets))
+
+
+def _translation_matrix(
+    F: Floats, unknown: NDArray[np.int64], label: NDArray[np.int64]
+) -> Floats:
+    """Matrix of R^T b and of every unknown t, shape (3 N, 3 + 3 U)."""
+    blocks = [np.broadcast_to(np.eye(3), (len(F), 3, 3))]
+    for k in unknown:
+        blocks.append(np.where((label == k)[:, None, None], F[:, :3, :3], 0.0))
     return np.concatenate(blocks, axis=2).reshape(3 * len(F), -1)
 
 
 def _translations(
-    R: Floats, F: Floats, points: Floats, b: Floats | None, t: Floats | None
+    R: Floats,
+    F: Floats,
+    points: Floats,
+    b: Floats | None,
+    tool: Floats,
+    label: NDArray[np.int64],
 ) -> tuple[Floats, Floats]:
-    """Translations b and t of `y_i = R (R_i t + p_i) + b`, given those not None."""
+    """Translations b and t of `y_i = R (R_i t + p_i) + b`, given b and known t."""
     center, origin = points.mean(axis=0), F[:, :3, 3].mean(axis=0)
     if b is not None:
         center, origin = b, np.zeros(3)
     right = (points - center) @ R - (F[:, :3, 3] - origin)
-    if t is not None:
-        right = right - F[:, :3, :3] @ t
-    A = _translation_matrix(F, t is None)
+    right = right - _known_offsets(F, tool, label)
+    unknown = _unknown(tool, label)
+    A = _translation_matrix(F, unknown, label)
     if b is not None:
         A = A[:, 3:]
     found = np.linalg.lstsq(A, right.reshape(-1), rcond=1e-9)[0]
-    if t is None:
-        t = found[-3:]
+    t = tool.copy()
+    if len(unknown):
+        t[unknown] = found[-3 * len(unknown) :].reshape(-1, 3)
     if b is None:
         b = center - R @ origin + R @ found[:3]
     return b, t

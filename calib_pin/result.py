@@ -24,6 +24,7 @@ __all__ = [
     "CalibrationResult",
     "CoupledGroup",
     "Evaluation",
+    "FoundDistance",
     "Identifiability",
     "Identification",
     "Ladder",
@@ -103,6 +104,28 @@ class CoupledGroup:
 
 
 @dataclass(frozen=True)
+class FoundDistance:
+    """A known distance beside what the calibration finds.
+
+    Attributes:
+        between: Names of both ends.
+        value: The known distance [m].
+        sigma: Its standard deviation [m].
+        nominal: The distance that the nominal robot finds [m].
+        found: The distance that the calibrated robot finds [m].
+        fitted: Whether it was fitted; otherwise its ends were not among the fitted
+            rows, and what the robot finds there is a check.
+    """
+
+    between: tuple[str, str]
+    value: float
+    sigma: float
+    nominal: float
+    found: float
+    fitted: bool
+
+
+@dataclass(frozen=True)
 class Outlier:
     """A row whose residual is too large to be chance."""
 
@@ -128,6 +151,7 @@ class Identifiability:
         revealed: Number of directions that nominal geometry hides, estimated because
             the errors are so large that they show.
         correlated: Pairs of estimates with a correlation above 0.95.
+        scale_observable: Whether measurements tell how large the robot is.
     """
 
     parameters: int
@@ -141,6 +165,7 @@ class Identifiability:
     weak: int
     revealed: int
     correlated: tuple[tuple[str, str, float], ...]
+    scale_observable: bool = True
 
 
 @dataclass(frozen=True)
@@ -347,6 +372,7 @@ class CalibrationResult(Identification):
         ladder: The model ladder, if one was climbed.
         urdf: The geometry alone, where the model is more than that.
         silent: Name of the residual model that found nothing to correct, if one did.
+        distances: Known distances beside those that were found.
     """
 
     model: CalibratedModel
@@ -375,6 +401,7 @@ class CalibrationResult(Identification):
     ladder: Ladder | None = None
     urdf: UrdfResult | None = None
     silent: str = ""
+    distances: tuple[FoundDistance, ...] = ()
 
     @property
     def geometry(self) -> CalibratedModel | None:
@@ -398,6 +425,8 @@ class Evaluation:
         verdict: `good` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
         outside: Number of rows that lie outside the region of a learned correction.
+        placed: Names of places, such as sockets, that were not there before and stand
+            where these rows put them.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
@@ -406,3 +435,4 @@ class Evaluation:
     verdict: str = "good"
     reason: str = ""
     outside: int = 0
+    placed: tuple[str, ...] = ()

@@ -11,16 +11,22 @@ import numpy as np
 from numpy.typing import NDArray
 
 __all__ = [
+    "AnchorSetup",
+    "CameraSetup",
     "Cone",
+    "DistanceSetup",
     "FrameSetup",
     "JointMap",
     "Obstacle",
     "Payload",
     "PlaneSetup",
+    "PointSetup",
     "RangerSetup",
     "Region",
     "Setup",
     "SolverSetup",
+    "SphereSetup",
+    "Triple",
 ]
 
 Triple = tuple[float, float, float]
@@ -55,6 +61,93 @@ class PlaneSetup:
     normal: Triple
     offset: float
     estimate: bool = True
+
+
+@dataclass(frozen=True)
+class PointSetup:
+    """A reference point on the tool or of a board, or a socket that holds a ball.
+
+    Attributes:
+        xyz: Place [m], a first guess if estimated; None where none was given. Of a
+            point on the tool in the tool frame, of all else in the measuring frame.
+        estimate: Whether it is estimated; None leaves it to the measurement model:
+            the points that a camera looks at are known, all others are estimated.
+    """
+
+    xyz: Triple | None = None
+    estimate: bool | None = None
+
+
+@dataclass(frozen=True)
+class SphereSetup:
+    """A sphere in the measuring frame.
+
+    Attributes:
+        xyz: Center [m], a first guess if estimated; None where none was given.
+        radius: Radius [m]; None where none was given.
+        estimate: Whether the center is estimated.
+        estimate_radius: Whether the radius is; None where it is if none was given.
+    """
+
+    xyz: Triple | None = None
+    radius: float | None = None
+    estimate: bool = True
+    estimate_radius: bool | None = None
+
+
+@dataclass(frozen=True)
+class AnchorSetup:
+    """A fixed point that distances are measured from: where a draw wire leaves.
+
+    Attributes:
+        xyz: Place in the measuring frame [m], a first guess if estimated; None where
+            none was given.
+        bias: What every reading has too much [m].
+        estimate: Whether the place is estimated.
+        estimate_bias: Whether the bias is.
+    """
+
+    xyz: Triple | None = None
+    bias: float = 0.0
+    estimate: bool = True
+    estimate_bias: bool = False
+
+
+@dataclass(frozen=True)
+class CameraSetup:
+    """A pinhole camera with Brown-Conrady distortion.
+
+    Attributes:
+        mount: `hand` if the camera is the tool and looks at points of the measuring
+            frame, `world` if it stands still and looks at points of the tool.
+        focal: Focal lengths f_x, f_y [px].
+        center: Principal point c_x, c_y [px].
+        distortion: k_1, k_2, p_1, p_2, k_3.
+        size: Width and height of the image [px]; None where it has no edge.
+        estimate: Whether focal lengths, principal point and distortion are estimated.
+    """
+
+    mount: Literal["hand", "world"]
+    focal: tuple[float, float]
+    center: tuple[float, float]
+    distortion: tuple[float, float, float, float, float] = (0.0, 0.0, 0.0, 0.0, 0.0)
+    size: tuple[float, float] | None = None
+    estimate: bool = False
+
+
+@dataclass(frozen=True)
+class DistanceSetup:
+    """A known distance between two points, which counts as a measurement.
+
+    Attributes:
+        between: Names of two sockets, spheres or anchors, or of two points of the tool.
+        value: Distance [m].
+        sigma: Its standard deviation [m].
+    """
+
+    between: tuple[str, str]
+    value: float
+    sigma: float = 1e-4
 
 
 @dataclass(frozen=True)
@@ -226,6 +319,12 @@ class Setup:
         base_frame: Pose of the base link in the measuring frame.
         tool_frame: Pose of the tool (target, beam) in the tip frame.
         planes: Planes by the name that rows give as their target.
+        targets: Reference points on the tool by name.
+        sockets: Sockets that hold a ball, by name.
+        spheres: Spheres that are touched, by name.
+        anchors: Fixed points that distances are measured from, by name.
+        camera: The camera, where there is one.
+        distances: Known distances between such points.
         joints: Joint map by file column; empty where columns are URDF joint names.
         gravity: Acceleration of gravity in the base link [m/s^2]; with a base that
             moves against the root of the robot, in the base at zero joint positions.
@@ -235,8 +334,8 @@ class Setup:
         fixed: Globs of parameter names that are not estimated.
         bounds: Glob to the largest absolute value [SI], or to (lower, upper).
         prior: Glob to the prior standard deviation about zero [SI].
-        noise: Standard deviation by quantity (`position`, `orientation`, `distance`)
-            used where the file has no sigma columns [SI].
+        noise: Standard deviation by quantity (`position`, `orientation`, `distance`,
+            `contact`, `pixel`) used where the file has no sigma columns [SI].
         solver: How the fit is solved.
         obstacles: What the robot must not touch.
         region: Where the measured point may be; None for anywhere.
@@ -254,6 +353,12 @@ class Setup:
     base_frame: FrameSetup = FrameSetup()
     tool_frame: FrameSetup = FrameSetup()
     planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
+    targets: Mapping[str, PointSetup] = field(default_factory=dict)
+    sockets: Mapping[str, PointSetup] = field(default_factory=dict)
+    spheres: Mapping[str, SphereSetup] = field(default_factory=dict)
+    anchors: Mapping[str, AnchorSetup] = field(default_factory=dict)
+    camera: CameraSetup | None = None
+    distances: tuple[DistanceSetup, ...] = ()
     joints: Mapping[str, JointMap] = field(default_factory=dict)
     gravity: Triple = (0.0, 0.0, -9.81)
     payloads: Mapping[str, Payload] = field(default_factory=dict)

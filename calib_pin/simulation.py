@@ -7,13 +7,31 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib_pin.configurations import (
+    brought_to_contact,
+    contact_rows,
+    observable_configurations,
+)
 from calib_pin.errors import InputError, OptionError
-from calib_pin.measurements import Measurements
+from calib_pin.measurements import AT, Measurements
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem, assumed_sigma, observable_configurations
+from calib_pin.problem import Problem, assumed_sigma
 from calib_pin.spatial import Floats
 
 __all__ = ["draw_errors", "simulate"]
+
+
+LEG = 10
+"""Rows that are measured from one start where configurations are drawn."""
+
+UNSEEN = {
+    "plane-distance": "the beam misses the plane, meets it too flat or too far away",
+    "camera": "the point is behind the camera or outside its image",
+}
+"""Why an instrument cannot measure."""
+
+UNTOUCHED = "the tool does not come into contact from there within the joint limits"
+"""Why a contact cannot be made."""
 
 
 def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
@@ -39,6 +57,7 @@ def simulate(
     *,
     q: Floats | None = None,
     target: Sequence[str] = (),
+    payload: Sequence[str] = (),
     count: int | None = None,
     noise: float | None = None,
     repeats: int = 1,
@@ -50,8 +69,11 @@ def simulate(
         problem: Chain, frames and instrument; its rows only name the targets.
         theta: True parameter values, shape (P,).
         rng: Random generator.
-        q: Configurations, shape (K, n) [rad, m]; or else
-        target: The target of each of them; default all targets in turn.
+        q: Configurations, shape (K, n) [rad, m], from which a tool that must touch
+            something is brought there; or else
+        target: The target of each of them; default all targets in turn. Relative
+            distances of one name start at its first configuration, which is no row.
+        payload: What the robot carries in each of them; default all payloads in turn.
         count: Number K of random configurations at which the instrument can measure.
         noise: Standard deviation of every component [m, rad]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
@@ -62,7 +84,8 @@ def simulate(
         The measurements, with the standard deviations of their rows.
 
     Raises:
-        OptionError: If a number is out of range.
+        OptionError: If a number is out of range, or the problem mixes relative
+            distances with others.
         InputError: If the instrument cannot measure at a configuration.
 
     Example:
@@ -83,15 +106,29 @@ def simulate(
         raise OptionError("noise is out of range", value=noise, allowed="0 or more")
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
+    relative = problem.measurement.relative
+    if relative and len(problem.data.parts) > 1:
+        raise OptionError(
+            "relative distances are simulated by themselves",
+            value=problem.measurement.name,
+            allowed=", ".join(problem.data.parts),
+        )
     if q is None:
         assert count is not None
-        q, target = observable_configurations(problem, theta, count, rng)
+        starts = -(-count // LEG) if relative else 0
+        q, target = observable_configurations(problem, theta, count + starts, rng)
+        target = _legs(target, LEG + 1) if relative else target
     else:
         names = tuple(dict.fromkeys(problem.data.target)) or ("",)
         target = tuple(target) or tuple(names[i % len(names)] for i in range(len(q)))
-        _require_observable(problem, theta, q, target)
+        payload = payload or problem.loads(len(q))
+        q = _require_observable(problem, theta, q, target, payload)
+    payload = tuple(payload) or problem.loads(len(q))
+    start = None
+    if relative:
+        q, target, payload, start = _relative(q, target, payload)
 
-    exact = problem.about(theta, q, target).data
+    exact = problem.about(theta, q, target, start, payload).data
     sigma = assumed_sigma(problem.measurement, problem.setup.noise)
     if noise is not None:
         sigma = np.full_like(sigma, noise)
@@ -101,23 +138,82 @@ def simulate(
     rows = exact.rows(np.repeat(np.arange(len(exact)), repeats))
     if not sigma.any():
         return rows
-    draws = rng.normal(size=(len(rows), len(sigma))) * sigma
-    return replace(
+    # Mixed rows lack the components of the other models.
+    lacking = (
+        np.zeros((len(rows), 1), bool) if rows.sigma is None else (np.isinf(rows.sigma))
+    )
+    draws = np.where(lacking, 0.0, rng.normal(size=(len(rows), len(sigma))) * sigma)
+    rows = replace(
         rows,
         values=problem.measurement.disturb(rows.values, draws),
-        sigma=np.tile(sigma, (len(rows), 1)),
+        sigma=np.where(lacking, np.inf, sigma),
+    )
+    touching = contact_rows(problem.measurement, rows.target)
+    if not touching.any():
+        return rows
+    # Contacts have no values: that they are not exact is that the robot stands so.
+    moved, _ = brought_to_contact(
+        problem, theta, rows.q, rows.target, touching, draws, rows.payload
+    )
+    return replace(rows, q=moved)
+
+
+def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
+    """Names of the starts of successive rows, behind the points that these look at."""
+    points = [name.rpartition(AT)[0] for name in target]
+    return tuple(
+        f"{point}{AT}{k // size + 1}" if point else str(k // size + 1)
+        for k, point in enumerate(points)
     )
 
 
+def _relative(
+    q: Floats, target: Sequence[str], payload: Sequence[str]
+) -> tuple[Floats, tuple[str, ...], tuple[str, ...], Floats]:
+    """Rows without those that others start from, which are the first of each name.
+
+    What is carried at the start is carried to the end.
+
+    Raises:
+        InputError: If a name has nothing but its start.
+    """
+    first = {name: target.index(name) for name in dict.fromkeys(target)}
+    rows = [k for k, name in enumerate(target) if first[name] != k]
+    alone = [name for name, k in first.items() if target.count(name) == 1]
+    if alone:
+        raise InputError(
+            f"the relative distances of '{alone[0]}' have a start and no end",
+            column="target",
+        )
+    names = tuple(target[k] for k in rows)
+    starts = [first[name] for name in names]
+    return q[rows], names, tuple(payload[k] for k in starts), q[starts]
+
+
 def _require_observable(
-    problem: Problem, theta: Floats, q: Floats, target: Sequence[str]
-) -> None:
-    of_robot, own = problem.split(theta)
-    T = problem.error.poses(q, of_robot)
-    seen = problem.measurement.observable(T, own, target)
+    problem: Problem,
+    theta: Floats,
+    q: Floats,
+    target: Sequence[str],
+    payload: Sequence[str],
+) -> Floats:
+    """Configurations that can be measured; those of a contact where the tool touches.
+
+    Raises:
+        InputError: If the instrument cannot measure at a configuration.
+    """
+    measurement, own = problem.measurement, problem.split(theta)[1]
+    touching = contact_rows(measurement, target)
+    seen = np.ones(len(q), bool)
+    if touching.any():
+        q, seen = brought_to_contact(
+            problem, theta, q, target, touching, payload=payload
+        )
+    there = problem.looking(q, target, payload=payload)
+    seen &= measurement.observable(there.poses(theta), own, target)
     if not seen.all():
         raise InputError(
             f"configuration {int(np.argmin(seen)) + 1} cannot be measured "
-            f"({problem.measurement.name}): the beam misses the plane, meets it too "
-            "flat or too far away"
+            f"({measurement.name}): {UNSEEN.get(measurement.name, UNTOUCHED)}"
         )
+    return q

@@ -1,7 +1,8 @@
-"""Problems meet solvers: Gauss-Newton, differential evolution, or one after the other.
+"""Problems meet solvers: Gauss-Newton, two steps by turns, differential evolution.
 
-Both move the parameters in given directions only. Gauss-Newton follows the derivative
-from a start; evolution searches a box around the nominal robot whose size the linear
+All move the parameters in given directions only. Gauss-Newton follows the derivative
+from a start, in all directions or by turns in those of the frames and of the robot;
+evolution searches a box around the nominal robot whose size the linear
 solution suggests, with the compiled kernels, and needs no derivative.
 """
 
@@ -20,6 +21,7 @@ from calib_pin.solvers import (
     EvolutionResult,
     LeastSquaresResult,
     Status,
+    alternation,
     differential_evolution,
     gauss_newton,
 )
@@ -32,9 +34,10 @@ __all__ = [
     "Solver",
     "descend",
     "least_squares",
+    "take_turns",
 ]
 
-SOLVERS = ("gauss-newton", "de", "hybrid")
+SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
 """Names of the solvers."""
 
 Progress = Callable[[float], None]
@@ -118,7 +121,7 @@ class Solver:
     @property
     def searches(self) -> bool:
         """Whether it begins with a search that sees all directions."""
-        return self.name != "gauss-newton"
+        return self.name in ("de", "hybrid")
 
     def solve(
         self,
@@ -136,6 +139,8 @@ class Solver:
             previous: The solution in other directions, within these, shape (P,).
         """
         start = nominal if previous is None else previous
+        if self.name == "two-step":
+            return take_turns(problem, directions, start)
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -193,6 +198,19 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solved:
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
+    return Solved(result, "kernel" if problem.many else "pinocchio")
+
+
+def take_turns(problem: Problem, directions: Directions, start: Floats) -> Solved:
+    """Base, tool and instrument, then the robot, by turns until they agree."""
+    scales = problem.parameters.scales[:, None]
+    result = alternation(
+        problem.linearize,
+        problem.cost,
+        start,
+        scales * directions.nuisances,
+        scales * directions.robot,
+    )
     return Solved(result, "kernel" if problem.many else "pinocchio")
 
 
@@ -254,7 +272,7 @@ def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) ->
     step = np.linalg.lstsq(A, fun, rcond=None)[0]
     promised = float(fun @ (A @ step)) / 2.0
     # Where the noise is stated, what lies far below it is nothing to gain either.
-    noise = 0.0 if problem.data.sigma is None else 0.5 * problem.count
+    noise = 0.5 * problem.count if problem.data.stated else 0.0
     if promised <= NEGLIGIBLE * max(found.fun, noise):
         return Status.CONVERGED
     if found.status is Status.CONVERGED:

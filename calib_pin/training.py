@@ -6,7 +6,7 @@ what they leave. A cross-validation does both anew without each part of the rows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
-from calib_pin.errors import require_known
+from calib_pin.errors import OptionError, require_known
 from calib_pin.fit import Fit, fit
-from calib_pin.measurements import Measurements
+from calib_pin.known_distances import KnownDistances
+from calib_pin.measurements import AT, Measurements
 from calib_pin.parameters import matching
 from calib_pin.problem import Problem, make_problem
 from calib_pin.residual_models import (
@@ -27,8 +28,9 @@ from calib_pin.residual_models import (
     Space,
     TrainingRows,
 )
+from calib_pin.result import FoundDistance
 from calib_pin.setup import Setup
-from calib_pin.solve import Progress
+from calib_pin.solve import Progress, least_squares
 from calib_pin.spatial import Floats
 
 __all__ = [
@@ -42,11 +44,13 @@ __all__ = [
     "geometry_alone",
     "named",
     "parameter_names",
+    "places",
     "portion",
     "shifts",
     "shuffled_groups",
     "train",
     "training_rows",
+    "validation_name",
     "with_parameters",
 ]
 
@@ -55,6 +59,9 @@ FOLDS = 5
 
 FEWEST = 4
 """Configurations of every target without which there is no cross-validation."""
+
+FEWEST_PLACES = 3
+"""Places without which rows are set aside one by one, and not place by place."""
 
 BEYOND = ("transmission", "compliance")
 """Parameterizations of what a URDF cannot hold."""
@@ -85,10 +92,38 @@ class Trained:
     def errors(self, rows: Measurements) -> tuple[Floats, Floats]:
         """Errors of N rows in the units of the residual, shape (N, d) each.
 
-        Those with only base, tool and instrument fitted, and those of the model.
+        Those with only base, tool and instrument fitted, and those of the model; NaN
+        for what a row of mixed measurements does not have.
         """
-        before = replace(self.fit.problem, data=rows).errors(self.fit.before)
-        return before, replace(self.problem, data=rows).errors(self.theta)
+        unseen = self.unseen(rows)
+        return unseen.before, unseen.after
+
+    def unseen(
+        self, rows: Measurements, positions: NDArray[np.intp] | None = None
+    ) -> Unseen:
+        """The same with the distances that the model finds between new places.
+
+        A place that only these rows name, a socket say, is where they put it.
+
+        Args:
+            rows: The N rows.
+            positions: Where they stand among all rows, shape (N,).
+        """
+        before, at = placed(self.fit.problem, self.fit.before, rows)
+        after, theta = placed(self.problem, self.theta, rows)
+        known = {feature.name for feature in self.problem.measurement.features}
+        return Unseen(
+            np.arange(len(rows)) if positions is None else positions,
+            before.shown(at),
+            after.shown(theta),
+            found_distances((before, at), (after, theta), known),
+        )
+
+    @property
+    def distances(self) -> tuple[FoundDistance, ...]:
+        """The known distances that were fitted."""
+        fitted = self.fit.problem, self.fit.before
+        return found_distances(fitted, (self.problem, self.theta), None)
 
 
 @dataclass(frozen=True)
@@ -99,11 +134,68 @@ class Unseen:
         positions: Where they stand among all rows, shape (N,).
         before: Errors of the nominal robot, shape (N, d).
         after: Errors of the trained model, shape (N, d).
+        distances: Known distances between places that were not fitted.
     """
 
     positions: NDArray[np.intp]
     before: Floats
     after: Floats
+    distances: tuple[FoundDistance, ...] = ()
+
+
+def found_distances(
+    before: tuple[Problem, Floats],
+    after: tuple[Problem, Floats],
+    known: Collection[str] | None,
+) -> tuple[FoundDistance, ...]:
+    """Known distances beside those that the nominal and the calibrated robot find.
+
+    Args:
+        before: The problem of the nominal robot, and its parameter values.
+        after: That of the calibrated robot.
+        known: Names of what was fitted, where this is about what was not.
+    """
+    stated = [
+        distance
+        for distance in after[0].setup.distances
+        if known is None or not set(known).intersection(distance.between)
+    ]
+    (first, nominal), (second, found) = (
+        (distances, distances.lengths(problem.split(theta)[1]))
+        for problem, theta in (before, after)
+        for distances in [KnownDistances.of(stated, problem.measurement.features)]
+    )
+    assert first.stated == second.stated
+    return tuple(
+        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), known is None)
+        for d, n, f in zip(first.stated, nominal, found, strict=True)
+    )
+
+
+def placed(
+    problem: Problem, theta: Floats, rows: Measurements
+) -> tuple[Problem, Floats]:
+    """A fitted problem at other rows, with a place for what only these name.
+
+    Nothing but the new places is fitted, and known distances between them do not
+    count: they are there to be found.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        rows: The other rows.
+
+    Returns:
+        The problem of these rows, and its parameter values.
+    """
+    known = set(problem.parameters.names)
+    problem, theta = problem.extended(theta, rows)
+    new = [k for k, name in enumerate(problem.parameters.names) if name not in known]
+    if not new:
+        return problem, theta
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    basis = np.diag(problem.parameters.scales)[:, new]
+    return problem, least_squares(plain, theta, basis).x
 
 
 def train(
@@ -129,6 +221,13 @@ def train(
     part = 1.0
     if setup.learned is not None:
         require_known("residual model", setup.learned, RESIDUAL_MODELS)
+        if "relative-distance" in rows.parts:
+            raise OptionError(
+                "nothing can be learned from distances between two configurations",
+                file=setup.file or None,
+                value=setup.learned,
+                allowed="measurements of another model",
+            )
         part = FIT_PART
     rng = np.random.default_rng(seed)
     tell = portion(progress, 0.0, part)
@@ -210,11 +309,12 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
             along with the correction, shape (P', k).
     """
     of_robot, own = problem.split(theta)
+    factors = problem.error.factors(problem.data.q, problem.data.payload)
 
     def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
         given = _Given(space, values, directions @ shift)
         error = replace(problem.error, learned=given)
-        poses = error.linearize(problem.data.q, of_robot)
+        poses = error.linearize(problem.data.q, of_robot, factors)
         linear = problem.measurement.linearize(poses.T, own, problem.data)
         by_twist = linear.by_twist / problem.sigma[:, :, None]
         by_correction = by_twist
@@ -266,8 +366,9 @@ def shifts(fitted: Fit) -> Floats:
 def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
     """Masks of the parts of a cross-validation; none where the rows do not suffice.
 
-    Repetitions of a configuration stay together. What is fitted without a part must
-    still determine the robot and every plane.
+    Repetitions of a configuration stay together, and so do all sockets of one place if
+    there are places enough: those that are left out are at their own. What is fitted
+    without a part must still determine the robot and every plane.
 
     Args:
         rows: The N rows.
@@ -277,32 +378,76 @@ def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     Returns:
         One mask of shape (N,) for each part.
     """
-    labels, order = shuffled_groups(rows, seed)
-    if len(order) < FOLDS:
+    setup = fitted.problem.setup
+    labels, order = shuffled_groups(rows, setup, seed)
+    place = places(rows, setup)
+    count = FOLDS
+    if (place >= 0).any():
+        count = min(FOLDS, len(order))
+    if len(order) < count:
         return []
     fold = np.empty(len(order), np.int64)
-    fold[order] = np.arange(len(order)) % FOLDS
+    fold[order] = np.arange(len(order)) % count
     targets = np.array(rows.target)
     masks = []
-    for k in range(FOLDS):
+    for k in range(count):
         mask = fold[labels] == k
-        rest = rows.rows(~mask)
-        values = rest.configurations * fitted.problem.components
-        if values <= fitted.structure.rank or any(
+        rest = replace(fitted.problem, data=rows.rows(~mask))
+        if rest.distinct_values <= fitted.structure.rank or any(
             rows.rows(~mask & (targets == name)).configurations < FEWEST
-            for name in set(rows.target)
+            for name in set(targets[place < 0])
         ):
             return []
         masks.append(mask)
     return masks
 
 
+def validation_name(
+    rows: Measurements, setup: Setup, masks: Sequence[NDArray[np.bool_]]
+) -> str:
+    """What a cross-validation with these parts is called."""
+    if not masks:
+        return "none"
+    place = places(rows, setup)
+    if (place < 0).all():
+        return f"{len(masks)}-fold"
+    if (place >= 0).all() and len(masks) == len(set(place)):
+        return "leave-one-place-out"
+    return f"{len(masks)}-fold by place"
+
+
 def shuffled_groups(
-    rows: Measurements, seed: int
+    rows: Measurements, setup: Setup, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label of each row's configuration, and the labels in random order."""
-    order = np.random.default_rng(seed).permutation(rows.configurations)
-    return rows.groups(), order
+    """Label of what each row must stay together with, and the labels in random order.
+
+    Rows of one configuration are repetitions. All rows of a place are one measurement
+    of it, where there are several places.
+    """
+    place = places(rows, setup)
+    labels = np.where(place >= 0, place, place.max(initial=-1) + 1 + rows.groups())
+    labels = np.unique(labels, return_inverse=True)[1].reshape(-1)
+    order = np.random.default_rng(seed).permutation(int(labels.max(initial=-1)) + 1)
+    return labels, order
+
+
+def places(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
+    """Label of the place at which each row has its ball in a socket, shape (N,).
+
+    Sockets belong to one place that share what stands before the last slash of their
+    names, or a known distance. -1 for other rows, and for all where there are fewer
+    than three places.
+    """
+    sockets = rows.of("fixed-point")
+    names = [name.rpartition(AT)[2] for name in sockets]
+    home = {name: name.rpartition("/")[0] or name for name in names}
+    for distance in setup.distances:
+        first, second = (home.get(name, name) for name in distance.between)
+        home = {k: first if v == second else v for k, v in home.items()}
+    of = {name: k for k, name in enumerate(dict.fromkeys(filter(None, home.values())))}
+    if len(of) < FEWEST_PLACES:
+        return np.full(len(rows), -1)
+    return np.array([of[home[name]] if name else -1 for name in names], np.int64)
 
 
 def cross_validate(
@@ -327,7 +472,7 @@ def cross_validate(
         stage = f"check {k + 1} of {len(masks)}"
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
         trained = train(chain, rows.rows(~mask), setup, seed, tell)
-        yield Unseen(np.flatnonzero(mask), *trained.errors(rows.rows(mask)))
+        yield trained.unseen(rows.rows(mask), np.flatnonzero(mask))
 
 
 def named(progress: Stages | None, stage: str) -> Progress | None:

@@ -21,14 +21,26 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.chain import Chain
+from calib_pin.configurations import contact_rows, observable_configurations
 from calib_pin.io.urdf import load_chain, parse_robot
+from calib_pin.measurement_models.features import Frame
 from calib_pin.problem import (
     Problem,
     frame_pose,
     nominal_problem,
-    observable_configurations,
 )
-from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    DistanceSetup,
+    FrameSetup,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
+from calib_pin.spatial import Floats
 
 
 def example_robots() -> list[Path]:
@@ -82,6 +94,83 @@ def framed() -> Setup:
         payloads={"load": Payload(2.0, (0.05, -0.1, 0.2))},
         gear_ratios={"*": -31.5},
     )
+
+
+@pytest.fixture(scope="session")
+def equipped(framed: Setup) -> Setup:
+    """The same with everything that rows of any instrument can name."""
+    return replace(
+        framed,
+        targets={
+            "probe": PointSetup((0.03, -0.02, 0.05), estimate=True),
+            "nest": PointSetup((-0.04, 0.06, -0.01), estimate=True),
+        },
+        sockets={
+            "left/0": PointSetup((0.6, 0.2, 0.3)),
+            "left/1": PointSetup((0.3, 0.4, 0.5)),
+        },
+        spheres={"ball": SphereSetup((0.5, -0.3, 0.4), 0.15, estimate_radius=True)},
+        anchors={"wire": AnchorSetup((1.4, 0.9, 0.2), 0.01, estimate_bias=True)},
+        camera=CameraSetup(
+            "world",
+            (900.0, 910.0),
+            (640.0, 500.0),
+            (-0.02, 0.01, 1e-3, -2e-3, 1e-3),
+            estimate=True,
+        ),
+        distances=(DistanceSetup(("left/0", "left/1"), 0.4, 1e-4),),
+    )
+
+
+FAR = FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True)
+"""Base in the frame of a camera that stands still and sees all of a robot."""
+
+NEAR = FrameSetup((0.02, 0.05, -0.03), (0.1, 0.3, -0.2))
+"""Tool frame of a camera among other instruments."""
+
+
+@pytest.fixture(scope="session")
+def equipped_problem(equipped: Setup) -> Callable[..., Problem]:
+    """Problem with all that rows can name: `equipped_problem(chain, model, ...)`.
+
+    A camera stands far enough away. Settings of the setup may follow by name.
+    """
+
+    def make(chain: Chain, model: str, **settings: Any) -> Problem:
+        setup = replace(equipped, **settings)
+        if model == "camera":
+            setup = replace(setup, base_frame=FAR)
+        problem = nominal_problem(chain, model, setup)
+        ends = {"base": frame_pose(FAR), "tool": frame_pose(NEAR)}
+        features = [
+            replace(feature, pose=ends[feature.kind])
+            if isinstance(feature, Frame)
+            else feature
+            for feature in problem.measurement.features
+        ]
+        return replace(problem, measurement=problem.measurement.with_features(features))
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def visited() -> Callable[..., tuple[Floats, tuple[str, ...]]]:
+    """Configurations and targets of rows: `visited(problem, theta, count, rng)`.
+
+    The instrument can measure there. Where some of it must touch something they are
+    random: away from contact there is a residual, as in any fit that begins.
+    """
+
+    def draw(
+        problem: Problem, theta: Floats, count: int, rng: np.random.Generator
+    ) -> tuple[Floats, tuple[str, ...]]:
+        names = tuple(dict.fromkeys(problem.data.target))
+        if not contact_rows(problem.measurement, names).any():
+            return observable_configurations(problem, theta, count, rng)
+        q = problem.error.chain.random_configurations(count, rng)
+        return q, tuple(names[k % len(names)] for k in range(count))
+
+    return draw
 
 
 @pytest.fixture(scope="session")
@@ -144,7 +233,9 @@ def chain_of() -> Callable[..., Chain]:
 
 
 @pytest.fixture(scope="session")
-def measured() -> Callable[..., Problem]:
+def measured(
+    visited: Callable[..., tuple[Floats, tuple[str, ...]]],
+) -> Callable[..., Problem]:
     """Problem of a chain: `measured(chain, model, parameterizations, rows, seed)`.
 
     Base and tool are estimated. Rows stand away from what the nominal robot predicts,
@@ -174,15 +265,19 @@ def measured() -> Callable[..., Problem]:
         }
         setup = Setup(
             parameters=tuple(parameterizations),
-            base_frame=base,
+            base_frame=FAR if model == "camera" else base,
             tool_frame=tool,
             planes=planes,
+            **_instrument(model, T[:, :3, 3]),
             **settings,
         )
         problem = nominal_problem(chain, model, setup)
         zero = np.zeros(len(problem.parameters))
-        q, target = observable_configurations(problem, zero, rows, rng)
-        exact = problem.about(zero, q, target)
+        q, target = visited(problem, zero, rows, rng)
+        start = None
+        if problem.measurement.relative:
+            start = chain.random_configurations(rows, rng)
+        exact = problem.about(zero, q, target, start)
         noise = 0.05 * rng.normal(size=exact.sigma.shape)
         data = replace(
             exact.data,
@@ -216,6 +311,35 @@ def independent_poses() -> Callable[..., Any]:
         return [robot.get_transform(tip, base) for base, tip in frames]
 
     return poses
+
+
+def _instrument(model: str, points: Floats) -> dict[str, Any]:
+    """What a model needs besides planes, by two points that the tool reaches."""
+    if model in ("position", "pose", "plane-distance"):
+        return {}
+    here, there = map(tuple, points)
+    return {
+        "targets": {
+            "probe": PointSetup((0.03, -0.02, 0.05), estimate=True),
+            "nest": PointSetup((-0.04, 0.06, -0.01), estimate=True),
+        },
+        "sockets": {"left/0": PointSetup(here), "left/1": PointSetup(there)},
+        "spheres": {
+            "ball": SphereSetup(here, 0.15, estimate_radius=True),
+            "dome": SphereSetup(there, 0.3),
+        },
+        "anchors": {
+            "wire": AnchorSetup(tuple(points[0] + 1.0), 0.01, estimate_bias=True),
+            "bar": AnchorSetup(tuple(points[1] - 1.0)),
+        },
+        "camera": CameraSetup(
+            "world",
+            (900.0, 910.0),
+            (640.0, 500.0),
+            (-0.02, 0.01, 1e-3, -2e-3, 1e-3),
+            estimate=True,
+        ),
+    }
 
 
 def _inertial(mass: float, center: Sequence[float]) -> str:

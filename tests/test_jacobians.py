@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -12,35 +13,62 @@ import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.problem import Problem, nominal_problem, observable_configurations
+from calib_pin.problem import Problem, nominal_problem
 from calib_pin.setup import Setup
+from calib_pin.spatial import Floats
+
+Equipped = Callable[..., Problem]
+Visited = Callable[..., tuple[Floats, tuple[str, ...]]]
+
+FREE = ("position", "pose", "plane-distance")
+"""Models whose rows need not name anything."""
+
+MIXED = "position+pose+fixed-point+plane-contact+relative-distance+camera"
+NAMED = [m for m in MEASUREMENT_MODELS if m not in ("pose", "plane-distance")]
 
 
-@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+@pytest.mark.parametrize("model", FREE)
 @pytest.mark.parametrize("name", PARAMETERIZATIONS)
 def test_jacobian_agrees_with_central_differences(
-    name: str, model: str, special_chain: Chain, framed: Setup
+    name: str, model: str, special_chain: Chain, framed: Setup, visited: Visited
 ) -> None:
-    check_jacobian(special_chain, model, framed, (name,))
+    setup = replace(framed, parameters=(name,), prior={"*": 0.01})
+    check_jacobian(nominal_problem(special_chain, model, setup), visited)
 
 
-@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+@pytest.mark.parametrize("model", NAMED)
+@pytest.mark.parametrize("name", PARAMETERIZATIONS)
+def test_jacobian_with_named_points_and_places(
+    name: str, model: str, equipped_problem: Equipped, visited: Visited
+) -> None:
+    """On one chain: what a model adds knows nothing of the chain."""
+    stated = {"parameters": (name,), "prior": {"*": 0.01}}
+    problem = equipped_problem(calib_pin.load_chain("space6"), model, **stated)
+    check_jacobian(problem, visited)
+
+
+def test_jacobian_of_the_tool_itself(
+    special_chain: Chain, framed: Setup, visited: Visited
+) -> None:
+    setup = replace(framed, prior={"*": 0.01})
+    check_jacobian(nominal_problem(special_chain, "position", setup), visited)
+
+
+@pytest.mark.parametrize("model", [*MEASUREMENT_MODELS, MIXED])
 def test_joint_corrections_among_errors_of_the_geometry(
-    model: str, special_chain: Chain, framed: Setup
+    model: str, special_chain: Chain, equipped_problem: Equipped, visited: Visited
 ) -> None:
     """The screws of a place stand before its joint's motion, whatever their order."""
     names = ("transmission", "placement", "compliance", "joint-offset")
-    check_jacobian(special_chain, model, framed, names)
+    stated = {"parameters": names, "prior": {"*": 0.01}}
+    check_jacobian(equipped_problem(special_chain, model, **stated), visited)
 
 
-def check_jacobian(
-    chain: Chain, model: str, framed: Setup, parameterizations: tuple[str, ...]
-) -> None:
+def check_jacobian(problem: Problem, visited: Visited) -> None:
     rng = np.random.default_rng(3)
-    setup = replace(framed, parameters=parameterizations, prior={"*": 0.01})
-    problem = nominal_problem(chain, model, setup)
     theta = rng.normal(size=len(problem.parameters)) * 0.02
-    q, target = observable_configurations(problem, theta, 6, rng)
+    count = max(6, len(set(problem.data.target)))
+    q, target = visited(problem, theta, count, rng)
     # Measured values away from the prediction: the residual's own curvature counts.
     measured = problem.about(theta, q, target)
     noise = rng.normal(size=measured.sigma.shape) * 0.05

@@ -16,13 +16,16 @@ from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.kernels import BLOCK
 from calib_pin.many_rows import ManyRows
-from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models import MEASUREMENT_MODELS, BatchedModel
 from calib_pin.population import PopulationCost
 from calib_pin.problem import Problem
 from calib_pin.segments import Segments
 from calib_pin.spatial import Floats, so3_exp, so3_log
 
 Measured = Callable[..., Problem]
+
+COMPILED = ("position", "pose", "plane-distance")
+"""Models with a kernel of their own; the others look at the poses of the kernels."""
 
 SIZES = (1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 5)
 
@@ -46,7 +49,7 @@ def longest_chains(robot: Robot) -> list[Chain]:
 
 
 def problems(
-    path: Path, measured: Measured, models: Iterable[str] = MEASUREMENT_MODELS
+    path: Path, measured: Measured, models: Iterable[str] = COMPILED
 ) -> Iterator[Problem]:
     """Measurement models on the longest chains of a robot."""
     robot = load_robot(path)
@@ -130,13 +133,30 @@ def products(r: Floats, J: Floats) -> Floats:
 
 
 @pytest.mark.parametrize("rows", SIZES)
-@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+@pytest.mark.parametrize("model", COMPILED)
 def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
     problem = measured(load_chain("space6"), model, ["placement"], rows)
     theta = members(problem, (0.02, 0.02, 0.0))
     expected = [problem.cost(member) for member in theta]
     found = PopulationCost(problem)(theta)
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+
+
+@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+def test_poses_of_the_kernels_serve_the_other_models(
+    model: str, measured: Measured
+) -> None:
+    problem = measured(load_chain("space6"), model, ["placement"], 2 * BLOCK + 3)
+    measurement, theta = problem.measurement, members(problem, (0.02, 0.005, 0.0))
+    compiled = isinstance(measurement, BatchedModel) and bool(
+        measurement.batch(problem.data, 1.0 / problem.sigma)
+    )
+    assert compiled == (model in COMPILED)
+    costs = PopulationCost(problem)
+    # What is relative has two poses a row, and no kernel for it.
+    assert costs.evaluator == ("loop" if measurement.relative else "kernel")
+    expected = [problem.cost(member) for member in theta]
+    np.testing.assert_allclose(costs(theta), expected, rtol=1e-12, atol=0)
 
 
 @pytest.mark.parametrize(

@@ -12,7 +12,7 @@ import pytest
 
 import calib_pin
 from calib_pin.chain import Chain
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.ladder import Climbed, climb
 from calib_pin.measurements import Measurements
 from calib_pin.problem import nominal_problem
@@ -77,7 +77,8 @@ def simulated(
         joint, kind, _ = parameter.name.split(".")
         if kind == "compliance":
             truth[k] = parameter.scale if not joints or joint in joints else 0.0
-    return calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE)
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE)
+    return replace(rows, payload=())  # What is carried in all rows goes without saying.
 
 
 def rungs(climbed: Climbed) -> dict[str, Rung]:
@@ -334,11 +335,15 @@ def test_without_masses_the_compliance_rung_says_why() -> None:
     assert not rungs(climb(chain, rows, LOADED, 0))["+ compliance"].reason
 
 
-def test_several_payloads_are_no_compliance(chain: Chain) -> None:
+def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
     payloads = {"a": Payload(1.0), "b": Payload(2.0)}
-    rows = simulated(chain, ["placement"], Setup())
-    climbed = climb(chain, rows, Setup(payloads=payloads), 0)
-    assert rungs(climbed)["+ compliance"].reason.startswith("'payloads' names 2;")
+    rows = simulated(chain, ["placement"], Setup(), count=20)
+    with pytest.raises(InputError, match="several payloads, and the row names none"):
+        climb(chain, rows, Setup(payloads=payloads), 0)
+    told = replace(rows, payload=("a", "b") * 10)
+    climbed = climb(chain, told, Setup(payloads=payloads), 0)
+    rung = rungs(climbed)["+ compliance"]
+    assert not rung.reason and np.isfinite(rung.score)
 
 
 # Names and globs.

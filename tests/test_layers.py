@@ -13,17 +13,27 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     ("errors", "parameters", "setup", "spatial"),
     (
-        *("chain", "collision", "kernels", "measurements", "registration"),
-        *("row_kernels", "threads"),
+        *("camera_pose", "chain", "collision", "contact_registration", "kernels"),
+        *("measurements", "registration", "row_kernels", "threads"),
     ),
-    ("parameterizations", "measurement_models", "error_model", "segments", "many_rows"),
     (
-        *("problem", "population", "directions", "identifiability"),
-        *("residual_models", "solvers"),
+        *("parameterizations", "measurement_models", "error_model", "segments"),
+        *("known_distances", "many_rows"),
+    ),
+    (
+        *("problem", "configurations", "population", "directions", "identifiability"),
+        *("residual_models", "scale", "solvers"),
     ),
     (
         *("assessment", "calibration", "compensation", "fit"),
-        *("inverse_kinematics", "ladder", "planning", "result", "simulation"),
+        *(
+            "inverse_kinematics",
+            "joint_readings",
+            "ladder",
+            "planning",
+            "result",
+            "simulation",
+        ),
         *("solve", "training", "trajectory"),
     ),
     ("io", "report"),
@@ -45,8 +55,11 @@ APART = {
 SIDEWAYS = {
     ("error_model", "parameterizations"),
     ("identifiability", "directions"),
+    ("configurations", "problem"),
+    ("known_distances", "measurement_models"),
     ("many_rows", "measurement_models"),
     ("population", "problem"),
+    ("scale", "problem"),
 }
 NUMERICS = 4
 FORBIDDEN_MODULES = {

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.measurements import Measurements
+from calib_pin.measurements import LAYOUT, Measurements
 
 Q = np.arange(10.0).reshape(5, 2)
 VALUES = np.arange(15.0).reshape(5, 3)
@@ -24,6 +24,8 @@ def measurements(**changes: Any) -> Measurements:
         "values": VALUES,
         "sigma": 0.1 + VALUES,
         "target": tuple("uvwxy"),
+        "payload": tuple("aabbc"),
+        "start": 10.0 + Q,
         "validate": np.array([False, True, False, False, True]),
         "lines": np.arange(2, 7),
         "files": ("m.csv",) * 5,
@@ -42,7 +44,10 @@ def test_defaults() -> None:
     plain = Measurements(("a", "b"), Q, "position", VALUES)
     assert len(plain) == 5
     assert plain.sigma is None
-    assert plain.target == plain.files == ("",) * 5
+    assert plain.target == plain.payload == plain.files == ("",) * 5
+    assert plain.start.size == 0
+    assert plain.parts == ("position",)
+    assert not plain.stated
     assert plain.validate.tolist() == [False] * 5
     assert plain.lines.tolist() == [0] * 5
     assert plain.place(3) == "row 3"
@@ -63,6 +68,8 @@ def test_is_frozen() -> None:
         ({"q": Q[:4]}, "'values' has not the 4 rows of q"),
         ({"values": VALUES[:4]}, "'values' has not the 5 rows of q"),
         ({"target": ("u", "v")}, "'target' has not the 5 rows of q"),
+        ({"payload": ("a",)}, "'payload' has not the 5 rows of q"),
+        ({"start": Q[:4]}, "start has shape (4, 2), not that of q"),
         ({"validate": np.zeros(4, bool)}, "'validate' has not the 5 rows of q"),
         ({"lines": np.arange(6)}, "'lines' has not the 5 rows of q"),
         ({"files": ("m.csv",)}, "'files' has not the 5 rows of q"),
@@ -100,10 +107,13 @@ def test_rows_keep_together(index: Any) -> None:
     assert part.sigma is not None and data.sigma is not None
     np.testing.assert_array_equal(part.sigma, data.sigma[order])
     assert part.target == tuple("uvwxy"[i] for i in order)
+    assert part.payload == tuple("aabbc"[i] for i in order)
+    np.testing.assert_array_equal(part.start, data.start[order])
     np.testing.assert_array_equal(part.validate, data.validate[order])
     np.testing.assert_array_equal(part.lines, data.lines[order])
     assert len(part.files) == len(order)
     assert measurements(sigma=None).rows(index).sigma is None
+    assert measurements(start=np.zeros((0, 0))).rows(index).start.size == 0
 
 
 def test_split() -> None:
@@ -167,6 +177,8 @@ def test_groups_are_equal_configurations() -> None:
         values=np.zeros((6, 3)),
         sigma=None,
         target=(),
+        payload=(),
+        start=np.zeros((0, 0)),
         validate=np.zeros(0, bool),
         lines=np.zeros(0, np.int64),
         files=(),
@@ -218,18 +230,133 @@ def test_concatenate() -> None:
     data = measurements()
     parts = [data.rows(np.array(rows, int)) for rows in ([0], [1, 2, 3], [], [4])]
     joined = Measurements.concatenate(parts)
-    for name in ("q", "values", "sigma", "validate", "lines"):
+    for name in ("q", "values", "sigma", "start", "validate", "lines"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(data, name))
-    assert (joined.target, joined.files) == (data.target, data.files)
+    for name in ("target", "payload", "files"):
+        assert getattr(joined, name) == getattr(data, name)
     plain = [replace(part, sigma=None) for part in parts]
     assert Measurements.concatenate(plain).sigma is None
+    # Rows that are not there have no standard deviations that could be unlike others.
+    empty = data.rows(np.array([], int))
+    for pair in (
+        [data, replace(empty, sigma=None)],
+        [replace(empty, sigma=None), data],
+    ):
+        assert Measurements.concatenate(pair).stated
+    assert Measurements.concatenate([empty, empty]).sigma is not None
+
+
+def rows_of(model: str, count: int, **changes: Any) -> Measurements:
+    """Rows of a model with values that tell them apart."""
+    width, components = LAYOUT[model]
+    q = np.arange(2.0 * count).reshape(count, 2) + len(model)
+    fields: dict[str, Any] = {
+        "joints": ("a", "b"),
+        "q": q,
+        "model": model,
+        "values": np.arange(1.0, 1.0 + count * width).reshape(count, width),
+        "sigma": np.full((count, components), 0.5),
+        "target": tuple(f"{model[0]}{k}" for k in range(count)),
+    }
+    return Measurements(**{**fields, **changes})
+
+
+def test_concatenate_models() -> None:
+    sockets = rows_of("fixed-point", 2, sigma=None, payload=("p", ""))
+    cameras = rows_of("camera", 1, lines=np.array([7]), files=("c.csv",))
+    moved = rows_of("relative-distance", 1, start=np.array([[8.0, 9.0]]))
+    data = Measurements.concatenate([sockets, cameras, moved, sockets])
+    assert data.model == "fixed-point+camera+relative-distance"
+    assert data.parts == ("fixed-point", "camera", "relative-distance")
+    assert data.target == (
+        *("fixed-point:f0", "fixed-point:f1", "camera:c0", "relative-distance:r0"),
+        *("fixed-point:f0", "fixed-point:f1"),
+    )
+    assert data.of("fixed-point") == ("f0", "f1", "", "", "f0", "f1")
+    assert data.of("camera") == ("", "", "c0", "", "", "")
+    assert data.payload == ("p", "", "", "", "p", "")
+    assert data.values.tolist() == [
+        *([[0, 0, 0]] * 2),
+        [1, 2, 0],
+        [0, 0, 1],
+        *([[0, 0, 0]] * 2),
+    ]
+    nan, inf = np.nan, np.inf
+    socket = [nan, nan, nan, inf, inf, inf]
+    assert data.sigma is not None and not data.stated
+    np.testing.assert_array_equal(
+        data.sigma,
+        [
+            *(socket, socket),
+            [inf, inf, inf, 0.5, 0.5, inf],
+            [inf, inf, inf, inf, inf, 0.5],
+            *(socket, socket),
+        ],
+    )
+    nowhere = [nan, nan]
+    np.testing.assert_array_equal(
+        data.start, [nowhere, nowhere, nowhere, [8, 9], nowhere, nowhere]
+    )
+    assert data.place(2) == "c.csv:7"
+    np.testing.assert_array_equal(data.q[3:4], moved.q)
+    part = data.rows(np.array([3, 2]))
+    assert part.model == data.model
+    np.testing.assert_array_equal(part.start, [[8, 9], nowhere])
+
+
+def test_concatenate_mixtures() -> None:
+    one = rows_of("position", 2)
+    two = rows_of("camera", 2)
+    three = rows_of("plane-contact", 1)
+    at_once = Measurements.concatenate([one, two, three])
+    assert at_once.stated
+    for parts in (
+        [Measurements.concatenate([one, two]), three],
+        [one, Measurements.concatenate([two, three])],
+        [one, two.rows(np.array([], int)), two, three.rows(np.array([], int)), three],
+        # What a mixture has no rows of does not count.
+        [Measurements.concatenate([one, two]).rows(np.array([0, 1])), two, three],
+    ):
+        joined = Measurements.concatenate(parts)
+        assert (joined.model, joined.target) == (at_once.model, at_once.target)
+        for name in ("q", "values", "sigma"):
+            np.testing.assert_array_equal(getattr(joined, name), getattr(at_once, name))
+    turned = Measurements.concatenate([two, Measurements.concatenate([one, two])])
+    assert turned.model == "camera+position"
+    np.testing.assert_array_equal(
+        turned.values[:, :2], [[1, 2], [3, 4], [0, 0], [0, 0], [1, 2], [3, 4]]
+    )
+    # Without rows it still has the columns.
+    empty = Measurements.concatenate([one, two.rows(np.array([], int))])
+    assert empty.model == "position+camera"
+    assert empty.values.shape == (2, 5)
+
+
+def test_some_rows_of_a_model_without_standard_deviations_cannot_be_joined() -> None:
+    one, two = rows_of("position", 2), rows_of("camera", 2)
+    plain = replace(two, sigma=None, files=("c.csv", "c.csv"))
+    for parts in (
+        [one, two, plain],
+        [Measurements.concatenate([one, two]), plain],
+        [two, Measurements.concatenate([one, plain])],
+    ):
+        reason = message(lambda parts=parts: Measurements.concatenate(parts))
+        assert "with and without standard deviations" in reason
+
+
+@pytest.mark.parametrize("wrong", [0.0, -1.0, -np.inf])
+def test_standard_deviations_of_mixtures_are_positive(wrong: float) -> None:
+    data = Measurements.concatenate([rows_of("position", 1), rows_of("camera", 1)])
+    assert data.sigma is not None
+    sigma = data.sigma.copy()
+    sigma[0, 0] = wrong
+    assert "positive" in message(lambda: replace(data, sigma=sigma))
 
 
 @pytest.mark.parametrize(
     ("changes", "reason"),
     [
-        ({"model": "pose"}, "cannot join 'pose' measurements with 'position' ones"),
-        ({"joints": ("a", "c")}, "cannot join"),
+        ({"joints": ("a", "c")}, "cannot join measurements of different joints"),
         ({"sigma": None}, "with and without standard deviations"),
     ],
 )

@@ -17,7 +17,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.population import PopulationCost
 from calib_pin.problem import Problem, nominal_problem
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
 from calib_pin.spatial import Floats
 
 Measured = Callable[..., Problem]
@@ -60,7 +60,8 @@ def test_costs_of_members_with_priors(
     problem = measured(chain, model, ["dh"], 300, prior=prior)
     theta = members(problem, 5)
     costs = PopulationCost(problem)
-    assert costs.evaluator == "kernel"
+    relative = problem.measurement.relative
+    assert costs.evaluator == ("loop" if relative else "kernel")
     found = costs(theta)
     expected = [problem.cost(member) for member in theta]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
@@ -72,16 +73,32 @@ def test_costs_of_members_with_priors(
     np.testing.assert_allclose(found - bare, added, rtol=0, atol=1e-11 * found.max())
 
 
-def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
-    measured: Measured,
-) -> None:
+def test_a_model_without_a_batch_form_looks_at_the_poses(measured: Measured) -> None:
     prior = {"*.placement.*": 1e-3}
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=prior)
     theta = members(problem, 3)
     plain = PopulationCost(replace(problem, measurement=Unbatched()))
-    assert plain.evaluator == "loop"
+    assert plain.evaluator == "kernel"
     compiled = PopulationCost(problem)
     np.testing.assert_allclose(plain(theta), compiled(theta), rtol=1e-12, atol=0)
+
+
+def test_known_distances_cost_as_well(measured: Measured) -> None:
+    chain, known = load_chain("space6"), DistanceSetup(("left/0", "left/1"), 0.7, 1e-3)
+    bare, told = (
+        measured(chain, "fixed-point", ["dh"], 30, distances=distances)
+        for distances in ((), (known,))
+    )
+    theta = members(told, 4)
+    expected = [told.cost(member) for member in theta]
+    found = PopulationCost(told)(theta)
+    np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
+    a, b = (told.setup.sockets[name].xyz for name in known.between)
+    between = np.array(b) - a + (theta[:, -3:] - theta[:, -6:-3])
+    added = 0.5 * ((np.linalg.norm(between, axis=1) - 0.7) / 1e-3) ** 2
+    np.testing.assert_allclose(
+        found - PopulationCost(bare)(theta), added, rtol=1e-9, atol=1e-9 * found.max()
+    )
 
 
 @pytest.mark.parametrize(

@@ -15,6 +15,7 @@ import pytest
 import calib_pin
 from calib_pin.fit import fit
 from calib_pin.problem import make_problem
+from calib_pin.setup import DistanceSetup
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
@@ -191,3 +192,67 @@ def test_nominal_registration_is_the_honest_before() -> None:
     assert first.before.rms == pytest.approx(5.16e-3, abs=1e-5)
     assert second.before.rms == pytest.approx(first.before.rms, rel=1e-9)
     assert second.after.rms == pytest.approx(first.after.rms, rel=1e-6)
+
+
+PLACES = ("front", "right", "back-high")
+FIFTY = tuple(
+    DistanceSetup((f"{place}/0", f"{place}/1"), 0.05, 1e-5) for place in PLACES
+)
+
+
+@pytest.fixture(scope="module")
+def panda() -> tuple[calib_pin.Chain, calib_pin.Measurements]:
+    """A ball in two sockets 50 mm apart; only the rows in front are to be fitted."""
+    chain = calib_pin.load_chain("example:panda", tip="panda_link8")
+    rows = calib_pin.read_measurements(
+        DATA / "mukca_panda" / "panda_1.csv", chain, model="fixed-point"
+    )
+    elsewhere = np.array([not name.startswith("front") for name in rows.target])
+    assert (len(rows), int(elsewhere.sum())) == (182, 120)
+    return chain, replace(rows, validate=elsewhere)
+
+
+def test_panda_at_places_it_has_not_seen(
+    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
+) -> None:
+    """Another tool leaves 0.619 mm with 48 parameters; the robot must not shrink."""
+    result = calib_pin.calibrate(*panda, calib_pin.Setup(distances=FIFTY))
+    assert (result.verdict, result.validated) == ("good", 120)
+    error = result.errors[0]
+    before, after = error.validation_before, error.validation_after
+    assert before is not None and before.mean > 8e-3
+    assert after is not None and after.mean <= 0.65e-3
+    found = {distance.between[0][:-2]: distance for distance in result.distances}
+    assert [found[place].fitted for place in PLACES] == [True, False, False]
+    for distance in found.values():
+        assert abs(distance.found - 0.05) < 1.1e-3
+        assert distance.fitted or abs(distance.nominal - 0.05) > 2.5e-3
+    report = calib_pin.format_report(result)
+    assert "back-high/0 - back-high/1  unseen  50.000" in report
+
+
+def test_panda_without_a_distance_has_no_scale(
+    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
+) -> None:
+    result = calib_pin.calibrate(*panda)
+    assert result.verdict == "untrusted"
+    assert "the scale is unobservable" in result.reason
+    assert not result.identifiability.scale_observable and result.geometry is None
+    assert "scale" in calib_pin.format_report(result)
+    # Nothing pulls at it, so it stays nominal: the sockets are not drawn together.
+    sockets = {s.name: s for s in result.model.measurement.features}
+    apart = sockets["front/0"].xyz - sockets["front/1"].xyz
+    assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
+
+
+def test_panda_leaves_out_one_place_after_the_other(
+    panda: tuple[calib_pin.Chain, calib_pin.Measurements],
+) -> None:
+    chain, rows = panda
+    everything = replace(rows, validate=np.zeros(len(rows), bool))
+    result = calib_pin.calibrate(chain, everything, calib_pin.Setup(distances=FIFTY))
+    assert (result.verdict, result.validation) == ("good", "leave-one-place-out")
+    after = result.errors[0].validation_after
+    assert after is not None and after.mean < 0.9e-3
+    unseen = [d for d in result.distances if not d.fitted]
+    assert sorted(d.between[0][:-2] for d in unseen) == sorted(PLACES)

@@ -1,9 +1,7 @@
 """What simulation put in comes out: exactly without noise, as predicted with it.
 
-For each way of measuring, some 200 calibrations of a robot whose true errors lie in the
-gauge (of equal robots the one closest to nominal), frames included. NEES is the
-squared error of the identifiable combinations in the metric of their covariance; its
-mean is the rank if the covariance is right.
+The ways of measuring are those of `scripts/benchmark recovery`, which takes more runs
+of the slower ones.
 """
 
 from __future__ import annotations
@@ -14,118 +12,85 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.recovery import CASES, FRAMES, Study, Trials
 from calib_pin.fit import analyze_structure, fit
-from calib_pin.problem import Problem, nominal_problem, observable_configurations
-from calib_pin.setup import FrameSetup, Payload, PlaneSetup, Setup
+from calib_pin.problem import Problem, nominal_problem
+from calib_pin.setup import Payload
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
 
-RUNS = 200
-FREE_TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
-FREE_BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
 CORRECTED = ("placement", "transmission", "compliance")
-
-
-@dataclass(frozen=True)
-class Case:
-    """One way of measuring a robot."""
-
-    model: str
-    setup: Setup
-    rows: int
-    noise: float
-    rank: int
-    robot: str = "space6"
-    runs: int = RUNS
-
-
-CASES = {
-    "pose": Case(
-        "pose", Setup(base_frame=FREE_BASE, tool_frame=FREE_TOOL), 40, 5e-5, 30
-    ),
-    "position": Case(
-        "position", Setup(base_frame=FREE_BASE, tool_frame=FREE_TOOL), 60, 5e-5, 27
-    ),
-    "plane-distance": Case(
-        "plane-distance",
-        Setup(
-            parameters=("dh",),
-            base_frame=FrameSetup(estimate=False),
-            tool_frame=FrameSetup(estimate=False),
-            planes={"wall": PlaneSetup((0.0, 1.0, 4.6), -0.69)},
-        ),
-        120,
-        1e-4,
-        24,
-    ),
-    "joint corrections": Case(
-        "position",
-        Setup(parameters=CORRECTED, base_frame=FREE_BASE, tool_frame=FREE_TOOL),
-        60,
-        2e-5,
-        71,
-        "pa10",
-        runs=80,  # Of 71 parameters each: their mean is known to 2 % too.
-    ),
+RUNS = {
+    "pose": 200,
+    "position": 200,
+    "plane-distance": 200,
+    "joint corrections": 80,  # Of 71 parameters each: their mean is known to 2 % too.
+    "named points": 10,
+    "fixed-point": 4,
+    "plane-contact": 4,
+    "sphere-contact": 3,
+    "point-distance": 10,
+    "relative-distance": 8,
+    "camera": 6,
+    "position and fixed-point": 4,
 }
 
 
-@pytest.fixture(scope="module", params=CASES)
-def runs(request: pytest.FixtureRequest) -> dict[str, Floats]:
-    """Per run: NEES / rank, coverage, and actual and predicted errors of new rows."""
-    case = CASES[request.param]
-    rng = np.random.default_rng(7)
-    problem = nominal_problem(calib_pin.load_chain(case.robot), case.model, case.setup)
-    zero = np.zeros(len(problem.parameters))
-    found, visible = analyze_structure(problem, zero, rng)
-    assert found.rank == case.rank
-    C = np.array([c.row(len(zero)) for c in found.combinations])
-    scale = problem.parameters.scales
-    # A beam along the plane has no distance: only what can be measured is predicted.
-    q_new, target_new = observable_configurations(problem, zero, 30, rng)
+@dataclass(frozen=True)
+class Found:
+    """Trials of a case with their number."""
 
-    nees, covered, actual, predicted = [], [], [], []
-    for _ in range(case.runs):
-        truth = scale * (visible @ rng.normal(size=visible.shape[1])) * 0.3
-        rows = calib_pin.simulate(
-            problem, truth, rng, count=case.rows, noise=case.noise
-        )
-        fitted = fit(replace(problem, data=rows), rng)
-        assert fitted.rank == case.rank
-        error = C @ (fitted.theta - truth)
-        covariance = C @ fitted.covariance @ C.T
-        nees.append(error @ np.linalg.solve(covariance, error))
-        covered.append(np.abs(error) < 1.959964 * np.sqrt(np.diag(covariance)))
-        # What the tip shows on new configurations, frames and planes included.
-        unseen = problem.about(truth, q_new, target_new).data
-        new = replace(fitted.problem, data=unseen)
-        unit = new.linearize(fitted.theta)
-        J = unit[1] * new.sigma.reshape(-1)[:, None]
-        residual = unit[0] * new.sigma.reshape(-1)
-        actual.append(residual @ residual)
-        predicted.append(np.trace(J @ fitted.covariance @ J.T))
-    return {
-        "nees": np.array(nees) / case.rank,
-        "covered": np.array(covered),
-        "actual": np.array(actual),
-        "predicted": np.array(predicted),
-    }
+    trials: Trials
+    rank: int
+    runs: int
 
 
-def test_normalized_error_is_the_rank(runs: dict[str, Floats]) -> None:
-    assert runs["nees"].mean() == pytest.approx(1.0, abs=0.06)
+@pytest.fixture(scope="module", params=RUNS)
+def found(request: pytest.FixtureRequest) -> Found:
+    """What came out of the runs of each case."""
+    case, runs = CASES[request.param], RUNS[request.param]
+    study = Study(case)
+    assert study.structure.rank == case.rank
+    return Found(study.trials(runs), case.rank, runs)
 
 
-def test_intervals_cover_the_truth(runs: dict[str, Floats]) -> None:
-    assert 0.94 <= runs["covered"].mean() <= 0.96
+def test_every_case_is_tested() -> None:
+    assert set(RUNS) == set(CASES)
 
 
-def test_predicted_accuracy_on_new_configurations(runs: dict[str, Floats]) -> None:
-    ratio = np.sqrt(runs["actual"].sum() / runs["predicted"].sum())
-    assert ratio == pytest.approx(1.0, abs=0.05)
+def test_normalized_error_is_the_rank(found: Found) -> None:
+    """NEES is chi-square distributed, with the variance 2 / rank in units of it."""
+    deviation = np.sqrt(2.0 / (found.rank * found.runs))
+    assert found.trials.nees.shape == (found.runs,)
+    assert found.trials.nees.mean() == pytest.approx(1.0, abs=3.0 * deviation)
+
+
+def test_intervals_cover_the_truth(found: Found) -> None:
+    deviation = np.sqrt(0.95 * 0.05 / (found.rank * found.runs))
+    assert found.trials.covered.size == found.rank * found.runs
+    assert found.trials.covered.mean() == pytest.approx(0.95, abs=3.3 * deviation)
+
+
+def test_predicted_accuracy_on_new_configurations(found: Found) -> None:
+    allowed = 0.05 * np.sqrt(200.0 / found.runs)
+    assert found.trials.accuracy == pytest.approx(1.0, abs=allowed)
 
 
 # Without noise.
+
+
+@pytest.mark.parametrize("name", CASES)
+def test_exact_rows_give_the_robot(name: str) -> None:
+    """Of equal robots the one closest to nominal; frames and places come along."""
+    study = Study(CASES[name], seed=3)
+    problem, truth = study.problem, study.truth()
+    scales = problem.parameters.scales
+    assert np.abs(truth / scales).max() > 0.1
+    fitted = study.calibrated(truth, noise=0.0)
+    assert fitted.result.status is Status.CONVERGED
+    assert fitted.rank == study.structure.rank
+    np.testing.assert_allclose(fitted.theta / scales, truth / scales, rtol=0, atol=1e-9)
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-9
 
 
 @pytest.mark.parametrize(
@@ -134,12 +99,8 @@ def test_predicted_accuracy_on_new_configurations(runs: dict[str, Floats]) -> No
 def test_joint_corrections_are_recovered(robot: str, tip: str | None) -> None:
     """Geometry, gears and compliance together, from positions alone."""
     chain = calib_pin.load_chain(robot, tip=tip)
-    setup = Setup(
-        parameters=CORRECTED,
-        base_frame=FREE_BASE,
-        tool_frame=FREE_TOOL,
-        payloads={"load": Payload(4.0, (0.05, 0.02, 0.1))},
-    )
+    load = {"load": Payload(4.0, (0.05, 0.02, 0.1))}
+    setup = replace(FRAMES, parameters=CORRECTED, payloads=load)
     problem = nominal_problem(chain, "position", setup)
     rng = np.random.default_rng(3)
     parameters = problem.parameters

@@ -9,7 +9,13 @@ import pytest
 from scipy.optimize import least_squares
 
 from calib_pin.io.urdf import load_chain
-from calib_pin.registration import register_plane, register_points, register_poses
+from calib_pin.registration import (
+    fit_pose,
+    register_plane,
+    register_points,
+    register_poses,
+    register_reached,
+)
 from calib_pin.spatial import Floats, from_quaternion, so3_exp, so3_log
 
 Poses = Callable[[np.random.Generator, int], Floats]
@@ -109,6 +115,14 @@ DEGENERATE = [
 ]
 
 
+def register_point(F: Floats, y: Floats, t: Floats | None = None) -> tuple[Floats, ...]:
+    """Base and point of a tool with one point, known or not."""
+    known = {} if t is None else {"tool": t[None]}
+    R, b, found = register_points(F, y, **known)
+    assert found.shape == (1, 3)
+    return R, b, found[0]
+
+
 def seen_points(F: Floats, R: Floats, b: Floats, t: Floats) -> Floats:
     return (F[:, :3, :3] @ t + F[:, :3, 3]) @ R.T + b
 
@@ -123,10 +137,66 @@ def test_points_are_registered_without_a_guess(poses: Poses, known: bool) -> Non
         B, t = frame(rng, trial, 5.0), rng.uniform(-0.3, 0.3, 3)
         R, b = B[:3, :3], B[:3, 3]
         y = seen_points(F, R, b, t)
-        R_found, b_found, t_found = register_points(F, y, tool=t if known else None)
+        R_found, b_found, t_found = register_point(F, y, t if known else None)
         pairs = ((R, R_found), (b, b_found), (t, t_found))
         found += max(np.abs(x - y).max() for x, y in pairs) < 1e-9
     assert found == TRIALS
+
+
+@pytest.mark.parametrize("poses", UNIQUE)
+@pytest.mark.parametrize("known", [(), (1,), (0, 2), (0, 1, 2)])
+def test_several_points_are_registered_without_a_guess(
+    poses: Poses, known: tuple[int, ...]
+) -> None:
+    """Each row sees one of them."""
+    rng = np.random.default_rng(18)
+    for trial in range(10):
+        count = (9, 12, 30)[trial % 3]
+        F, label = poses(rng, count), np.arange(count) % 3
+        B, t = frame(rng, trial, 5.0), rng.uniform(-0.3, 0.3, (3, 3))
+        R, b = B[:3, :3], B[:3, 3]
+        y = (np.einsum("nij,nj->ni", F[:, :3, :3], t[label]) + F[:, :3, 3]) @ R.T + b
+        given = np.full((3, 3), np.nan)
+        given[list(known)] = t[list(known)]
+        found = register_points(F, y, tool=given, label=label)
+        for x, other in zip((R, b, t), found, strict=True):
+            np.testing.assert_allclose(other, x, rtol=0, atol=1e-9)
+        reached = register_reached(F, y, R, b, given, label)
+        np.testing.assert_allclose(reached, t, rtol=0, atol=1e-9)
+
+
+def test_a_point_that_no_row_sees() -> None:
+    rng = np.random.default_rng(19)
+    F, label = general(rng, 8), np.zeros(8, int)
+    R, b, t = rotations(rng, 1)[0], rng.normal(size=3), rng.normal(size=3)
+    y, known = seen_points(F, R, b, t), np.array([[np.nan] * 3, [1.0, 2.0, 3.0]])
+    for unseen in (known, np.full((2, 3), np.nan)):
+        for found in (
+            register_points(F, y, tool=unseen, label=label)[2],
+            register_reached(F, y, R, b, unseen, label),
+        ):
+            np.testing.assert_allclose(found[0], t, rtol=0, atol=1e-9)
+            np.testing.assert_array_equal(found[1], unseen[1])
+
+
+def test_points_show_a_pose() -> None:
+    """What they leave open of it is not turned."""
+    rng = np.random.default_rng(20)
+    X = frame(rng, 0, 1.0)
+    here = rng.normal(size=(5, 3))
+    there = here @ X[:3, :3].T + X[:3, 3]
+    found = fit_pose(here, there)
+    np.testing.assert_allclose(found.homogeneous, X, atol=1e-8)
+    one = fit_pose(here[:1], there[:1])
+    np.testing.assert_array_equal(one.rotation, np.eye(3))
+    np.testing.assert_allclose(one.act(here[0]), there[0], atol=1e-14)
+    # Of two points, a turn about their line.
+    two = fit_pose(here[:2], there[:2])
+    np.testing.assert_allclose(two.act(here[1]), there[1], atol=1e-7)
+    line, seen = (p[1] - p[0] for p in (here, there))
+    axis = np.cross(line, seen)
+    turn = so3_log(two.rotation[None])[0]
+    np.testing.assert_allclose(np.cross(turn, axis), 0.0, atol=1e-6)
 
 
 @pytest.mark.parametrize("poses", UNIQUE)
@@ -156,7 +226,7 @@ def test_what_is_not_unique_is_still_explained(poses: Poses, count: int) -> None
         R, b, t = rotations(rng, 1)[0], rng.normal(size=3), rng.normal(size=3) * 0.2
         y = seen_points(F, R, b, t)
         for tool in (None, t):
-            found = register_points(F, y, tool=tool)
+            found = register_point(F, y, tool)
             assert np.abs(seen_points(F, *found) - y).max() < 1e-9
             # Of equal solutions the one without a large lever.
             assert np.abs(found[2]).max() < 3.0
@@ -176,7 +246,7 @@ def test_noisy_points_reach_the_least_squares(poses: Poses, known: bool) -> None
         F = poses(rng, 12)
         R, b, t = rotations(rng, 1)[0], rng.normal(size=3), rng.normal(size=3) * 0.2
         y = seen_points(F, R, b, t) + 1e-3 * rng.normal(size=(12, 3))
-        R_found, b_found, t_found = register_points(F, y, tool=t if known else None)
+        R_found, b_found, t_found = register_point(F, y, t if known else None)
 
         def residual(
             x: Floats, F: Floats = F, y: Floats = y, t: Floats = t, R: Floats = R
@@ -230,7 +300,7 @@ def test_far_away_tracker_keeps_its_digits() -> None:
     rng = np.random.default_rng(13)
     F = general(rng, 20)
     R, b, t = rotations(rng, 1)[0], np.array([300.0, -200.0, 50.0]), np.full(3, 0.1)
-    R_found, b_found, t_found = register_points(F, seen_points(F, R, b, t))
+    R_found, b_found, t_found = register_point(F, seen_points(F, R, b, t))
     np.testing.assert_allclose(R_found, R, rtol=0, atol=1e-12)
     np.testing.assert_allclose(b_found, b, rtol=0, atol=1e-11)
     np.testing.assert_allclose(t_found, t, rtol=0, atol=1e-12)

@@ -15,15 +15,16 @@ import yaml
 import yourdfpy
 from numpy.typing import NDArray
 
+from calib_pin.calibration import calibrate
 from calib_pin.chain import Chain
-from calib_pin.io.measurements import read_configurations
+from calib_pin.io.measurements import read_configurations, read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import bundled_robots, load_robot
 from calib_pin.parameterizations import parameterization
 
 Floats = NDArray[np.float64]
 ROBOTS = Path(__file__).parents[1] / "robots"
-NAMES = ("pa10", "space6", "space7")
+NAMES = ("heavy6", "pa10", "space6", "space7")
 H = np.pi / 2.0
 
 # Rows theta, d, a, alpha of A_i = Rz(theta) Tz(d) Tx(a) Rx(alpha).
@@ -35,6 +36,14 @@ STANDARD = {
         (0.0, 0.75, 0.0, -H),
         (0.0, 0.0, 0.0, H),
         (0.0, 0.20, 0.0, 0.0),
+    ],
+    "heavy6": [
+        (0.0, 0.675, 0.35, -H),
+        (0.0, 0.0, 1.15, 0.0),
+        (0.0, 0.0, -0.04, H),
+        (0.0, 1.2, 0.0, -H),
+        (0.0, 0.0, 0.0, H),
+        (0.0, 0.215, 0.0, 0.0),
     ],
     "pa10": [
         (0.0, 0.317, 0.0, -H),
@@ -178,6 +187,11 @@ def test_every_link_can_be_seen(name: str) -> None:
         ("space6", (-170, -190, -60, -170, -120, -170), (170, 10, 220, 170, 120, 170)),
         ("space7", (-120,) * 7, (120,) * 7),
         (
+            "heavy6",
+            (-185, -140, -30, -350, -125, -350),
+            (185, -5, 245, 350, 125, 350),
+        ),
+        (
             "pa10",
             (-177, -91, -174, -137, -255, -165, -360),
             (177, 91, 174, 137, 255, 165, 360),
@@ -201,17 +215,21 @@ def test_setup_fits_the_robot(name: str) -> None:
         for s in parameterization(p).screws(chain)
     ]
     assert len(names) == len(set(names)) >= 4 * len(chain.joints)
-    expected = {"space6": "plane-distance", "space7": "pose", "pa10": "position"}
-    assert setup.model == expected[name]
-    known = name != "pa10"
+    expected = {"space6": "plane-distance", "space7": "pose"}
+    assert setup.model == expected.get(name, "position")
+    known = name in expected
     assert (setup.base_frame.estimate is False) == known
     assert (setup.tool_frame.estimate is False) == known
 
 
-def test_pa10_masses() -> None:
-    model = chain_of("pa10").robot.model
+@pytest.mark.parametrize(
+    ("name", "masses"),
+    [("pa10", [8, 6, 5, 4, 3, 2, 1]), ("heavy6", [400, 180, 200, 70, 40, 15])],
+)
+def test_masses(name: str, masses: list[float]) -> None:
+    model = chain_of(name).robot.model
     inertias = list(model.inertias)[1:]
-    assert [inertia.mass for inertia in inertias] == [8, 6, 5, 4, 3, 2, 1]
+    assert [inertia.mass for inertia in inertias] == masses
     for inertia in inertias:
         moments = np.linalg.eigvalsh(inertia.inertia)
         assert moments[0] > 0.0 and moments[2] < moments[0] + moments[1]
@@ -228,6 +246,31 @@ def test_pa10_gravity_torque() -> None:
     level = pin.computeGeneralizedGravity(model, data, np.array([0, H, 0, 0, 0, 0, 0]))
     assert level[1] == pytest.approx(-moment, rel=1e-12)
     assert level[0] == pytest.approx(0.0, abs=1e-12)
+
+
+def test_heavy6_gravity_torque() -> None:
+    model = chain_of("heavy6").robot.model
+    # Upper arm along x, forearm straight on: distances of the centers of mass along x
+    # from the axis of joint 2.
+    q = np.array([0, 0, H, 0, 0, 0])
+    distances = np.array([0.55, 1.33, 1.95, 2.38, 2.53])
+    moment = 9.81 * np.dot([180, 200, 70, 40, 15], distances)
+    torque = pin.computeGeneralizedGravity(model, model.createData(), q)
+    assert torque[1] == pytest.approx(-moment, rel=1e-12)
+    assert torque[0] == pytest.approx(0.0, abs=1e-12)
+    assert torque[5] == pytest.approx(0.0, abs=1e-9)
+
+
+def test_heavy6_measurements_calibrate() -> None:
+    """144 rows without load and with the payload."""
+    chain, folder = chain_of("heavy6"), ROBOTS / "heavy6"
+    rows = read_measurements(folder / "measurements.csv", chain)
+    assert len(rows) == 144 and rows.configurations == 24
+    assert set(rows.payload) == {"none", "heavy"}
+    found = calibrate(chain, rows, read_setup(folder / "setup.yaml"), validate=False)
+    assert found.verdict == "good"
+    assert found.identifiability.rank == found.identifiability.structural_rank == 38
+    assert 0.9 < found.sigma0 < 1.1
 
 
 def test_space6_beams_meet_the_plane(rng: np.random.Generator) -> None:

@@ -11,7 +11,14 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem, nominal_problem
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.setup import (
+    FrameSetup,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.spatial import from_quaternion, so3_log
 
@@ -188,6 +195,182 @@ def test_a_plane_out_of_reach():
     problem = make("plane-distance", planes=planes)
     with pytest.raises(InputError, match="only 0 of"):
         simulate(problem, errors(problem), np.random.default_rng(1), count=1)
+
+
+# --- contacts ----------------------------------------------------------------------
+
+TOUCHED = Setup(
+    tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)),
+    sockets={"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))},
+    planes={"a": PlaneSetup((0, 0.1, 1), -0.4), "b": PlaneSetup((1, 0.1, 0.3), -0.5)},
+    spheres={"ball": SphereSetup((0.5, 0.2, 0.4), 0.15)},
+)
+CONTACTS = ("fixed-point", "plane-contact", "sphere-contact")
+
+
+def touched(model: str, **changes: object) -> Problem:
+    chain = calib_pin.load_chain("space6")
+    return nominal_problem(chain, model, replace(TOUCHED, **changes))
+
+
+@pytest.mark.parametrize("model", CONTACTS)
+def test_contacts_without_noise_are_closed(model):
+    problem = touched(model)
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
+    assert rows.sigma is None and rows.values.shape == (20, 0)
+    measured = replace(problem, data=rows)
+    assert np.abs(measured.errors(theta)).max() < 1e-12
+    # The robot stands there with its errors: the nominal one would not touch.
+    assert np.abs(measured.errors(0.0 * theta)).max() > 1e-4
+
+
+@pytest.mark.parametrize("model", CONTACTS)
+@pytest.mark.parametrize("noise", [None, 2e-3])
+def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model, noise):
+    problem = touched(model, noise={"position": 5e-4, "contact": 5e-4})
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=300, noise=noise)
+    sigma = 5e-4 if noise is None else noise
+    assert (rows.sigma == sigma).all()
+    gap = replace(problem, data=rows).errors(theta)
+    # 300 draws and more: the deviation of a standard deviation is 4 %.
+    assert gap.std() == pytest.approx(sigma, rel=0.15)
+    assert abs(gap.mean()) < 0.2 * sigma
+    # In all directions, and of every row.
+    np.testing.assert_allclose(gap.std(axis=0), sigma, rtol=0.2)
+    assert len(np.unique(gap[:, 0])) == 300
+
+
+def test_repeated_contacts_are_one_configuration_each_time():
+    """Every touch finds another gap, and the joints stand elsewhere."""
+    problem = touched("fixed-point")
+    theta = errors(problem)
+    rows = simulate(
+        problem, theta, np.random.default_rng(1), count=3, repeats=4, noise=1e-4
+    )
+    assert len(rows) == 12 and rows.target == ("s/0",) * 4 + ("s/1",) * 4 + ("s/0",) * 4
+    q = rows.q.reshape(3, 4, 6)
+    assert (q != q[:, :1])[:, 1:].any(axis=2).all()
+    assert np.abs(q - q[:, :1]).max() < 0.05
+
+
+def test_given_configurations_are_brought_into_contact():
+    problem = touched("plane-contact")
+    theta, rng = errors(problem), np.random.default_rng(1)
+    there = simulate(problem, theta, rng, count=4, noise=0.0)
+    near = there.q + 0.01 * rng.normal(size=there.q.shape)
+    rows = simulate(problem, theta, rng, q=near, target=there.target, noise=0.0)
+    assert rows.target == there.target and (rows.q != near).any(axis=1).all()
+    assert np.abs(rows.q - near).max() < 0.1
+    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-12
+
+
+def test_a_configuration_from_which_nothing_is_touched_is_named():
+    far = {"s": PointSetup((5.0, 0.0, 0.0))}
+    problem = touched("fixed-point", sockets=far)
+    with pytest.raises(InputError) as caught:
+        simulate(problem, errors(problem), np.random.default_rng(1), q=np.zeros((1, 6)))
+    assert str(caught.value) == (
+        "configuration 1 cannot be measured (fixed-point): the tool does not come "
+        "into contact from there within the joint limits"
+    )
+
+
+# --- relative distances ------------------------------------------------------------
+
+
+def test_ways_share_their_starts():
+    """Ten rows from each start, which is no row itself."""
+    problem = touched("relative-distance")
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=25, noise=0.0)
+    assert rows.target == ("1",) * 10 + ("2",) * 10 + ("3",) * 5
+    assert rows.start.shape == rows.q.shape
+    assert len(np.unique(rows.start, axis=0)) == 3
+    for name in "123":
+        leg = [target == name for target in rows.target]
+        assert (rows.start[leg] == rows.start[leg][0]).all()
+        # Not one of the rows.
+        assert (rows.q[leg] != rows.start[leg]).any(axis=1).all()
+    of_robot = problem.split(theta)[0]
+    ends = (problem.error.poses(q, of_robot)[:, :3, 3] for q in (rows.q, rows.start))
+    expected = np.linalg.norm(np.subtract(*ends), axis=1)
+    np.testing.assert_allclose(rows.values[:, 0], expected, rtol=1e-13)
+
+
+def test_noise_of_ways():
+    problem = touched("relative-distance")
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=800, noise=3e-4)
+    found = replace(problem, data=rows).errors(theta) / 3e-4
+    assert (rows.sigma == 3e-4).all()
+    assert found.std() == pytest.approx(1.0, abs=0.08)
+    assert found.mean() == pytest.approx(0.0, abs=0.12)
+
+
+def test_ways_of_named_points():
+    points = {"a": PointSetup((0.05, 0.0, 0.1)), "b": PointSetup((0.0, 0.04, 0.2))}
+    problem = touched("relative-distance", targets=points)
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
+    assert {name.partition("@")[0] for name in rows.target} == {"a", "b"}
+    # Rows of one name share a start.
+    starts = {
+        name: {
+            tuple(s) for s, t in zip(rows.start, rows.target, strict=True) if t == name
+        }
+        for name in rows.target
+    }
+    assert all(len(found) == 1 for found in starts.values())
+    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-13
+
+
+def test_starts_among_given_configurations():
+    """The first configuration of each name is its start."""
+    problem = touched("relative-distance")
+    theta, rng = errors(problem), np.random.default_rng(1)
+    q = problem.error.chain.random_configurations(6, rng)
+    names = ("x", "y", "x", "x", "y", "y")
+    rows = simulate(problem, theta, rng, q=q, target=names, noise=0.0)
+    assert rows.target == ("x", "x", "y", "y")
+    np.testing.assert_array_equal(rows.q, q[[2, 3, 4, 5]])
+    np.testing.assert_array_equal(rows.start, q[[0, 0, 1, 1]])
+    with pytest.raises(InputError, match="'z' have a start and no end"):
+        simulate(problem, theta, rng, q=q, target=(*names[:-1], "z"))
+
+
+# --- several models, and what is carried -------------------------------------------
+
+
+def test_mixed_rows_have_their_own_noise():
+    problem = touched(
+        "position+fixed-point", noise={"position": 5e-4}, sockets=TOUCHED.sockets
+    )
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=90)
+    of_position = np.array([name.startswith("position:") for name in rows.target])
+    assert of_position.sum() == 30
+    assert np.isinf(rows.sigma[of_position, 3:]).all()
+    assert np.isinf(rows.sigma[~of_position, :3]).all()
+    found = replace(problem, data=rows).shown(theta)
+    assert (np.isfinite(found) == np.isfinite(rows.sigma)).all()
+    assert np.nanstd(found) == pytest.approx(5e-4, rel=0.15)
+    assert not rows.values[~of_position].any()
+
+
+def test_what_is_carried_takes_turns():
+    """Every target is measured with every payload."""
+    loads = {"light": Payload(1.0, (0.1, 0, 0)), "heavy": Payload(5.0, (0.1, 0, 0))}
+    problem = touched("fixed-point", parameters=("compliance",), payloads=loads)
+    theta = errors(problem)
+    rows = simulate(problem, theta, np.random.default_rng(1), count=8, noise=0.0)
+    pairs = set(zip(rows.target, rows.payload, strict=True))
+    assert len(pairs) == 4
+    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-12
+    # Brought into contact as the robot bends under that load.
+    other = replace(rows, payload=("light",) * 8)
+    assert np.abs(replace(problem, data=other).errors(theta)).max() > 1e-5
 
 
 # --- repeatability and mistakes ----------------------------------------------------

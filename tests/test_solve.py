@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from benchmarks.recovery import CASES, Study
 from calib_pin.assessment import estimates, fitted_ranks
 from calib_pin.errors import OptionError
 from calib_pin.fit import Fit, fit
@@ -69,6 +70,27 @@ def test_all_solvers_agree_on_errors_of_expected_size() -> None:
     assert (np.abs(search.theta - plain.theta) <= 0.5 * sigma + 1e-9).all()
 
 
+@pytest.mark.parametrize(
+    ("case", "noise"),
+    [("named points", 0.0), ("named points", 5e-5), ("fixed-point", 5e-5)],
+)
+def test_two_steps_by_turns_reach_the_joint_solution(case: str, noise: float) -> None:
+    """Frames and places, then the robot, until they agree (Wu et al.)."""
+    study = Study(CASES[case], seed=5)
+    truth = study.truth()
+    rows = calib_pin.simulate(
+        study.problem, truth, study.rng, count=CASES[case].rows, noise=noise
+    )
+    problem = make_problem(study.problem.error.chain, rows, study.problem.setup)
+    joint, turns = (solved(problem, name) for name in ("gauss-newton", "two-step"))
+    assert (turns.solver, turns.evaluator) == ("two-step", "pinocchio")
+    assert turns.result.status is Status.CONVERGED
+    assert turns.rank == joint.rank == CASES[case].rank
+    assert turns.result.cost == pytest.approx(joint.result.cost, rel=1e-9, abs=1e-12)
+    sigma = np.sqrt(np.diag(joint.covariance)) + 1e-9
+    assert (np.abs(turns.theta - joint.theta) <= 1e-3 * sigma + 1e-9).all()
+
+
 def test_what_was_done_is_in_the_fit() -> None:
     problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
     plain = solved(problem, "gauss-newton")
@@ -91,15 +113,15 @@ class Unbatched(PlaneDistance):
     batch = None  # type: ignore[assignment]
 
 
-def test_without_a_kernel_a_loop_does_the_same() -> None:
+def test_without_a_kernel_its_poses_do_the_same() -> None:
     problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, count=30)
     known = problem.measurement
     assert isinstance(known, PlaneDistance)
     slow = replace(problem, measurement=Unbatched(known.planes))
     options = {"population_size": 8, "maxiter": 3}
-    fast, loop = (solved(p, "de", **options) for p in (problem, slow))
-    assert (fast.evaluator, loop.evaluator) == ("kernel", "loop")
-    np.testing.assert_allclose(loop.theta, fast.theta, rtol=1e-9, atol=1e-15)
+    fast, plain = (solved(p, "de", **options) for p in (problem, slow))
+    assert (fast.evaluator, plain.evaluator) == ("kernel", "kernel")
+    np.testing.assert_allclose(plain.theta, fast.theta, rtol=1e-9, atol=1e-15)
 
 
 def test_a_search_that_was_cut_short_is_not_trusted() -> None:
@@ -214,7 +236,10 @@ def test_progress_goes_from_stage_to_stage() -> None:
 @pytest.mark.parametrize(
     ("solver", "message"),
     [
-        (SolverSetup("lm"), "unknown solver 'lm'; allowed: gauss-newton, de, hybrid"),
+        (
+            SolverSetup("lm"),
+            "unknown solver 'lm'; allowed: gauss-newton, two-step, de, hybrid",
+        ),
         (
             SolverSetup("de", {"recombination": 1.5}),
             "recombination cannot be used (value 1.5); allowed: 0 to 1",

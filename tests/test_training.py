@@ -16,19 +16,22 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem, nominal_problem
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.spatial import Floats
 from calib_pin.training import (
     FOLDS,
     cross_validate,
     folds,
+    places,
     portion,
     train,
     training_rows,
+    validation_name,
 )
 
 Measured = Callable[..., Problem]
 
+RELATIVE = "relative-distance"
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
 
@@ -111,6 +114,173 @@ def test_every_plane_stays_in_every_part() -> None:
     assert not folds(few, fitted, 0)
 
 
+# Places.
+
+
+def at_places(*names: str, model: str = "fixed-point") -> Measurements:
+    """One row for each socket, which nobody looks at closer."""
+    q = np.arange(len(names), dtype=float)[:, None]
+    width = 3 if "position" in model else 0
+    values = np.zeros((len(names), width))
+    sigma = np.ones((len(names), 6)) if width else None
+    return Measurements(("j",), q, model, values, sigma, target=names)
+
+
+def labels(*names: str, model: str = "fixed-point", apart: Any = ()) -> list[int]:
+    distances = tuple(DistanceSetup(pair, 0.1, 1e-5) for pair in apart)
+    rows = at_places(*names, model=model)
+    return places(rows, Setup(distances=distances)).tolist()
+
+
+def test_sockets_of_one_place_share_what_stands_before_the_slash() -> None:
+    names = ("front/0", "left/0", "front/1", "back", "left/1", "back")
+    assert labels(*names) == [0, 1, 0, 2, 1, 2]
+    assert labels("hall/a/0", "hall/b/0", "hall/a/1", "c") == [0, 1, 0, 2]
+    # Whichever ball is in them.
+    assert labels("red@a/0", "blue@b/0", "blue@a/1", "c/0") == [0, 1, 0, 2]
+
+
+def test_a_known_distance_makes_one_place() -> None:
+    names = ("a", "b", "c", "d", "e")
+    assert labels(*names) == [0, 1, 2, 3, 4]
+    assert labels(*names, apart=[("a", "c")]) == [0, 1, 0, 2, 3]
+    # One after the other, and with sockets that no row names.
+    chained = [("e", "a"), ("c", "a"), ("b", "nowhere")]
+    found = labels(*names, apart=chained)
+    assert found[0] == found[2] == found[4] and len(set(found)) == 3
+    assert labels("a/0", "b/0", "c/0", "d/0", apart=[("a/0", "d/0")]) == [0, 1, 2, 0]
+
+
+def test_too_few_places_are_none() -> None:
+    assert labels("front/0", "front/1", "left/0") == [-1, -1, -1]
+    assert labels("a", "b", "c", apart=[("a", "b")]) == [-1, -1, -1]
+    assert labels() == []
+
+
+def test_other_rows_are_at_no_place() -> None:
+    mixed = [f"fixed-point:{name}/0" for name in "abc"]
+    names = ("position:", *mixed, "position:")
+    assert labels(*names, model="position+fixed-point") == [-1, 0, 1, 2, -1]
+    _, rows = measured_rows(count=5)
+    assert (places(rows, SETUP) == -1).all()
+
+
+AT = {
+    "front": ((0.6, 0.3, 0.4), (0.65, 0.3, 0.4)),
+    "left": ((0.5, -0.2, 0.6), (0.5, -0.15, 0.6)),
+    "back": ((-0.4, 0.4, 0.5), (-0.4, 0.4, 0.55)),
+}
+SOCKETS = {
+    f"{place}/{k}": PointSetup(xyz)
+    for place, both in AT.items()
+    for k, xyz in enumerate(both)
+}
+BALL = FrameSetup((0.05, 0.08, 0.1), (0.0, 0.0, 0.0), estimate=True)
+FIFTY = tuple(DistanceSetup((f"{place}/0", f"{place}/1"), 0.05, 1e-5) for place in AT)
+IN_SOCKETS = Setup(parameters=("joint-offset",), distances=FIFTY)
+
+
+@pytest.fixture(scope="module")
+def in_sockets() -> tuple[Chain, Measurements]:
+    """A ball in two sockets at each of three places, 50 mm apart."""
+    chain = calib_pin.load_chain("space6")
+    setup = replace(IN_SOCKETS, sockets=SOCKETS, tool_frame=BALL)
+    problem = nominal_problem(chain, "fixed-point", setup)
+    rng = np.random.default_rng(1)
+    truth = 3.0 * calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=90, noise=5e-5)
+    return chain, rows
+
+
+def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Measurements]) -> None:
+    chain, rows = in_sockets
+    fitted = train(chain, rows, IN_SOCKETS, 0).fit
+    masks = folds(rows, fitted, 0)
+    assert validation_name(rows, IN_SOCKETS, masks) == "leave-one-place-out"
+    left_out = [
+        {name[:-2] for name, left in zip(rows.target, mask, strict=True) if left}
+        for mask in masks
+    ]
+    assert sorted(left_out, key=min) == [{"back"}, {"front"}, {"left"}]
+    np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
+    # Repetitions or not: one place is one part.
+    again = rows.rows(np.repeat(np.arange(90), 2))
+    assert len(folds(again, fitted, 0)) == 3
+
+
+@pytest.mark.parametrize(
+    ("names", "model", "count", "expected"),
+    [
+        ("abc", "fixed-point", 3, "leave-one-place-out"),
+        ("abcdefg", "fixed-point", 7, "leave-one-place-out"),
+        ("abcdefg", "fixed-point", 5, "5-fold by place"),
+        ("ab", "fixed-point", 5, "5-fold"),
+        ("abc", "position+fixed-point", 5, "5-fold by place"),
+        ("abc", "fixed-point", 0, "none"),
+    ],
+)
+def test_names_of_a_validation(
+    names: str, model: str, count: int, expected: str
+) -> None:
+    targets = [f"{name}/0" for name in names]
+    if "position" in model:
+        targets = ["position:", *(f"fixed-point:{name}" for name in targets)]
+    rows = at_places(*targets, model=model)
+    masks = [np.zeros(len(rows), bool)] * count
+    assert validation_name(rows, Setup(), masks) == expected
+
+
+def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) -> None:
+    """They are where their rows put them, and their distance is there to be found."""
+    chain, rows = in_sockets
+    of_back = np.array([name.startswith("back") for name in rows.target])
+    trained = train(chain, rows.rows(~of_back), IN_SOCKETS, 0)
+    known = [feature.name for feature in trained.problem.measurement.features]
+    assert set(known) == set(SOCKETS) - {"back/0", "back/1"}
+    unseen = trained.unseen(rows.rows(of_back), np.flatnonzero(of_back))
+    np.testing.assert_array_equal(unseen.positions, np.flatnonzero(of_back))
+    sizes = [np.linalg.norm(e, axis=1).mean() for e in (unseen.before, unseen.after)]
+    # The noise of 50 um in three directions, against offsets of 3 mrad.
+    assert sizes[1] < 1.2e-4 and sizes[0] > 2e-3
+    back = np.array(rows.target)[of_back]
+    for name in ("back/0", "back/1"):
+        np.testing.assert_allclose(
+            unseen.after[back == name].mean(axis=0), 0.0, atol=1e-9
+        )
+    (distance,) = unseen.distances
+    assert distance.between == ("back/0", "back/1") and not distance.fitted
+    assert (distance.value, distance.sigma) == (0.05, 1e-5)
+    assert abs(distance.found - 0.05) < 1e-4 < abs(distance.nominal - 0.05)
+    # Those that were fitted are told of with the fit.
+    fitted = {d.between[0]: d for d in trained.distances}
+    assert set(fitted) == {"front/0", "left/0"}
+    for d in fitted.values():
+        assert d.fitted and abs(d.found - 0.05) < 3e-5
+    # A row of a fitted socket has its place, whatever it says.
+    seen = trained.unseen(rows.rows(~of_back))
+    assert seen.distances == ()
+    errors = trained.fit.problem.errors(trained.fit.theta)
+    np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
+
+
+def test_a_known_distance_to_a_new_socket_fits_nothing(
+    in_sockets: tuple[Chain, Measurements],
+) -> None:
+    """What is there to be found must not be put in before."""
+    chain, rows = in_sockets
+    of_back = np.array([name.startswith("back") for name in rows.target])
+    wrong = replace(
+        IN_SOCKETS,
+        distances=(*FIFTY[:2], DistanceSetup(("back/0", "back/1"), 0.07, 1e-7)),
+    )
+    right, other = (
+        train(chain, rows.rows(~of_back), setup, 0).unseen(rows.rows(of_back))
+        for setup in (IN_SOCKETS, wrong)
+    )
+    np.testing.assert_array_equal(right.after, other.after)
+    assert other.distances[0].found == right.distances[0].found
+
+
 # Cross-validation.
 
 
@@ -159,18 +329,32 @@ def test_a_portion_never_goes_back() -> None:
 # What is learned from.
 
 
+FREE = ("position", "pose", "plane-distance")
+"""Models whose rows need not name anything."""
+
+KINDS = ["placement", "transmission"]
+
+
 @pytest.mark.parametrize("space", ["joint", "tip"])
-@pytest.mark.parametrize("model", MEASUREMENT_MODELS)
+@pytest.mark.parametrize("model", FREE)
 def test_derivatives_of_training_rows(
     model: str, space: str, special_chain: Chain, measured: Measured, framed: Setup
 ) -> None:
-    problem = measured(
-        special_chain,
-        model,
-        ["placement", "transmission"],
-        5,
-        gear_ratios=framed.gear_ratios,
-    )
+    geared = {"gear_ratios": framed.gear_ratios}
+    check_training_rows(measured(special_chain, model, KINDS, 5, **geared), space)
+
+
+@pytest.mark.parametrize("space", ["joint", "tip"])
+@pytest.mark.parametrize("model", sorted({*MEASUREMENT_MODELS} - {*FREE, RELATIVE}))
+def test_derivatives_with_named_points_and_places(
+    model: str, space: str, measured: Measured
+) -> None:
+    """On one chain: what a model adds knows nothing of the chain."""
+    chain = calib_pin.load_chain("space6")
+    check_training_rows(measured(chain, model, KINDS, 5), space)
+
+
+def check_training_rows(problem: Problem, space: str) -> None:
     rng = np.random.default_rng(4)
     theta = 0.02 * rng.normal(size=len(problem.parameters))
     directions = rng.normal(size=(len(problem.error.screws), 3))
@@ -178,9 +362,10 @@ def test_derivatives_of_training_rows(
     assert rows.shifts == 3
     np.testing.assert_array_equal(rows.q, problem.data.q)
     np.testing.assert_array_equal(rows.groups, problem.data.groups())
-    np.testing.assert_array_equal(rows.revolute, special_chain.revolute)
+    chain = problem.error.chain
+    np.testing.assert_array_equal(rows.revolute, chain.revolute)
     call = rows.by_joint if space == "joint" else rows.by_tip
-    size = len(special_chain.joints) if space == "joint" else 6
+    size = len(chain.joints) if space == "joint" else 6
     correction, shift = np.zeros((5, size)), 0.01 * rng.normal(size=3)
     if space == "joint":
         # Twists of the tip do not add up; their derivative is that at zero.

@@ -66,8 +66,9 @@ def calibrate(
         typer.Option(
             "--solver",
             metavar="NAME",
-            help="gauss-newton (default), de (differential evolution), or hybrid: de, "
-            "then gauss-newton, for errors of centimeters and degrees.",
+            help="gauss-newton (default), two-step (frames and instrument, then the "
+            "robot, by turns), de (differential evolution), or hybrid: de, then "
+            "gauss-newton, for errors of centimeters and degrees.",
             rich_help_panel=FIT,
         ),
     ] = None,
@@ -125,6 +126,7 @@ def calibrate(
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
+    from calib_pin.measurements import AT
     from calib_pin.report.text import report
 
     stated = open_setup(
@@ -136,8 +138,9 @@ def calibrate(
         solver=solver,
         learned=learned,
     )
-    if stated.solver.evolution and stated.solver.name == "gauss-newton":
-        notice("gauss-newton does not use the options of the evolution in 'solver'")
+    if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
+        name = stated.solver.name
+        notice(f"{name} does not use the options of the evolution in 'solver'")
     chain = open_chain(robot, stated)
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else _outputs(output, chain.robot.name)
@@ -147,7 +150,10 @@ def calibrate(
     unseen = None
     if validation is not None:
         same = replace(stated, model=rows.model)
-        unseen = open_measurements([validation], chain, same, quiet=True)
+        sockets = {name.rpartition(AT)[2] for name in rows.of("fixed-point")}
+        unseen = open_measurements(
+            [validation], chain, same, quiet=True, sockets=sockets
+        )
     if rows.validate.any() and (unseen is not None or holdout is not None):
         option = "--holdout" if unseen is None else "--validation"
         notice(f"the rows that 'set' marks for validation are not used with {option}")

@@ -59,6 +59,16 @@ def compensate(
             rich_help_panel=TARGETS,
         ),
     ] = None,
+    payload: Annotated[
+        str | None,
+        typer.Option(
+            "--payload",
+            metavar="NAME",
+            help="What the robot carries, by its name in the setup of the calibration; "
+            "none for nothing.",
+            rich_help_panel=TARGETS,
+        ),
+    ] = None,
     position: Annotated[
         bool,
         typer.Option(
@@ -82,6 +92,7 @@ def compensate(
     calibration must not be trusted (nothing is written).
     """
     import shlex
+    from dataclasses import replace
 
     import numpy as np
 
@@ -89,6 +100,7 @@ def compensate(
     from calib_pin.io.documents import encode
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.targets import command_columns, read_target_file, write_commands
+    from calib_pin.parameterizations import NOTHING
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
@@ -111,6 +123,16 @@ def compensate(
     doubts: list[str] = []
     model = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
+    if payload is None and not model.geometric and len(model.setup.payloads) > 1:
+        raise OptionError(
+            "the calibration knows several payloads; say with --payload which one is "
+            "carried",
+            file=calibration,
+            allowed=", ".join([*model.setup.payloads, NOTHING]),
+        )
+    if payload is not None:
+        require_known("payload", payload, [*model.setup.payloads, NOTHING])
+        model = replace(model, error=model.error.carrying(payload))
     check_outputs((output,), _read_along(calibration, model), force)
     asked = read_target_file(
         targets,

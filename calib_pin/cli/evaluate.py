@@ -89,7 +89,10 @@ def evaluate(
     else:
         subject = chain = open_chain(robot, stated)
     require_distinct(measurements)
-    rows = open_measurements(measurements, chain, stated)
+    sockets: list[str] = []
+    if isinstance(subject, CalibratedModel):
+        sockets = [feature.name for feature in subject.measurement.features]
+    rows = open_measurements(measurements, chain, stated, sockets=sockets)
     evaluation = run(subject, rows, stated, registration=register)
     if doubts:
         evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
@@ -102,6 +105,7 @@ def evaluate(
             "rows": evaluation.rows,
             "registered": evaluation.registered,
             "outside_trained_region": evaluation.outside,
+            "placed": list(evaluation.placed),
             "verdict": {"status": evaluation.verdict, "reason": evaluation.reason},
             "errors": errors,
         }

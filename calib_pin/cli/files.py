@@ -43,7 +43,7 @@ def open_setup(
     from dataclasses import replace
 
     from calib_pin.errors import OptionError, require_known
-    from calib_pin.io.measured_columns import check_model
+    from calib_pin.io.models_of_files import check_model
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS
@@ -114,9 +114,21 @@ def open_chain(robot: str, setup: Setup) -> Chain:
 
 
 def open_measurements(
-    files: Sequence[Path], chain: Chain, setup: Setup, *, quiet: bool = False
+    files: Sequence[Path],
+    chain: Chain,
+    setup: Setup,
+    *,
+    quiet: bool = False,
+    sockets: Iterable[str] = (),
 ) -> Measurements:
     """Measurement files, with a remark on columns that mean nothing.
+
+    Args:
+        files: The files.
+        chain: The chain.
+        setup: What is known of model and joints.
+        quiet: Whether the remark is left out.
+        sockets: Sockets whose places are known beside those of the setup.
 
     Raises:
         InputError: If a file cannot be used.
@@ -129,6 +141,10 @@ def open_measurements(
         model=setup.model,
         joints=setup.joints,
         notice=None if quiet else notice,
+        sockets=[
+            *sockets,
+            *(name for name, s in setup.sockets.items() if s.estimate is False),
+        ],
     )
 
 

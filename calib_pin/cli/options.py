@@ -83,7 +83,9 @@ Model = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="position, pose or plane-distance; default what the columns show.",
+        help="position, pose, plane-distance, point-distance, relative-distance, "
+        "fixed-point, plane-contact, sphere-contact, camera, or several joined by +; "
+        "default what the columns show.",
         rich_help_panel=ROBOT,
     ),
 ]

@@ -227,8 +227,8 @@ def plan(
         stated = replace(stated, model=rows.model)
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.
-    planes = tuple(stated.planes) if measured == "plane-distance" else ()
-    check_columns(chain, stated.joints, planes)
+    names = (*stated.planes, *stated.targets, *stated.anchors)
+    check_columns(chain, stated.joints, names)
     collisions = None
     if not ignore_collisions:
         told = None if quiet else notice

@@ -42,7 +42,7 @@ def simulate(
         typer.Option(
             "--model",
             metavar="NAME",
-            help="How the robot is measured: position, pose or plane-distance.",
+            help="How the robot is measured, such as position or fixed-point.",
             rich_help_panel=STUDY,
         ),
     ] = None,
@@ -134,7 +134,7 @@ def simulate(
     from calib_pin.errors import OptionError
     from calib_pin.io.measurements import (
         read_configurations,
-        read_targets,
+        read_names,
         write_measurements,
     )
     from calib_pin.io.results import write_urdf
@@ -157,16 +157,18 @@ def simulate(
     else:
         given = read_true_errors(errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    q, target = None, tuple[str, ...]()
+    q, target, payload = None, tuple[str, ...](), tuple[str, ...]()
     if configurations is not None:
         q = read_configurations(configurations, chain, stated.joints)
-        target = read_targets(configurations)
+        target = read_names(configurations, "target")
+        payload = read_names(configurations, "payload")
     rows = run(
         problem,
         theta,
         rng,
         q=q,
         target=target,
+        payload=payload,
         count=count,
         noise=noise,
         repeats=repeats,

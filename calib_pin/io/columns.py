@@ -9,7 +9,7 @@ from __future__ import annotations
 import csv
 import re
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -21,6 +21,7 @@ from calib_pin.io.files import read_bytes
 __all__ = [
     "ANGLE",
     "LENGTH",
+    "PIXEL",
     "PURE",
     "Column",
     "Kind",
@@ -64,6 +65,7 @@ ANGLE = Kind(
     # Two turns either way, as far as joint counters commonly go.
     4.0 * np.pi,
 )
+PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
 PURE = Kind("", {}, {}, np.inf)
 
 
@@ -103,6 +105,21 @@ class Table:
     def __contains__(self, name: object) -> bool:
         """Whether there is a column of exactly this name."""
         return name in self.columns
+
+    def rows(self, index: NDArray[np.int64], names: Collection[str]) -> Table:
+        """Some of the rows and columns.
+
+        Args:
+            index: The rows, in this order.
+            names: The columns; those that do not exist are left out.
+        """
+        order = index.tolist()
+        columns = {
+            name: replace(column, cells=tuple(map(column.cells.__getitem__, order)))
+            for name, column in self.columns.items()
+            if name in names
+        }
+        return replace(self, columns=columns, lines=self.lines[index])
 
     def error(
         self, reason: str, column: str | None = None, allowed: str | None = None
@@ -201,8 +218,12 @@ class Table:
             InputError: If a value is larger; blames the largest.
         """
         row = int(np.argmax(np.abs(values)))
-        if abs(values[row]) > largest:
-            raise self.implausible(name, row, float(values[row]), kind, why)
+        if abs(values[row]) <= largest:
+            return
+        if len(kind.units) == 1:
+            reason = f"{values[row]:.6g} {kind.si} is too large"
+            raise self.cell_error(reason, name, row, f"{largest:g} {kind.si} or less")
+        raise self.implausible(name, row, float(values[row]), kind, why)
 
     def _factor(self, name: str, kind: Kind) -> float:
         unit = self.columns[name].unit

@@ -10,15 +10,14 @@ from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pinocchio as pin
 
 from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models import MeasurementModel
-from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
+from calib_pin.measurement_models import Feature, MeasurementModel
+from calib_pin.measurement_models.features import Frame
 from calib_pin.planning.plan import Plan
 from calib_pin.result import (
     Accuracy,
@@ -122,6 +121,7 @@ def identification_document(found: Identification) -> Json:
             "everett": ranks.everett,
             "weak": ranks.weak,
             "revealed": ranks.revealed,
+            "scale_observable": ranks.scale_observable,
             "condition": ranks.condition,
             "singular_values": list(ranks.singular_values),
             "observability": ranks.observability,
@@ -180,6 +180,7 @@ def calibration_document(
     """
     model, robot = result.model, result.model.chain.robot
     free = model.error.parameters.free
+    frames, sections = _instrument(model.measurement, result.reference.measurement)
     return {
         "format": FORMAT,
         "version": VERSION,
@@ -197,6 +198,7 @@ def calibration_document(
                 {"file": file, "sha256": _sha256_of(file)} for file in result.files
             ],
             "model": model.measurement.name,
+            "targets": list(model.measurement.targets),
             "training": result.training,
             "validation": result.validated,
         },
@@ -232,9 +234,10 @@ def calibration_document(
                 "estimated": bool(free[-6:].any()),
                 "reference": _frame(result.reference.error.tool),
             },
+            **frames,
         },
-        "targets": {},
-        "planes": _planes(model.measurement, result.reference.measurement),
+        **sections,
+        "distances": [asdict(distance) for distance in result.distances],
         "residual_model": None if residual_model is None else dict(residual_model),
         "model_ladder": None if result.ladder is None else _ladder(result.ladder),
         "urdf": None if result.urdf is None else _urdf(result.urdf, result.validation),
@@ -297,23 +300,32 @@ def _frame(pose: pin.SE3) -> Json:
     }
 
 
-def _planes(fitted: MeasurementModel, reference: MeasurementModel) -> Json:
-    if not isinstance(fitted, PlaneDistance) or not isinstance(
-        reference, PlaneDistance
-    ):
-        return {}
-    return {
-        plane.name: {
-            **_plane(plane),
-            "estimated": plane.estimate,
-            "reference": _plane(start),
-        }
-        for plane, start in zip(fitted.planes, reference.planes, strict=True)
-    }
+def _instrument(
+    fitted: MeasurementModel, reference: MeasurementModel
+) -> tuple[Json, Json]:
+    """What rows refer to: frames by name, and the other sections.
+
+    Points of the tool and planes have a section in every document.
+    """
+    frames: Json = {}
+    sections: Json = {"targets": {}, "planes": {}}
+    for feature, start in zip(fitted.features, reference.features, strict=True):
+        values, flags = _stated(feature)
+        entry = {**values, **flags, "reference": _stated(start)[0]}
+        if isinstance(feature, Frame):
+            frames[f"{feature.name}.{feature.kind}"] = entry
+        elif feature.section == "camera":  # There is one at most.
+            sections[feature.section] = entry
+        else:
+            sections.setdefault(feature.section, {})[feature.name] = entry
+    return frames, sections
 
 
-def _plane(plane: Plane) -> Json:
-    return {"normal": np.asarray(plane.normal).tolist(), "offset": plane.offset}
+def _stated(feature: Feature) -> tuple[Json, Json]:
+    """Values of a feature, and what of it was estimated."""
+    stated = asdict(feature.stated())
+    flags = {key: stated.pop(key) for key in [*stated] if key.startswith("estimate")}
+    return stated, {k.replace("estimate", "estimated"): v for k, v in flags.items()}
 
 
 def _errors(errors: QuantityErrors, method: str) -> Json:

@@ -1,99 +1,106 @@
-"""Measured columns of a file: positions, orientations, distances and their sigmas."""
+"""Measured columns of a file: which model reads which, their values and sigmas."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
-from calib_pin.errors import InputError, OptionError, nearest
-from calib_pin.io.columns import ANGLE, LENGTH, PURE, Floats, Kind, Table, closest
+from calib_pin.io.columns import (
+    LENGTH,
+    PIXEL,
+    Floats,
+    Kind,
+    Table,
+    closest,
+)
+from calib_pin.io.orientation_columns import (
+    FIXED_AXES,
+    ORIENTATIONS,
+    QUATERNION,
+    ROTATION_VECTOR,
+    orientation_columns,
+    read_kinds,
+    read_quaternions,
+)
+from calib_pin.measurements import AT
 
 __all__ = [
     "COMPONENTS",
+    "CONTACTS",
+    "MEASURED",
+    "NEEDED",
+    "ORIENTED",
+    "PIXELS",
+    "POSITION",
+    "RELATIVE",
     "RESERVED",
+    "SIGMAS",
     "VALUES",
-    "check_model",
     "check_spread",
-    "infer_model",
+    "check_targets",
+    "find_starts",
     "read_sigma",
     "read_values",
 ]
 
 POSITION = {"x": LENGTH, "y": LENGTH, "z": LENGTH}
-QUATERNION = {"qx": PURE, "qy": PURE, "qz": PURE, "qw": PURE}
-ROTATION_VECTOR = {"rx": ANGLE, "ry": ANGLE, "rz": ANGLE}
-FIXED_AXES = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE}
-ORIENTATIONS = (QUATERNION, ROTATION_VECTOR, FIXED_AXES)
 DISTANCE = {"distance": LENGTH}
+PIXELS = {"u": PIXEL, "v": PIXEL}
+CONTACT = {"contact": LENGTH}
 
 COMPONENTS: Mapping[str, Mapping[str, Kind]] = {
     "position": POSITION,
     "pose": {**POSITION, **ROTATION_VECTOR},
     "plane-distance": DISTANCE,
+    "point-distance": DISTANCE,
+    "relative-distance": DISTANCE,
+    "fixed-point": POSITION,
+    "plane-contact": CONTACT,
+    "sphere-contact": CONTACT,
+    "camera": PIXELS,
 }
 """The residual components of each model; a sigma belongs to one of these."""
 
+NEEDED: Mapping[str, Mapping[str, Kind]] = {
+    "position": POSITION,
+    "pose": POSITION,
+    "plane-distance": DISTANCE,
+    "point-distance": DISTANCE,
+    "relative-distance": DISTANCE,
+    "fixed-point": {},
+    "plane-contact": {},
+    "sphere-contact": {},
+    "camera": PIXELS,
+}
+"""The measured columns of each model; a pose needs one of the orientations as well."""
+
 VALUES: Mapping[str, tuple[str, ...]] = {
-    "position": tuple(POSITION),
-    "pose": (*POSITION, *QUATERNION),
-    "plane-distance": tuple(DISTANCE),
+    name: (*kinds, *(QUATERNION if name == "pose" else ()))
+    for name, kinds in NEEDED.items()
 }
 """The columns of `Measurements.values` of each model."""
 
-LATER = ("point-distance", "fixed-point", "plane-contact", "camera")
-MEASURED = frozenset(
-    name for kinds in (POSITION, *ORIENTATIONS, DISTANCE) for name in kinds
-)
-RESERVED = MEASURED | {"target", "set", "sigma"} | {f"sigma_{c}" for c in MEASURED}
+NAMED = {"fixed-point": "socket", "camera": "point"}
+"""What every row of a model has to name."""
+
+RELATIVE = "relative-distance"
+"""Model whose rows are measured from a start."""
+
+CONTACTS = tuple(name for name, kinds in NEEDED.items() if not kinds)
+ORIENTED = frozenset(name for kinds in ORIENTATIONS for name in kinds)
+MEASURED = ORIENTED | {*POSITION, *DISTANCE, *PIXELS}
+SIGMAS = frozenset({"sigma"} | {f"sigma_{c}" for c in MEASURED | set(CONTACT)})
+RESERVED = MEASURED | SIGMAS | {"target", "set", "payload", "model"}
 """Names that have a meaning in every file, whatever the robot's joints are called."""
 
-LARGEST_SIGMA = 1.0
-"""Largest standard deviation that can be meant [m, rad]."""
+LARGEST_SIGMA = {"m": 1.0, "rad": 1.0, "px": 1e3}
+"""Largest standard deviation that can be meant, by unit."""
 
-SMALLEST_SIGMA = 1e-12
-"""Smallest standard deviation that can be meant [m, rad]."""
-
-
-def check_model(model: str) -> None:
-    """Check the name of a measurement model.
-
-    Raises:
-        OptionError: If files of that model cannot be read.
-    """
-    if model in COMPONENTS:
-        return
-    reason = (
-        f"measurement model '{model}' is not available in this version"
-        if model in LATER
-        else f"unknown measurement model '{model}'{nearest(model, COMPONENTS)}"
-    )
-    raise OptionError(reason, allowed=", ".join(COMPONENTS))
-
-
-def infer_model(table: Table) -> str:
-    """The one model whose columns a file has.
-
-    Raises:
-        InputError: If there is none, or more than one.
-    """
-    oriented = any(name in table for kinds in ORIENTATIONS for name in kinds)
-    positioned = any(name in table for name in POSITION)
-    if "distance" in table and (oriented or positioned):
-        raise table.error(
-            "the file has both a position and a distance; name what is measured with "
-            "--model",
-            allowed=", ".join(COMPONENTS),
-        )
-    if "distance" in table:
-        return "plane-distance"
-    if oriented or positioned:
-        return "pose" if oriented else "position"
-    raise table.error(
-        "no measured columns; position needs x, y, z; pose needs these and an "
-        "orientation; plane-distance needs distance"
-    )
+SMALLEST_SIGMA = {"m": 1e-12, "rad": 1e-12, "px": 1e-9}
+"""Smallest standard deviation that can be meant, by unit."""
 
 
 def read_values(
@@ -113,13 +120,13 @@ def read_values(
     Raises:
         InputError: If a column is missing, or a value cannot be.
     """
-    kinds = DISTANCE if model == "plane-distance" else POSITION
+    kinds = NEEDED[model]
     _check_present(table, model, tuple(kinds), spare)
-    values = _read(table, kinds)
+    values = read_kinds(table, kinds)
     if model != "pose":
         return tuple(kinds), values
-    orientation = _orientation(table)
-    quaternions = _quaternions(table, orientation)
+    orientation = orientation_columns(table)
+    quaternions = read_quaternions(table, orientation)
     return (*kinds, *orientation), np.hstack([values, quaternions])
 
 
@@ -131,7 +138,7 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         model: Name of the model.
 
     Returns:
-        The column of each component and the values, shape (N, d) [m, rad]; nothing
+        The column of each component and the values, shape (N, d) [m, rad, px]; nothing
         and None where the file states none.
 
     Raises:
@@ -140,6 +147,8 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
     components = COMPONENTS[model]
     if model == "pose":
         _check_pose_sigma(table)
+    if components is CONTACT:
+        _check_contact_sigma(table)
     found = {
         component: name
         for component in components
@@ -159,17 +168,89 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
     for component, name in found.items():
         kind = components[component]
         column = table.numbers(name, kind, positive=True)
-        table.check_size(name, column, kind, LARGEST_SIGMA)
-        row = int(np.argmin(column))
-        if column[row] < SMALLEST_SIGMA:
+        table.check_size(name, column, kind, LARGEST_SIGMA[kind.si])
+        row, smallest = int(np.argmin(column)), SMALLEST_SIGMA[kind.si]
+        if column[row] < smallest:
             raise table.cell_error(
                 "too small for a standard deviation",
                 name,
                 row,
-                f"{SMALLEST_SIGMA:g} {kind.si} or more",
+                f"{smallest:g} {kind.si} or more",
             )
         columns.append(column)
     return found, np.stack(columns, axis=1)
+
+
+def check_targets(table: Table, model: str) -> None:
+    """Refuse rows that do not name what they cannot do without.
+
+    Raises:
+        InputError: If there are such.
+    """
+    if model not in NAMED:
+        return
+    if "target" not in table:
+        raise table.error(
+            f"model '{model}' needs a column 'target' with the {NAMED[model]} of each "
+            "row",
+            "target",
+        )
+    names = [name.rpartition(AT)[2] for name in table.texts("target")]
+    if not all(names):
+        row = names.index("")
+        raise table.cell_error(f"the row names no {NAMED[model]}", "target", row)
+
+
+def find_starts(table: Table, distance: Floats, q: Floats) -> NDArray[np.int64]:
+    """The row at which the relative measurement of each row starts, shape (N,).
+
+    Rows of one target belong together; the first of them is their start.
+
+    Args:
+        table: The file.
+        distance: Distances from the start, shape (N,) [m].
+        q: Joint positions, shape (N, n) [rad, m].
+
+    Raises:
+        InputError: If a start is not one, nothing starts there, or a row cannot be
+            measured from it.
+    """
+    count = len(distance)
+    names = table.texts("target") if "target" in table else ("",) * count
+    loads = table.texts("payload") if "payload" in table else ("",) * count
+    first: dict[str, int] = {}
+    start = np.array([first.setdefault(name, row) for row, name in enumerate(names)])
+    begins = start == np.arange(count)
+    sizes = np.bincount(start, minlength=count)
+    still = (q == q[start]).all(axis=1) & ~begins
+    other = np.array([loads[row] != loads[start[row]] for row in range(count)])
+    of = "the first row of a target is its start"
+    for wrong, reason, column, allowed in (
+        (begins & (distance != 0.0), f"{of}, where the distance is 0", "distance", "0"),
+        (
+            sizes == 1,
+            f"{of}, and no other row is measured from it",
+            "target" if "target" in table else "distance",
+            None,
+        ),
+        (
+            ~begins & (distance <= 0.0),
+            f"{of}; all others are away from it, a new start needs a target of its own",
+            "distance",
+            "more than 0",
+        ),
+        (
+            still,
+            "the joint positions are those of the start, from where no distance can be "
+            "measured",
+            "distance",
+            None,
+        ),
+        (other, "the payload is not that of the start", "payload", None),
+    ):
+        if wrong.any():
+            raise table.cell_error(reason, column, int(np.argmax(wrong)), allowed)
+    return start
 
 
 def check_spread(
@@ -215,80 +296,6 @@ def _check_present(
     raise table.error(f"model '{model}' needs the missing {what}{hint}", missing[0])
 
 
-def _read(table: Table, kinds: Mapping[str, Kind]) -> Floats:
-    """Columns side by side, shape (N, k), checked for their unit."""
-    columns = []
-    for name, kind in kinds.items():
-        columns.append(table.numbers(name, kind))
-        table.check_size(name, columns[-1], kind, kind.largest)
-    return np.stack(columns, axis=1)
-
-
-def _orientation(table: Table) -> Mapping[str, Kind]:
-    """The columns of the one complete orientation of a file."""
-    ways = " or ".join(",".join(kinds) for kinds in ORIENTATIONS)
-    present = [kinds for kinds in ORIENTATIONS if any(name in table for name in kinds)]
-    if not present:
-        raise table.error("model 'pose' needs an orientation", allowed=ways)
-    if len(present) > 1:
-        names = [next(name for name in kinds if name in table) for kinds in present]
-        raise table.error(
-            f"the orientation is given more than once, by {' and by '.join(names)}",
-            names[1],
-            f"one of {ways}",
-        )
-    missing = [name for name in present[0] if name not in table]
-    if missing:
-        whole = ", ".join(present[0])
-        raise table.error(
-            f"of the orientation {whole} the file lacks {', '.join(missing)}",
-            missing[0],
-        )
-    return present[0]
-
-
-def _quaternions(table: Table, orientation: Mapping[str, Kind]) -> Floats:
-    """Unit quaternions qx qy qz qw with qw >= 0, shape (N, 4)."""
-    given = _read(table, orientation)
-    if orientation is ROTATION_VECTOR:
-        half = 0.5 * np.linalg.norm(given, axis=1, keepdims=True)
-        # sinc is exact at zero angle.
-        given = np.hstack([0.5 * np.sinc(half / np.pi) * given, np.cos(half)])
-    elif orientation is FIXED_AXES:
-        given = _from_fixed_axes(given)
-    with np.errstate(over="ignore"):
-        norm = np.linalg.norm(given, axis=1)
-    row = int(np.argmax(np.abs(norm - 1.0)))
-    if abs(norm[row] - 1.0) > 1e-2:
-        raise InputError(
-            f"the quaternion has the norm {norm[row]:.6g}",
-            file=table.file,
-            line=int(table.lines[row]),
-            column=", ".join(orientation),
-            value=", ".join(table.columns[c].cells[row].strip() for c in orientation),
-            allowed="a norm of 0.99 to 1.01",
-        )
-    # Dividing a unit quaternion once more may change its last bit, and a file that was
-    # written from here must read back as it was.
-    norm[np.abs(norm - 1.0) < 1e-14] = 1.0
-    quaternions = given / norm[:, None]
-    return np.asarray(np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions))
-
-
-def _from_fixed_axes(angles: Floats) -> Floats:
-    """Quaternions of R = Rz(yaw) Ry(pitch) Rx(roll), shape (N, 3) -> (N, 4)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(0.5 * angles).T, np.cos(0.5 * angles).T
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
-
-
 def _check_pose_sigma(table: Table) -> None:
     """Refuse a sigma whose meaning for a pose would have to be guessed."""
     allowed = ", ".join(f"sigma_{name}" for name in COMPONENTS["pose"])
@@ -303,4 +310,16 @@ def _check_pose_sigma(table: Table) -> None:
                 "tool frame",
                 f"sigma_{name}",
                 allowed,
+            )
+
+
+def _check_contact_sigma(table: Table) -> None:
+    """Refuse a sigma that a contact does not have."""
+    for name in (*POSITION, *DISTANCE):
+        # Beside its own column it is of something that is not read either.
+        if f"sigma_{name}" in table and name not in table:
+            raise table.error(
+                "a contact is off its surface in one direction only",
+                f"sigma_{name}",
+                "sigma, sigma_contact",
             )

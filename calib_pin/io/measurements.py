@@ -8,46 +8,51 @@ from __future__ import annotations
 
 import csv
 import io
-from collections.abc import Callable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
-from calib_pin.errors import InputError, OutputError
-from calib_pin.io.columns import Floats, Table, read_table, split_header
+from calib_pin.errors import InputError
+from calib_pin.io.columns import Floats, Table, read_table
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
-    column_values,
     joint_sources,
     read_positions,
     spare_columns,
 )
 from calib_pin.io.measured_columns import (
-    COMPONENTS,
-    RESERVED,
-    VALUES,
-    check_model,
+    RELATIVE,
     check_spread,
-    infer_model,
+    check_targets,
+    find_starts,
     read_sigma,
     read_values,
 )
-from calib_pin.measurements import Measurements
+from calib_pin.io.models_of_files import check_model, split_by_model
+from calib_pin.io.written_columns import configuration_columns, measurement_columns
+from calib_pin.measurements import AT, PLUS, Measurements
 from calib_pin.setup import JointMap
 
 __all__ = [
     "check_columns",
-    "column_name",
     "read_configurations",
     "read_measurements",
-    "read_targets",
+    "read_names",
     "write_configurations",
     "write_measurements",
     "write_table",
 ]
+
+PLACES = {
+    "point-distance": "anchor",
+    "plane-contact": "plane",
+    "sphere-contact": "sphere",
+}
+"""What rows of a model name, or leave out where all are about one."""
 
 
 def read_measurements(
@@ -56,20 +61,30 @@ def read_measurements(
     *,
     model: str | None = None,
     joints: Mapping[str, JointMap] = {},
+    sockets: Collection[str] = (),
     notice: Callable[[str], None] | None = None,
 ) -> Measurements:
     r"""Read measurement files and join them in the given order.
 
+    A column `model` names the measurement model row by row; in a file of several a row
+    leaves blank what only the others read. Of relative distances the first row of each
+    target is where the others of that target start.
+
     Args:
-        paths: One CSV file, or several of the same measurement model.
+        paths: One CSV file, or several.
         chain: Chain whose joints the files hold.
-        model: Measurement model; None infers it from the columns.
+        model: Measurement model of the files that have no column `model`; of several
+            names with a plus between them each file is read as the only one that its
+            columns allow. None infers it from the columns.
         joints: How file columns become joints; others are taken by their own name.
+        sockets: Sockets that are known, for which one configuration is enough.
         notice: Called once per file that has columns without a meaning, with one
             sentence that lists them.
 
     Returns:
-        All rows, in SI units; `files` holds the paths as they were given.
+        All rows, in SI units; `files` holds the paths as they were given. Of several
+        models the rows of each stand together, first those of the first in `model`, or
+        in the files.
 
     Raises:
         InputError: If a file does not hold measurements of this chain; names the file
@@ -96,15 +111,15 @@ def read_measurements(
     sources = joint_sources(chain, joints)
     parts: list[Measurements] = []
     for file in files:
-        table = read_table(file)
-        parts.append(_read(table, chain, sources, joints, model, notice))
-        if parts[-1].model != parts[0].model:
-            raise InputError(
-                f"the file holds '{parts[-1].model}' measurements, {files[0]} holds "
-                f"'{parts[0].model}' ones; name what to read from both with --model",
-                file=file,
-            )
-    return Measurements.concatenate(parts)
+        parts += _read(read_table(file), chain, sources, joints, model, notice)
+    asked = [] if model is None else model.split(PLUS)
+    result = []
+    for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
+        own = [part for part in parts if part.model == name]
+        if own:
+            result.append(Measurements.concatenate(own))
+            _check_places(result[-1], sockets)
+    return Measurements.concatenate(result)
 
 
 def read_configurations(
@@ -135,17 +150,18 @@ def read_configurations(
     return read_positions(read_table(path), chain, joint_sources(chain, joints))
 
 
-def read_targets(path: str | Path) -> tuple[str, ...]:
-    """Read only the targets of a CSV file; empty where it names none.
+def read_names(path: str | Path, column: str) -> tuple[str, ...]:
+    """Read only a column of names of a CSV file; empty where it has none.
 
     Args:
         path: CSV file.
+        column: `target` or `payload`.
 
     Raises:
         InputError: If it is not such a file.
     """
     table = read_table(path)
-    return table.texts("target") if "target" in table else ()
+    return table.texts(column) if column in table else ()
 
 
 def check_columns(
@@ -168,11 +184,11 @@ def check_columns(
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    _configuration_columns(chain, np.empty((0, len(chain.joints))), targets, joints)
+    configuration_columns(chain, np.empty((0, len(chain.joints))), targets, joints)
 
 
 def write_configurations(
-    path: Path,
+    path: str | Path,
     chain: Chain,
     q: Floats,
     target: Sequence[str] = (),
@@ -207,12 +223,12 @@ def write_configurations(
         ...     file.read_text().splitlines()[1]
         '0.0,0.0,0.0,0.5,0.0,0.0'
     """
-    columns = _configuration_columns(chain, q, target, joints)
+    columns = configuration_columns(chain, q, target, joints)
     write_table(path, columns, comments, force)
 
 
 def write_measurements(
-    path: Path,
+    path: str | Path,
     measurements: Measurements,
     comments: Sequence[str] = (),
     force: bool = False,
@@ -222,14 +238,17 @@ def write_measurements(
     Args:
         path: File to write.
         measurements: What to write; quaternions of unit length with qw >= 0, as
-            `read_measurements` gives them, come back unchanged.
+            `read_measurements` gives them, come back unchanged. So do rows of several
+            models where those of each stand together, and the targets of relative
+            distances where every start has one of its own.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
 
     Raises:
-        OptionError: If the file exists and `force` is false, or the measurement model
-            has no file format.
-        OutputError: If a name would not read back, or the file cannot be written.
+        OptionError: If the file exists and `force` is false, or there is no such
+            measurement model.
+        OutputError: If a name or a relative distance would not read back, or the file
+            cannot be written.
 
     Example:
         >>> import tempfile
@@ -243,11 +262,11 @@ def write_measurements(
         ['lift,distance', '0.25,1.5']
     """
     check_model(measurements.model)
-    write_table(path, dict(_columns(measurements)), comments, force)
+    write_table(path, dict(measurement_columns(measurements)), comments, force)
 
 
 def write_table(
-    path: Path,
+    path: str | Path,
     columns: Mapping[str, Sequence[object]],
     comments: Sequence[str],
     force: bool,
@@ -272,7 +291,7 @@ def write_table(
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
     writer.writerows(zip(*columns.values(), strict=True))
-    write_atomically(path, buffer.getvalue().encode(), force=force)
+    write_atomically(Path(path), buffer.getvalue().encode(), force=force)
 
 
 def _read(
@@ -282,31 +301,81 @@ def _read(
     joints: Mapping[str, JointMap],
     model: str | None,
     notice: Callable[[str], None] | None,
-) -> Measurements:
-    """Measurements of one file."""
+) -> list[Measurements]:
+    """Measurements of one file, one of each model."""
     q = read_positions(table, chain, sources)
     spare = spare_columns(table, chain, joints)
-    model = model or infer_model(table)
-    value_columns, values = read_values(table, model, spare)
-    if "x" in value_columns:
-        check_spread(table, chain, values[:, :3])
-    sigma_columns, sigma = read_sigma(table, model)
-    used = {*value_columns, *sigma_columns.values(), "target", "set"}
+    parts = []
+    used = {"model", "payload", "set", "target"}
+    for name, (rows, own) in split_by_model(table, model).items():
+        part, columns = _read_part(own, chain, name, q[rows], spare)
+        parts.append(part)
+        used |= columns
     ignored = [table.columns[name].header for name in spare if name not in used]
     ignored += ["(unnamed)"] * table.unnamed
     if ignored and notice is not None:
         notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
-    return Measurements(
+    return parts
+
+
+def _read_part(
+    table: Table, chain: Chain, model: str, q: Floats, spare: Sequence[str]
+) -> tuple[Measurements, set[str]]:
+    """Measurements of one model, and the columns that hold them."""
+    value_columns, values = read_values(table, model, spare)
+    check_targets(table, model)
+    if "x" in value_columns:
+        check_spread(table, chain, values[:, :3])
+    start = np.zeros((0, 0))
+    if model == RELATIVE:
+        row_of = find_starts(table, values[:, 0], q)
+        rows = np.flatnonzero(row_of != np.arange(len(row_of)))
+        table, start = table.rows(rows, table.columns), q[row_of[rows]]
+        q, values = q[rows], values[rows]
+    sigma_columns, sigma = read_sigma(table, model)
+    part = Measurements(
         joints=chain.joints,
         q=q,
         model=model,
         values=values,
         sigma=sigma,
         target=table.texts("target") if "target" in table else (),
+        payload=table.texts("payload") if "payload" in table else (),
+        start=start,
         validate=_read_set(table),
         lines=table.lines,
         files=(table.file,) * len(q),
     )
+    return part, {*value_columns, *sigma_columns.values()}
+
+
+def _check_places(rows: Measurements, sockets: Collection[str]) -> None:
+    """Refuse places that some rows leave open, and sockets of one configuration."""
+    names = [name.rpartition(AT)[2] for name in rows.target]
+    row, reason, allowed = None, "", None
+    if rows.model in PLACES and any(names) and not all(names):
+        row = names.index("")
+        reason = f"the row names no {PLACES[rows.model]}, others do"
+    elif rows.model == "fixed-point":
+        label = rows.groups().tolist()
+        seen = {name: k for name, k in zip(names, label, strict=True)}
+        several = {
+            name for name, k in zip(names, label, strict=True) if seen[name] != k
+        }
+        lonely = [name for name in seen if name not in several | set(sockets)]
+        if lonely:
+            row = names.index(lonely[0])
+            reason = f"the socket '{lonely[0]}' has one configuration only"
+            allowed = "two configurations or more in every socket"
+    if row is not None:
+        raise InputError(
+            reason,
+            file=rows.files[row],
+            line=int(rows.lines[row]),
+            column="target",
+            value=rows.target[row],
+            allowed=allowed,
+        )
 
 
 def _read_set(table: Table) -> NDArray[np.bool_]:
@@ -318,53 +387,3 @@ def _read_set(table: Table) -> NDArray[np.bool_]:
         if name not in ("train", "validate"):
             raise table.cell_error("unknown set", "set", row, "train, validate")
     return np.array([name == "validate" for name in names])
-
-
-def _columns(
-    measurements: Measurements,
-) -> Iterator[tuple[str, Sequence[float] | Sequence[str]]]:
-    """Names and cells of the columns that hold measurements."""
-    for name, column in zip(measurements.joints, measurements.q.T, strict=True):
-        yield column_name(name), column.tolist()
-    names = VALUES[measurements.model]
-    for name, column in zip(names, measurements.values.T, strict=True):
-        yield name, column.tolist()
-    if measurements.sigma is not None:
-        components = COMPONENTS[measurements.model]
-        for name, column in zip(components, measurements.sigma.T, strict=True):
-            yield f"sigma_{name}", column.tolist()
-    if any(measurements.target):
-        yield "target", _writable_targets(measurements.target)
-    if measurements.validate.any():
-        yield "set", ["validate" if late else "train" for late in measurements.validate]
-
-
-def _configuration_columns(
-    chain: Chain, q: Floats, target: Sequence[str], joints: Mapping[str, JointMap]
-) -> dict[str, Sequence[float] | Sequence[str]]:
-    """Names and cells of the columns that hold configurations."""
-    columns: dict[str, Sequence[float] | Sequence[str]] = {}
-    for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[column_name(name)] = values.tolist()
-    if any(target):
-        columns["target"] = _writable_targets(target)
-    return columns
-
-
-def column_name(joint: str) -> str:
-    """The name of a column of joint positions.
-
-    Raises:
-        OutputError: If it would not read back.
-    """
-    if split_header(joint) != (joint, None) or joint in RESERVED:
-        raise OutputError(f"joint '{joint}' cannot be the name of a column")
-    return joint
-
-
-def _writable_targets(targets: Sequence[str]) -> Sequence[str]:
-    """The cells of a column of targets."""
-    for target in targets:
-        if target != target.strip() or set(target) & set("\r\n\0"):
-            raise OutputError(f"target {target!r} would not read back")
-    return targets

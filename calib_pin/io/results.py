@@ -28,10 +28,22 @@ from calib_pin.io.files import read_bytes
 from calib_pin.io.residual_model import read_residual_model
 from calib_pin.io.setup import CONDITIONS, setup_of
 from calib_pin.io.urdf import locate_robot, parse_robot, write_corrected_urdf
-from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
+from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.mixed import qualified
+from calib_pin.measurements import AT, PART, PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.result import CalibratedModel
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+    Triple,
+)
 
 __all__ = ["read_accuracy", "read_calibration", "write_urdf"]
 
@@ -41,8 +53,11 @@ AGREEMENT = 1e-9
 ENDS = ("base", "tool")
 """The frames at the two ends of a chain."""
 
+SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
+"""What rows can refer to, by name."""
+
 LARGEST = 1e6
-"""Largest number that a value, a position or an offset can be [m, rad]."""
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
 
 
 def read_calibration(
@@ -201,33 +216,101 @@ def _model(document: Json, robot: Robot) -> CalibratedModel:
         raise ValueError("the joints are not those from base to tip")
     frames = document["frames"]
     (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
-    planes = {name: _read_plane(plane) for name, plane in document["planes"].items()}
+    fitted = _instrument(document)
     if "setup" in document:
         setup = setup_of(document["setup"])
     else:  # It is no part of the contract; what is known follows from the rest.
         known = (_known_frame(base, free_base), _known_frame(tool, free_tool))
-        setup = Setup(base_frame=known[0], tool_frame=known[1], planes=planes)
+        setup = replace(fitted, base_frame=known[0], tool_frame=known[1])
+    fitted = replace(fitted, ranger=setup.ranger)
+    measurement = _measurement(document["measurements"], fitted, frames)
     values = _values(document["parameters"])
     for kind in {_kind(name) for name in values} & CONDITIONS.keys():
         for key in CONDITIONS[kind]:
             if key not in document.get("setup", {}):
                 raise ValueError(f"'setup.{key}' is missing, which '{kind}' needs")
-    error = _error_model(chain, list(values), setup, free_base, free_tool)
+    own = {parameter.name for parameter in measurement.parameters}
+    names = [name for name in values if name not in own]
+    error = _error_model(chain, names, setup, free_base, free_tool)
     stated = {name: values[name] for name in error.parameters.names}
     theta = error.parameters.vector(stated)
     theta[error.parameters.nuisance] = 0.0  # The frames hold these.
     if chain.tip_joint is None:
         tool = error.corrections(theta)[-2].actInv(tool)
-    model = _text(document["measurements"]["model"])
-    measurement = measurement_model(model, Setup(planes=planes))
-    if measurement.missing:
-        raise ValueError("the planes are missing")
     return CalibratedModel(
         error=error.with_frames(base, tool),
         measurement=measurement,
         theta=theta,
         setup=setup,
     )
+
+
+def _instrument(document: Json) -> Setup:
+    """What rows refer to as it was fitted; files may lack what came later."""
+
+    def section(key: str, read: Callable[[Json], Any]) -> dict[str, Any]:
+        return {name: read(entry) for name, entry in document.get(key, {}).items()}
+
+    camera = document.get("camera")
+    return Setup(
+        planes=section("planes", _read_plane),
+        targets=section("targets", _read_point),
+        sockets=section("sockets", _read_point),
+        spheres=section("spheres", _read_sphere),
+        anchors=section("anchors", _read_anchor),
+        camera=None if camera is None else _read_camera(camera),
+    )
+
+
+def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
+    """The measurement model as it was fitted.
+
+    Args:
+        about: What the document says of the measurements.
+        fitted: What rows refer to.
+        frames: The frames by name.
+    """
+    name = _text(about["model"])
+    parts = name.split(PLUS)
+    mixed = len(parts) > 1
+    # Earlier files name no targets; they have neither mixed models nor points.
+    known = "targets" in about or mixed or bool(fitted.targets)
+    targets = ["" if t == "" else _text(t) for t in about["targets"]] if known else []
+    if mixed and not {target.partition(PART)[0] for target in targets} <= set(parts):
+        raise ValueError("'measurements.targets' are not those of 'measurements.model'")
+    named = qualified(parts, targets) if mixed else {name: targets}
+    made = {part: _part(part, fitted, seen) for part, seen in named.items()}
+    model: MeasurementModel = Mixed.create(made) if mixed else made[name]
+    model = model.with_features(
+        [
+            _read_stand(feature, frames) if isinstance(feature, Frame) else feature
+            for feature in model.features
+        ]
+    )
+    for feature in model.features:
+        if not feature.placed:
+            raise ValueError(f"'{feature.name}' is missing under '{feature.section}'")
+    used = {(feature.section, feature.name) for feature in model.features}
+    for section in SECTIONS:
+        for member in getattr(fitted, section):
+            if (section, member) not in used:
+                raise ValueError(f"no row refers to '{member}' under '{section}'")
+    if model.name != name or (known and list(model.targets) != targets):
+        raise ValueError("'measurements.targets' are not those of 'measurements.model'")
+    return model
+
+
+def _part(name: str, fitted: Setup, targets: Sequence[str]) -> MeasurementModel:
+    """One of the models, which knows only what its rows can name."""
+    if name == "camera" and fitted.camera is None:
+        raise ValueError("'camera' is missing")
+    halves = {half for target in targets for half in (target, *target.rpartition(AT))}
+
+    def seen(members: Mapping[str, Any]) -> dict[str, Any]:
+        return {k: v for k, v in members.items() if not targets or k in halves}
+
+    named = replace(fitted, planes=seen(fitted.planes), targets=seen(fitted.targets))
+    return measurement_model(name, named, targets)
 
 
 def _learned(stated: Mapping[str, Any] | None) -> tuple[str, str] | None:
@@ -253,7 +336,7 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
 
 def _error_model(
     chain: Chain,
-    names: Sequence[str],
+    names: list[str],
     setup: Setup,
     free_base: bool,
     free_tool: bool,
@@ -263,7 +346,6 @@ def _error_model(
     The order matters: it is that of the screws at a place, so also that in which the
     user named the parameterizations.
     """
-    names = [name for name in names if _kind(name) != "plane"]
     kinds = dict.fromkeys(map(_kind, names))
     if any(name.removesuffix(".dh.beta") + ".dh.d" in names for name in names):
         kinds = {"dh-full" if kind == "dh" else kind: None for kind in kinds}
@@ -302,6 +384,12 @@ def _known_frame(pose: pin.SE3, estimated: bool) -> FrameSetup:
     return FrameSetup((x, y, z), (roll, pitch, yaw), estimate=False)
 
 
+def _read_stand(frame: Frame, frames: Json) -> Frame:
+    """A frame of an instrument that is one among others."""
+    pose, estimated = _read_frame(frames[f"{frame.name}.{frame.kind}"])
+    return replace(frame, pose=pose, estimate=estimated)
+
+
 def _read_plane(entry: Mapping[str, Any]) -> PlaneSetup:
     x, y, z = _numbers(entry["normal"], 3)
     if not 0.99 < math.hypot(x, y, z) < 1.01:
@@ -310,10 +398,47 @@ def _read_plane(entry: Mapping[str, Any]) -> PlaneSetup:
     return PlaneSetup(normal=(x, y, z), offset=offset, estimate=_flag(entry))
 
 
-def _flag(entry: Mapping[str, Any]) -> bool:
-    if not isinstance(entry["estimated"], bool):
-        raise ValueError("'estimated' is neither true nor false")
-    return entry["estimated"]
+def _read_point(entry: Mapping[str, Any]) -> PointSetup:
+    return PointSetup(_xyz(entry), _flag(entry))
+
+
+def _read_sphere(entry: Mapping[str, Any]) -> SphereSetup:
+    (radius,) = _numbers([entry["radius"]], 1)
+    if radius <= 0.0:
+        raise ValueError("the radius of a sphere is not positive")
+    return SphereSetup(_xyz(entry), radius, _flag(entry), _flag(entry, "_radius"))
+
+
+def _read_anchor(entry: Mapping[str, Any]) -> AnchorSetup:
+    (bias,) = _numbers([entry["bias"]], 1)
+    return AnchorSetup(_xyz(entry), bias, _flag(entry), _flag(entry, "_bias"))
+
+
+def _read_camera(entry: Mapping[str, Any]) -> CameraSetup:
+    mount = entry["mount"]
+    if mount not in ("hand", "world"):
+        raise ValueError("the mount of the camera is neither hand nor world")
+    f_x, f_y, c_x, c_y = _numbers([*entry["focal"], *entry["center"]], 4)
+    k_1, k_2, p_1, p_2, k_3 = _numbers(entry["distortion"], 5)
+    size = None
+    if entry["size"] is not None:
+        width, height = _numbers(entry["size"], 2)
+        size = width, height
+    return CameraSetup(
+        mount, (f_x, f_y), (c_x, c_y), (k_1, k_2, p_1, p_2, k_3), size, _flag(entry)
+    )
+
+
+def _xyz(entry: Mapping[str, Any]) -> Triple:
+    x, y, z = _numbers(entry["xyz"], 3)
+    return x, y, z
+
+
+def _flag(entry: Mapping[str, Any], of: str = "") -> bool:
+    flag = entry[f"estimated{of}"]
+    if not isinstance(flag, bool):
+        raise ValueError(f"'estimated{of}' is neither true nor false")
+    return flag
 
 
 def _text(value: object) -> str:

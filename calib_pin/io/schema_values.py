@@ -18,6 +18,7 @@ from calib_pin.io.yaml_tree import as_number
 __all__ = [
     "Angles",
     "Flag",
+    "Length",
     "Number",
     "Position",
     "Positive",
@@ -57,6 +58,13 @@ def positive(value: object) -> float:
     if plain < SMALLEST:
         raise ValueError(f"a number of at least {SMALLEST:g}")
     return plain
+
+
+def _length(value: object) -> float:
+    length = positive(value)
+    if length > LENGTH.largest:
+        raise ValueError(f"a length in m, at most {LENGTH.largest:g}")
+    return length
 
 
 def _text(value: object) -> str:
@@ -99,6 +107,7 @@ def _angles(value: object) -> Triple:
 
 Number = Annotated[float, PlainValidator(number)]
 Positive = Annotated[float, PlainValidator(positive)]
+Length = Annotated[float, PlainValidator(_length)]
 Text = Annotated[str, PlainValidator(_text)]
 Flag = Annotated[bool, PlainValidator(_flag)]
 Position = Annotated[Triple, PlainValidator(_position)]

@@ -18,6 +18,8 @@ from calib_pin.setup import (
 )
 
 if TYPE_CHECKING:
+    from _typeshed import DataclassInstance
+
     from calib_pin.io.yaml_tree import Tree
 
 __all__ = ["CONDITIONS", "read_setup", "setup_document", "setup_of"]
@@ -62,7 +64,7 @@ def read_setup(path: str | Path) -> Setup:
     # Both import slowly, and most commands read no setup file.
     from pydantic import ValidationError
 
-    from calib_pin.io.setup_schema import LATER, SetupFile
+    from calib_pin.io.setup_schema import SetupFile
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
@@ -70,9 +72,6 @@ def read_setup(path: str | Path) -> Setup:
         return Setup()
     if not isinstance(tree.data, dict):
         raise tree.error("the file must be a mapping of keys to values", ())
-    for key in tree.data:
-        if key in LATER:
-            raise tree.error(f"'{key}' is not available in this version", (key,))
     try:
         setup = SetupFile.model_validate(tree.data).setup()
     except ValidationError as error:
@@ -80,6 +79,8 @@ def read_setup(path: str | Path) -> Setup:
         first = min(problems, key=lambda problem: tree.line(problem["loc"]))
         raise _error(tree, first) from None
     _check_joints(tree, setup)
+    _check_names(tree, setup)
+    _check_distances(tree, setup)
     # The result may be read from another folder than the setup file.
     folder = Path(path).absolute().parent
     obstacles = tuple(
@@ -105,11 +106,17 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "parameters": list(setup.parameters),
         "learned": setup.learned,
         "frames": {
-            name: {k: v for k, v in asdict(frame).items() if v is not None}
+            name: _stated(frame)
             for name, frame in (("base", setup.base_frame), ("tool", setup.tool_frame))
             if frame != FrameSetup()
         },
-        "planes": {name: asdict(plane) for name, plane in setup.planes.items()},
+        "planes": _named_documents(setup.planes),
+        "targets": _named_documents(setup.targets),
+        "sockets": _named_documents(setup.sockets),
+        "spheres": _named_documents(setup.spheres),
+        "anchors": _named_documents(setup.anchors),
+        "camera": {} if setup.camera is None else _stated(setup.camera),
+        "distances": [_stated(distance) for distance in setup.distances],
         "joints": {name: asdict(joint) for name, joint in setup.joints.items()},
         "gravity": list(setup.gravity)
         if setup.gravity != Setup.gravity or "compliance" in setup.parameters
@@ -154,6 +161,15 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     except ValidationError as error:
         place = _dotted(error.errors(include_url=False)[0]["loc"])
         raise ValueError(f"'setup.{place}' cannot have this value") from None
+
+
+def _named_documents(members: Mapping[str, DataclassInstance]) -> dict[str, Any]:
+    return {name: _stated(member) for name, member in members.items()}
+
+
+def _stated(member: DataclassInstance) -> dict[str, Any]:
+    """The keys of a section that have a value."""
+    return {key: value for key, value in asdict(member).items() if value is not None}
 
 
 def _obstacle_document(obstacle: Obstacle) -> dict[str, Any]:
@@ -205,6 +221,42 @@ def _check_joints(tree: Tree, setup: Setup) -> None:
                 given.joint,
             )
         columns[given.joint] = column
+
+
+def _check_names(tree: Tree, setup: Setup) -> None:
+    from calib_pin.measurements import AT
+    from calib_pin.parameterizations.compliance import NOTHING
+
+    for key in ("planes", "targets", "sockets", "spheres", "anchors"):
+        for name in getattr(setup, key):
+            if AT in name or not name.strip():
+                raise tree.error(
+                    f"'{key}.{name}' cannot have this name",
+                    (key, name),
+                    allowed=f"a name without {AT}, which in the target column stands "
+                    "between a point and a place",
+                )
+    for name in setup.payloads:
+        if name == NOTHING or not name.strip():
+            raise tree.error(
+                f"'payloads.{name}' cannot have this name",
+                ("payloads", name),
+                allowed=f"any name but {NOTHING}, which rows say that carry nothing",
+            )
+
+
+def _check_distances(tree: Tree, setup: Setup) -> None:
+    pairs: dict[frozenset[str], int] = {}
+    for k, distance in enumerate(setup.distances):
+        pair = frozenset(distance.between)
+        if pair in pairs:
+            raise tree.error(
+                f"'distances[{k}]' and 'distances[{pairs[pair]}]' are between the "
+                "same points",
+                ("distances", k, "between"),
+                list(distance.between),
+            )
+        pairs[pair] = k
 
 
 def _dotted(path: Sequence[str | int]) -> str:

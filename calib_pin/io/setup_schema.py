@@ -17,7 +17,15 @@ from pydantic import (
 )
 
 from calib_pin.errors import OptionError
-from calib_pin.io.columns import LENGTH
+from calib_pin.io.instrument_schema import (
+    AnchorSection,
+    CameraSection,
+    DistanceSection,
+    NoiseSection,
+    PlaneSection,
+    PointSection,
+    SphereSection,
+)
 from calib_pin.io.schema_values import (
     Angles,
     Flag,
@@ -39,24 +47,27 @@ from calib_pin.io.workspace_schema import (
 )
 from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurements import PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    DistanceSetup,
     FrameSetup,
     JointMap,
     Payload,
     PlaneSetup,
+    PointSetup,
     RangerSetup,
     Setup,
     SolverSetup,
+    SphereSetup,
 )
 from calib_pin.solve import SOLVERS
 from calib_pin.solvers import DifferentialEvolution
 
-__all__ = ["LATER", "SetupFile", "known_keys"]
-
-LATER = ("targets", "distances")
-"""Documented keys that this version does not know yet."""
+__all__ = ["SetupFile", "known_keys"]
 
 WHOLE = ("population_size", "maxiter")
 """Options that are whole numbers."""
@@ -66,9 +77,6 @@ HEAVIEST = 1e5
 
 STRONGEST = 100.0
 """Largest acceleration of gravity [m/s^2]."""
-
-STEEPEST = 1e6
-"""Largest length of a normal, and the inverse of the smallest."""
 
 
 def _nonzero(value: object) -> float:
@@ -133,21 +141,6 @@ def _sign(value: object) -> int:
     return int(plain)
 
 
-def _normal(value: object) -> tuple[float, float, float]:
-    allowed = "three finite numbers that are not all 0, such as [0, 0, 1]"
-    x, y, z = numbers(value, 3, allowed)
-    if not 1.0 / STEEPEST <= math.hypot(x, y, z) <= STEEPEST:
-        raise ValueError(allowed)
-    return x, y, z
-
-
-def _offset(value: object) -> float:
-    plain = number(value)
-    if abs(plain) > LENGTH.largest * STEEPEST:
-        raise ValueError("the offset f of n . p + f = 0, in m where n has length 1")
-    return plain
-
-
 def _bound(value: object) -> float | tuple[float, float]:
     allowed = "a positive number, or [lower, upper] with lower < upper"
     try:
@@ -162,9 +155,14 @@ def _bound(value: object) -> float | tuple[float, float]:
 
 
 def _model(value: object) -> str:
-    if not isinstance(value, str) or value not in MEASUREMENT_MODELS:
-        raise ValueError(", ".join(MEASUREMENT_MODELS))
-    return value
+    names = value.split(PLUS) if isinstance(value, str) else []
+    known = set(names) <= set(MEASUREMENT_MODELS)
+    if not names or not known or len(set(names)) < len(names):
+        raise ValueError(
+            f"{', '.join(MEASUREMENT_MODELS)}, or several of them with a {PLUS} "
+            "between, each at most once"
+        )
+    return PLUS.join(names)
 
 
 def _parameterization(value: object) -> str:
@@ -185,7 +183,6 @@ def _distinct(names: list[str]) -> list[str]:
     return names
 
 
-Normal = Annotated[tuple[float, float, float], PlainValidator(_normal)]
 Gravity = Annotated[tuple[float, float, float], PlainValidator(_gravity)]
 Bound = Annotated[float | tuple[float, float], PlainValidator(_bound)]
 Parameterizations = Annotated[
@@ -208,14 +205,6 @@ class FramesSection(Section):
     tool: FrameSection = FrameSection()
 
 
-class PlaneSection(Section):
-    """A member of `planes`."""
-
-    normal: Normal
-    offset: Annotated[float, PlainValidator(_offset)]
-    estimate: Flag = True
-
-
 class JointSection(Section):
     """A member of `joints`."""
 
@@ -231,14 +220,6 @@ class PayloadSection(Section):
 
     mass: Annotated[float, PlainValidator(_mass)]
     com: Position
-
-
-class NoiseSection(Section):
-    """`noise`."""
-
-    position: Positive | None = None
-    orientation: Positive | None = None
-    distance: Positive | None = None
 
 
 class SolverSection(Section):
@@ -277,6 +258,12 @@ class SetupFile(Section):
     learned: Annotated[str, PlainValidator(_learned)] | None = None
     frames: FramesSection = FramesSection()
     planes: dict[str, PlaneSection] = Field(default_factory=dict)
+    targets: dict[str, PointSection] = Field(default_factory=dict)
+    sockets: dict[str, PointSection] = Field(default_factory=dict)
+    spheres: dict[str, SphereSection] = Field(default_factory=dict)
+    anchors: dict[str, AnchorSection] = Field(default_factory=dict)
+    camera: CameraSection | None = None
+    distances: list[DistanceSection] = Field(default_factory=list)
     joints: dict[str, JointSection] = Field(default_factory=dict)
     gravity: Gravity = Setup.gravity
     payloads: dict[str, PayloadSection] = Field(default_factory=dict)
@@ -304,6 +291,12 @@ class SetupFile(Section):
             base_frame=FrameSetup(**dict(self.frames.base)),
             tool_frame=FrameSetup(**dict(self.frames.tool)),
             planes={name: PlaneSetup(**dict(p)) for name, p in self.planes.items()},
+            targets={name: PointSetup(**dict(p)) for name, p in self.targets.items()},
+            sockets={name: PointSetup(**dict(s)) for name, s in self.sockets.items()},
+            spheres={name: SphereSetup(**dict(s)) for name, s in self.spheres.items()},
+            anchors={name: AnchorSetup(**dict(a)) for name, a in self.anchors.items()},
+            camera=None if self.camera is None else CameraSetup(**dict(self.camera)),
+            distances=tuple(DistanceSetup(**dict(d)) for d in self.distances),
             joints={name: JointMap(**dict(j)) for name, j in self.joints.items()},
             gravity=self.gravity,
             payloads={name: Payload(**dict(p)) for name, p in self.payloads.items()},
@@ -329,6 +322,12 @@ def known_keys(path: Sequence[str | int]) -> list[str]:
     sections: Mapping[str | int, type[Section]] = {
         "frames": FramesSection if len(path) == 2 else FrameSection,
         "planes": PlaneSection,
+        "targets": PointSection,
+        "sockets": PointSection,
+        "spheres": SphereSection,
+        "anchors": AnchorSection,
+        "camera": CameraSection,
+        "distances": DistanceSection,
         "joints": JointSection,
         "payloads": PayloadSection,
         "noise": NoiseSection,

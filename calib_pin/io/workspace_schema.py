@@ -15,6 +15,7 @@ from pydantic import PlainValidator, model_validator
 from calib_pin.io.columns import ANGLE, LENGTH
 from calib_pin.io.schema_values import (
     Angles,
+    Length,
     Position,
     Section,
     Text,
@@ -28,13 +29,6 @@ __all__ = ["REGION", "Limits", "ObstacleSection", "RangerSection", "RegionSectio
 
 Triple = tuple[float, float, float]
 Pair = tuple[float, float]
-
-
-def _length(value: object) -> float:
-    length = positive(value)
-    if length > LENGTH.largest:
-        raise ValueError(f"a length in m, at most {LENGTH.largest:g}")
-    return length
 
 
 def _lengths(value: object, count: int, allowed: str) -> tuple[float, ...]:
@@ -115,7 +109,6 @@ def _limits(value: object) -> Pair:
     return lower, upper
 
 
-Length = Annotated[float, PlainValidator(_length)]
 Limits = Annotated[Pair, PlainValidator(_limits)]
 Range = Annotated[Pair, PlainValidator(_range)]
 

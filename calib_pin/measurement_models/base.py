@@ -10,6 +10,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.spatial import Floats, skew
@@ -19,6 +20,7 @@ __all__ = [
     "BatchedModel",
     "Curvature",
     "CurvedModel",
+    "Featured",
     "FreeInstrument",
     "Linearization",
     "MeasurementModel",
@@ -34,19 +36,25 @@ class Quantity:
 
     Attributes:
         name: Name in reports, such as `position`.
-        unit: `m` or `rad`.
+        unit: `m`, `rad` or `px`.
         columns: The residual components that belong to it.
         sigma: Standard deviation assumed where none is stated.
+        noise: Name under which a setup states another; default its own.
     """
 
     name: str
     unit: str
     columns: slice
     sigma: float
+    noise: str = ""
 
     def errors(self, residual: Floats) -> Floats:
-        """Size of the error of each row, shape (N, d) -> (N,)."""
-        return np.asarray(np.linalg.norm(residual[:, self.columns], axis=1))
+        """Size of the error of each row that has this quantity, (N, d) -> (n,).
+
+        The others have NaN.
+        """
+        sizes = np.linalg.norm(residual[:, self.columns], axis=1)
+        return np.asarray(sizes[~np.isnan(sizes)])
 
 
 @dataclass(frozen=True)
@@ -67,8 +75,9 @@ class Linearization:
 class MeasurementModel(Protocol):
     """How the tool pose becomes a measured value.
 
-    A member is frozen; its own parameters (a plane, say) are deviations from reference
-    values that it carries, and `register` returns it about better references.
+    A member is frozen; its own parameters are those of its features (a plane, say),
+    deviations from references that these carry, and `register` returns it about better
+    references.
     """
 
     @property
@@ -90,6 +99,32 @@ class MeasurementModel(Protocol):
         ...
 
     @property
+    def width(self) -> int:
+        """Columns D of measured values."""
+        ...
+
+    @property
+    def contact(self) -> bool:
+        """Whether nothing is measured but that the residual is zero, up to noise.
+
+        Rows then are configurations at which the tool touches something.
+        """
+        ...
+
+    @property
+    def relative(self) -> bool:
+        """Whether poses are those of the tool in the tool at a row's start."""
+        ...
+
+    @property
+    def sees_tool(self) -> bool:
+        """Whether rows depend on the tool frame, and not on known offsets from it.
+
+        Then the tool frame is unknown unless the setup says otherwise.
+        """
+        ...
+
+    @property
     def missing(self) -> str:
         """What a study without measurements lacks; empty where nothing."""
         ...
@@ -97,6 +132,27 @@ class MeasurementModel(Protocol):
     @property
     def targets(self) -> Sequence[str]:
         """Names of what rows can look at; empty where they need not say."""
+        ...
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """What rows refer to, in the order of the model's own parameters."""
+        ...
+
+    def with_features(self, features: Sequence[Feature]) -> MeasurementModel:
+        """The same model about other references of the same features."""
+        ...
+
+    def extended(self, T: Floats, data: Measurements) -> MeasurementModel:
+        """The model with places for what rows name and it does not know.
+
+        Only what was not there when it was fitted gets a place: the socket of rows
+        that were set aside, say, where the robot finds its ball on average.
+
+        Args:
+            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            data: The rows.
+        """
         ...
 
     @property
@@ -200,8 +256,8 @@ def plain_batch(
 class BatchedModel(Protocol):
     """A measurement model that a compiled kernel can evaluate."""
 
-    def batch(self, data: Measurements, weights: Floats) -> Batch:
-        """The batch form of some rows.
+    def batch(self, data: Measurements, weights: Floats) -> Batch | None:
+        """The batch form of some rows, None where they have none.
 
         Args:
             data: The rows.
@@ -247,8 +303,50 @@ def rotation_curvature(R: Floats) -> Floats:
     return result
 
 
-class FreeInstrument:
-    """What models share whose instrument stands anywhere and has no parameters.
+class Featured:
+    """What models share that have features: parameters, and moves into references."""
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """None."""
+        return ()
+
+    def with_features(self, features: Sequence[Feature]) -> Self:
+        """Itself: there is nothing to replace."""
+        return self
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Those of the features."""
+        return tuple(p for feature in self.features for p in feature.parameters)
+
+    def about(self, own: Floats) -> Self:
+        """Every feature moved by its own parameters."""
+        features = self.features
+        return self.with_features(
+            [
+                feature.about(own[part])
+                for feature, part in zip(features, slices(features), strict=True)
+            ]
+        )
+
+    def extended(self, T: Floats, data: Measurements) -> Self:
+        """Itself: rows can name nothing new."""
+        return self
+
+    @property
+    def contact(self) -> bool:
+        """No: something is measured."""
+        return False
+
+    @property
+    def relative(self) -> bool:
+        """No: poses are those of the tool."""
+        return False
+
+
+class FreeInstrument(Featured):
+    """What models share whose instrument stands anywhere.
 
     It measures in a frame of its own, at every pose.
     """
@@ -269,13 +367,9 @@ class FreeInstrument:
         return ()
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """None."""
-        return ()
-
-    def about(self, own: Floats) -> Self:
-        """Itself: there is nothing to move."""
-        return self
+    def sees_tool(self) -> bool:
+        """Yes."""
+        return True
 
     def observable(
         self, T: Floats, own: Floats, target: Sequence[str]

@@ -4,88 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
-from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, nearest
+from calib_pin.errors import InputError
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    Featured,
     Linearization,
     Quantity,
 )
+from calib_pin.measurement_models.features import Feature, Plane, locate
 from calib_pin.measurements import Measurements
-from calib_pin.parameters import Parameter
 from calib_pin.registration import register_plane
 from calib_pin.setup import RangerSetup
-from calib_pin.spatial import Floats, skew, so3_exp
+from calib_pin.spatial import Floats, skew
 
-__all__ = ["Plane", "PlaneDistance"]
+__all__ = ["PlaneDistance"]
 
 GRAZING = 1e-3
 """Cosine to the normal below which a beam counts as parallel to the plane."""
 
 
 @dataclass(frozen=True)
-class Plane:
-    """Reference of a plane `n . p + f = 0` in the measuring frame.
-
-    Attributes:
-        name: Name that rows give as their target.
-        normal: Unit normal n, shape (3,); None until it is registered.
-        offset: Offset f [m].
-        estimate: Whether the plane is estimated.
-    """
-
-    name: str
-    normal: Floats | None = None
-    offset: float = 0.0
-    estimate: bool = True
-
-    @cached_property
-    def tangents(self) -> Floats:
-        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
-        assert self.normal is not None
-        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
-        first = np.cross(self.normal, helper)
-        first /= np.linalg.norm(first)
-        return np.array([first, np.cross(self.normal, first)])
-
-    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
-        """Normal and offset at parameters (u, v, f), and the normal's derivative.
-
-        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
-
-        Returns:
-            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
-        """
-        assert self.normal is not None
-        t_1, t_2 = self.tangents
-        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
-        halfway = second @ self.normal
-        normal = first @ halfway
-        by_u = np.cross(t_1, normal)
-        by_v = first @ np.cross(t_2, halfway)
-        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
-
-    def turned_many(self, own: Floats) -> Floats:
-        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
-        assert self.normal is not None
-        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
-        # Element by element: a product of matrices may round by the place of a row.
-        t_1, t_2 = self.tangents
-        u, v = own[:, :1], own[:, 1:2]
-        normals = np.sin(v) * t_1 + np.cos(v) * (
-            np.cos(u) * self.normal - np.sin(u) * t_2
-        )
-        return np.column_stack([normals, self.offset + own[:, 2]])
-
-
-@dataclass(frozen=True)
-class PlaneDistance:
+class PlaneDistance(Featured):
     """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
 
     Attributes:
@@ -124,27 +69,24 @@ class PlaneDistance:
         return tuple(plane.name for plane in self.planes)
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<plane>.plane.u|v|f` of every plane."""
-        return tuple(
-            Parameter(
-                f"{plane.name}.plane.{component}",
-                unit,
-                1.0,
-                nuisance=True,
-                free=plane.estimate,
-            )
-            for plane in self.planes
-            for component, unit in (("u", "rad"), ("v", "rad"), ("f", "m"))
-        )
+    def sees_tool(self) -> bool:
+        """The beam is the tool's z axis."""
+        return True
 
-    def about(self, own: Floats) -> PlaneDistance:
-        """Planes turned and shifted by (u, v, f) each."""
-        planes = []
-        for k, plane in enumerate(self.planes):
-            normal, offset, _ = plane.turned(own[3 * k : 3 * k + 3])
-            planes.append(replace(plane, normal=normal, offset=offset))
-        return replace(self, planes=tuple(planes))
+    @property
+    def width(self) -> int:
+        """The distance."""
+        return 1
+
+    @property
+    def features(self) -> Sequence[Plane]:
+        """The planes."""
+        return self.planes
+
+    def with_features(self, features: Sequence[Feature]) -> PlaneDistance:
+        """The same about other planes."""
+        planes = tuple(plane for plane in features if isinstance(plane, Plane))
+        return replace(self, planes=planes)
 
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Distances along the beam, shape (N, 1) [m]; negative behind the tool."""
@@ -316,19 +258,7 @@ class PlaneDistance:
         self, target: Sequence[str], data: Measurements | None = None
     ) -> NDArray[np.int64]:
         """Position of each row's plane; data tell where a wrong name stands."""
-        names = {plane.name: k for k, plane in enumerate(self.planes)}
-        if len(names) == 1:
-            names[""] = 0
-        wrong = next((k for k, name in enumerate(target) if name not in names), None)
-        if wrong is not None:
-            place = "" if data is None else f"{data.place(wrong)}: "
-            raise InputError(
-                f"{place}there is no plane '{target[wrong]}'"
-                f"{nearest(target[wrong], names)}",
-                column="target",
-                allowed=", ".join(plane.name for plane in self.planes),
-            )
-        return np.array([names[name] for name in target], np.int64)
+        return locate(target, self.planes, "plane", data)
 
     def _rows(
         self, own: Floats, target: Sequence[str]

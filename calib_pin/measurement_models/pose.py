@@ -41,6 +41,11 @@ class Pose(FreeInstrument):
     name: str = "pose"
 
     @property
+    def width(self) -> int:
+        """Position and quaternion."""
+        return 7
+
+    @property
     def quantities(self) -> Sequence[Quantity]:
         """Position and orientation."""
         return (

@@ -1,34 +1,36 @@
-"""The position of a point on the tool: laser tracker, motion capture."""
+"""The position of points on the tool: laser tracker, motion capture."""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from calib_pin.measurement_models.base import (
-    Batch,
-    Curvature,
-    FreeInstrument,
-    Linearization,
-    Quantity,
-    plain_batch,
-    rotation_curvature,
+from calib_pin.measurement_models.base import Batch, Quantity, plain_batch
+from calib_pin.measurement_models.tool_point import (
+    Bend,
+    PointModel,
+    Touch,
+    placed_tool,
+    tip_points,
 )
 from calib_pin.measurements import Measurements
-from calib_pin.registration import register_points
+from calib_pin.registration import register_points, register_reached
 from calib_pin.spatial import Floats
 
 __all__ = ["Position"]
 
 
 @dataclass(frozen=True)
-class Position(FreeInstrument):
-    """`residual = p(T) - y`, the origin of the tool frame in the measuring frame [m].
+class Position(PointModel):
+    """`residual = p - y`, a point of the tool in the measuring frame [m].
 
-    A point has no orientation: `tool.frame.rx|ry|rz` are unidentifiable.
+    Points have no orientation: of the tool's origin alone `tool.frame.rx|ry|rz` are
+    unidentifiable. With several named points nothing but positions is measured, and
+    all residuals share one unit (Wu et al., partial pose measurements).
     """
 
     name: str = "position"
@@ -38,34 +40,34 @@ class Position(FreeInstrument):
         """One: the position."""
         return (Quantity("position", "m", slice(0, 3), 1e-4),)
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
-        """Origins of the tool frame, shape (N, 3) [m]."""
-        return np.array(T[:, :3, 3])
+    @property
+    def measuring_frame(self) -> bool:
+        """The instrument's own."""
+        return True
 
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the coordinates."""
-        return values + noise
+    @property
+    def missing(self) -> str:
+        """Points on the tool that nobody has given."""
+        return super().missing if self.points else ""
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
-        """Predicted minus measured position, shape (N, 3) [m]."""
-        return T[:, :3, 3] - data.values
+    @property
+    def width(self) -> int:
+        """Coordinates x y z."""
+        return 3
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
-        """`dp = R v` for a body twist (v, w)."""
-        by_twist = np.zeros((len(T), 3, 6))
-        by_twist[:, :, :3] = T[:, :3, :3]
-        return Linearization(
-            self.residual(T, own, data), by_twist, np.zeros((len(T), 3, 0))
-        )
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """The point itself."""
+        identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+        return Touch(p, identity, np.zeros((len(p), 3, 0)))
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
-        """The rows turn with the tool."""
-        by_twist = np.zeros((len(T), 3, 6, 6))
-        by_twist[:, :, :3] = rotation_curvature(T[:, :3, :3])
-        return Curvature(by_twist, np.zeros((len(T), 3, 0, 6)))
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """Nothing bends."""
+        return Bend(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
 
-    def batch(self, data: Measurements, weights: Floats) -> Batch:
-        """Carries the origin of the tool to the base."""
+    def batch(self, data: Measurements, weights: Floats) -> Batch | None:
+        """Carries the origin of the tool to the base; named points have none."""
+        if self.points:
+            return None
         from calib_pin import kernels
 
         return plain_batch(kernels.position_costs, data.values, weights)
@@ -73,12 +75,14 @@ class Position(FreeInstrument):
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
     ) -> tuple[Position, pin.SE3, pin.SE3]:
-        """Absolute orientation, with the unknown point eliminated."""
+        """Absolute orientation, with the unknown points eliminated."""
+        label, _ = self.names(data.target, data)
+        tip = tip_points(self.points, tool)
         if base is None:
-            point = None if tool is None else tool.translation
-            R, b, point = register_points(F, data.values, tool=point)
+            R, b, tip = register_points(F, data.values, tool=tip, label=label)
             base = pin.SE3(R, b)
         else:
-            inside = (data.values - base.translation) @ base.rotation - F[:, :3, 3]
-            point = np.einsum("nji,nj->i", F[:, :3, :3], inside) / len(F)
-        return self, base, tool or pin.SE3(np.eye(3), point)
+            R, b = base.rotation, base.translation
+            tip = register_reached(F, data.values, R, b, tip, label)
+        points, tool = placed_tool(tip, self.points, tool)
+        return replace(self, points=points), base, tool

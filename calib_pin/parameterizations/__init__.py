@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import require_known
 from calib_pin.parameterizations.base import (
     Factor,
     JointFunctions,
     Parameterization,
     Screw,
 )
-from calib_pin.parameterizations.compliance import Compliance
+from calib_pin.parameterizations.compliance import NOTHING, Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg
 from calib_pin.parameterizations.frames import frame_screws
 from calib_pin.parameterizations.joint_offset import JointOffset
@@ -20,6 +20,7 @@ from calib_pin.parameterizations.transmission import Transmission
 from calib_pin.setup import Setup
 
 __all__ = [
+    "NOTHING",
     "PARAMETERIZATIONS",
     "Factor",
     "JointFunctions",
@@ -30,18 +31,6 @@ __all__ = [
 ]
 
 
-def _compliance(setup: Setup) -> Compliance:
-    if len(setup.payloads) > 1:
-        raise OptionError(
-            f"'payloads' names {len(setup.payloads)}; which of them a row carries "
-            "cannot be told in this version",
-            file=setup.file or None,
-            value=list(setup.payloads),
-            allowed="one payload, carried in all rows",
-        )
-    return Compliance(setup.gravity, next(iter(setup.payloads.values()), None))
-
-
 PARAMETERIZATIONS: Mapping[str, Callable[[Setup], Parameterization]] = {
     "placement": lambda setup: Placement(),
     "link-transform": lambda setup: LinkTransform(),
@@ -49,7 +38,7 @@ PARAMETERIZATIONS: Mapping[str, Callable[[Setup], Parameterization]] = {
     "dh-full": lambda setup: DenavitHartenberg(full=True),
     "joint-offset": lambda setup: JointOffset(),
     "transmission": lambda setup: Transmission(setup.gear_ratios),
-    "compliance": _compliance,
+    "compliance": lambda setup: Compliance(setup.gravity, setup.payloads),
 }
 """How each parameterization is made from a setup."""
 
@@ -62,8 +51,7 @@ def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
         setup: What the user states about the robot, such as its payload.
 
     Raises:
-        OptionError: If there is none; names the nearest. If the setup leaves open
-            which payload the robot carries.
+        OptionError: If there is none; names the nearest.
     """
     require_known("parameterization", name, PARAMETERIZATIONS)
     return PARAMETERIZATIONS[name](setup or Setup())

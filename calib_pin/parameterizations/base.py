@@ -33,15 +33,30 @@ Over a link of a third of a meter it moves what follows as far as a length error
 The marginal likelihood of the TALOS and TIAGo training rows peaks at this ratio too.
 """
 
+PIXEL_SCALE = 1.0
+"""Expected size of an error in an image [px]: a millimeter seen from a meter."""
+
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six unit twists, in the order (linear, angular)."""
 
 
 class JointFunctions(Protocol):
-    """Functions of the commanded joint positions."""
+    """Functions of the commanded joint positions, and of what the robot carries."""
 
-    def __call__(self, q: Floats) -> Floats:
-        """Their values, shape (N, n) -> (N, m)."""
+    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+        """Their values.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+            payload: Name of what the robot carries in each row; default the only
+                payload that there is.
+
+        Returns:
+            Values, shape (N, m).
+
+        Raises:
+            InputError: If there are several payloads, or none of that name.
+        """
         ...
 
 
@@ -105,7 +120,9 @@ def owner(joint: str) -> str:
 
 
 def expected_size(unit: str) -> float:
-    """Expected size of an error of a robot in a unit, `m` or an angle."""
+    """Expected size of an error of a robot in a unit, `m`, `px` or an angle."""
+    if unit == "px":
+        return PIXEL_SCALE
     return LENGTH_SCALE if unit == "m" else ANGLE_SCALE
 
 

@@ -2,19 +2,19 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field
 
 import numpy as np
 
 from calib_pin.chain import Chain
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.parameterizations.base import Factor, Screw, owner
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Payload, Setup
 from calib_pin.spatial import Floats
 
-__all__ = ["Compliance"]
+__all__ = ["NOTHING", "Compliance"]
 
 DEFLECTION = 1e-3
 """Expected deflection of a joint under its usual torque [rad, m]."""
@@ -24,6 +24,9 @@ LEAST = 0.01
 
 An axis along gravity has none but rounding, which must not become its scale.
 """
+
+NOTHING = "none"
+"""Payload of rows in which the robot carries nothing."""
 
 SAMPLES = 200
 """Configurations that the usual torques are taken from."""
@@ -40,11 +43,12 @@ class Compliance:
 
     Attributes:
         gravity: Acceleration of gravity in the base link [m/s^2].
-        payload: What the robot carries, if anything.
+        payloads: What the robot carries, by the names that rows give; a single one is
+            carried in all rows that name none.
     """
 
     gravity: tuple[float, float, float] = Setup.gravity
-    payload: Payload | None = None
+    payloads: Mapping[str, Payload] = field(default_factory=dict)
     name = "compliance"
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
@@ -57,7 +61,9 @@ class Compliance:
         # Any fixed configurations that fill the limits; these are quasi-random.
         roots = np.sqrt(np.arange(2, 2 + len(chain.joints)) + 0.5)
         parts = np.outer(np.arange(1, SAMPLES + 1), roots) % 1.0
-        torques = functions(chain.lower + parts * (chain.upper - chain.lower))
+        q = chain.lower + parts * (chain.upper - chain.lower)
+        heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
+        torques = functions(q, (heaviest,) * len(q))
         usual = np.sqrt(np.mean(torques**2, axis=0))
         # A newton-meter for a joint that turns, a newton for one that slides.
         if not usual.max() > 1e-6:
@@ -90,5 +96,32 @@ class _Torques:
     chain: Chain
     load: Compliance
 
-    def __call__(self, q: Floats) -> Floats:
-        return self.chain.gravity_torques(q, self.load.gravity, self.load.payload)
+    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
+        result = np.empty((len(q), len(self.chain.joints)))
+        names = payload or ("",) * len(q)
+        for name in dict.fromkeys(names):
+            rows = np.array([other == name for other in names], bool)
+            result[rows] = self.chain.gravity_torques(
+                q[rows], self.load.gravity, self._carried(name)
+            )
+        return result
+
+    def _carried(self, name: str) -> Payload | None:
+        """What a row carries that names it so.
+
+        Raises:
+            InputError: If that is unknown.
+        """
+        payloads = self.load.payloads
+        if name in payloads:
+            return payloads[name]
+        if name == NOTHING or (not name and not payloads):
+            return None
+        if not name and len(payloads) == 1:
+            return next(iter(payloads.values()))
+        reason = f"there is no payload '{name}'{nearest(name, payloads)}"
+        if not name:
+            reason = "there are several payloads, and nothing says which is carried"
+        raise InputError(
+            reason, column="payload", allowed=", ".join([*payloads, NOTHING])
+        )

@@ -84,7 +84,7 @@ class _Waves:
     frequency: Floats
     phase: Floats
 
-    def __call__(self, q: Floats) -> Floats:
+    def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
         of_joint = q[:, self.joint]
         waves = np.sin(self.frequency * of_joint + self.phase)
         return np.where(self.frequency == 0.0, of_joint, waves)

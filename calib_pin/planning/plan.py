@@ -16,9 +16,9 @@ from calib_pin.directions import visible_directions, visible_nuisances
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import register, structure_at
 from calib_pin.identifiability import Structure
-from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurements import Measurements
+from calib_pin.measurements import PLUS, Measurements
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.prediction import Predicted, TipTests, predict
@@ -42,6 +42,9 @@ __all__ = ["CRITERION_NAMES", "Plan", "Step", "identification", "plan"]
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
+
+BOUND = ("relative-distance", "fixed-point", "plane-contact", "sphere-contact")
+"""Models whose configurations are bound to each other, or to what is touched."""
 
 STRUCTURE = 300
 """Candidates that show what can be identified at all."""
@@ -189,6 +192,7 @@ def plan(
         if number < 1:
             raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
     rng = np.random.default_rng(seed)
+    _require_free(model)
     problem = _problem(chain, model, setup, measured)
     point = problem.error.tool if measured is not None else frame_pose(setup.tool_frame)
     workspace = Workspace.create(problem, collisions, distance, point)
@@ -216,6 +220,22 @@ def plan(
     return _finished(search, best, structure, at, measured)
 
 
+def _require_free(model: str) -> None:
+    """Refuse models that do not measure one configuration at any pose.
+
+    Raises:
+        OptionError: If it is such a model.
+    """
+    parts = model.split(PLUS)
+    if len(parts) > 1 or model in BOUND:
+        raise OptionError(
+            "configurations are planned for one instrument that measures each of them "
+            "by itself and without contact",
+            value=model,
+            allowed=", ".join(name for name in MEASUREMENT_MODELS if name not in BOUND),
+        )
+
+
 def _problem(
     chain: Chain, model: str, setup: Setup, measured: Measurements | None
 ) -> Problem:
@@ -231,6 +251,9 @@ def _problem(
             found = replace(found, measurement=window)
         return found
     problem = nominal_problem(chain, model, setup)
+    if len(setup.payloads) > 1:
+        heaviest = max(setup.payloads, key=lambda name: setup.payloads[name].mass)
+        problem = replace(problem, error=problem.error.carrying(heaviest))
     if assumes_tool(problem):
         error = problem.error
         problem = replace(problem, error=error.with_frames(error.base, ASSUMED_TOOL))
@@ -245,6 +268,7 @@ def assumes_tool(problem: Problem) -> bool:
     tool, measurement = problem.setup.tool_frame, problem.measurement
     quantities = [quantity.name for quantity in measurement.quantities]
     unknown = tool.xyz is None and tool.estimate is not False
+    unknown &= measurement.sees_tool and not measurement.targets
     return unknown and quantities == ["position"]
 
 

@@ -33,6 +33,7 @@ DISPLAY = {
     "rad": ("deg", 180.0 / math.pi),
     "m/m": ("%", 100.0),
     "rad/rad": ("%", 100.0),
+    "px": ("px", 1.0),
     "m/N": ("um/N", 1e6),
     "rad/Nm": ("urad/Nm", 1e6),
 }

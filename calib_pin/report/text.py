@@ -25,6 +25,7 @@ from calib_pin.report.tables import (
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
+    CoupledGroup,
     Evaluation,
     Identifiability,
     Identification,
@@ -43,6 +44,9 @@ __all__ = [
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
 """What residual models are called in sentences."""
+
+LISTED_OWNERS = 3
+"""Members of one kind, such as sockets, that are named before they are counted."""
 
 LISTED_ROWS = 5
 """Outliers and correlated pairs that are listed before the rest is only counted."""
@@ -73,6 +77,7 @@ def report(result: CalibrationResult) -> RenderableType:
         "",
         *_ladder(result),
         *_accuracy(result),
+        *_distances(result),
         *_moves(result),
         *_beyond(result),
         "",
@@ -96,8 +101,17 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
         parts += ["", parameter_table(identifiable)]
     else:
         parts += listed("identifiable", [p.name for p in identifiable])
-    if found.groups:
-        parts += ["", group_table(found.groups, ESTIMATE if fitted else ())]
+    groups = [group for group in found.groups if not _of_place(group)]
+    if groups:
+        parts += ["", group_table(groups, ESTIMATE if fitted else ())]
+    if hidden := len(found.groups) - len(groups):
+        parts.append(
+            Text(
+                f"{hidden} more sums begin with the place of a socket, sphere or "
+                "anchor; --json and calibration.json have them.",
+                style="dim",
+            )
+        )
     remarks = {
         "weak": "weak (these rows tell too little; partly or wholly left at nominal)",
         "unidentifiable": "unidentifiable (no effect on what is measured)",
@@ -107,6 +121,15 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
         names = [p.name for p in found.parameters if p.status == status]
         parts += listed(meaning, names)
     return Group(*parts)
+
+
+def _of_place(group: CoupledGroup) -> bool:
+    """Whether a sum is that of the place of a socket or the like.
+
+    Where a thing stands that one has put somewhere is of no interest by itself.
+    """
+    _, kind, _ = group.terms[0][0].rsplit(".", 2)
+    return kind in ("socket", "sphere", "anchor")
 
 
 def evaluation_report(evaluation: Evaluation) -> RenderableType:
@@ -121,6 +144,11 @@ def evaluation_report(evaluation: Evaluation) -> RenderableType:
         if evaluation.registered
         else "Nothing was fitted to these rows."
     )
+    if evaluation.placed:
+        how = (
+            f"New to the calibration, and placed by these rows: "
+            f"{', '.join(evaluation.placed)}. Nothing else was fitted to them."
+        )
     if evaluation.outside:
         how += (
             f" {evaluation.outside} rows lie outside the region in which the "
@@ -277,18 +305,41 @@ def _beyond(result: CalibrationResult) -> Iterator[RenderableType]:
     )
 
 
+def _distances(result: CalibrationResult) -> Iterator[RenderableType]:
+    """Known distances beside those that the robot finds."""
+    if not result.distances:
+        return
+    shown = table("Known distances", ("rows", "known", "nominal", "calibrated", "unit"))
+    unit, factor = DISPLAY["m"]
+    for distance in result.distances:
+        cells = (distance.value, distance.nominal, distance.found)
+        shown.add_row(
+            " - ".join(distance.between),
+            "fitted" if distance.fitted else "unseen",
+            *(f"{factor * value:.3f}" for value in cells),
+            unit,
+        )
+    yield ""
+    yield shown
+
+
 def _registered(result: CalibrationResult) -> str:
     """What is fitted even where the robot is nominal."""
-    owners = dict.fromkeys(
-        f"{owner} {kind}"
-        for parameter in result.parameters
-        if parameter.status != "fixed"
-        for owner, kind, _ in [parameter.name.rsplit(".", 2)]
-        if kind in ("frame", "plane")
-    )
+    of_robot = {p.name for p in result.model.error.parameters if not p.nuisance}
+    owners: dict[str, dict[str, None]] = {}
+    for parameter in result.parameters:
+        if parameter.status != "fixed" and parameter.name not in of_robot:
+            owner, kind, _ = parameter.name.rsplit(".", 2)
+            owners.setdefault(kind, {})[owner] = None
     if not owners:
         return "Frames and instrument are known, nothing is registered."
-    return f"Fitted in either case: {', '.join(owners)}."
+    told = [
+        f"{len(names)} {kind}s"
+        if len(names) > LISTED_OWNERS
+        else ", ".join(f"{name} {kind}" for name in names)
+        for kind, names in owners.items()
+    ]
+    return f"Fitted in either case: {', '.join(told)}."
 
 
 def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
@@ -309,6 +360,8 @@ def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:
             remarks.append(f"{ranks.revealed} seen only because the errors are large")
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
         lines.append(("practical rank", f"{ranks.rank}{remark}"))
+    if not ranks.scale_observable:
+        lines.append(("scale", "unobservable: a larger robot fits as well"))
     if ranks.singular_values:
         first, last = ranks.singular_values[0], ranks.singular_values[-1]
         spread = f"{number(first)} ... {number(last)}"

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from calib_pin.solvers.alternation import alternation
 from calib_pin.solvers.differential_evolution import (
     DifferentialEvolution,
     differential_evolution,
@@ -25,6 +26,7 @@ __all__ = [
     "SelectionResult",
     "Status",
     "Subset",
+    "alternation",
     "differential_evolution",
     "exchange",
     "gauss_newton",

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import basic, beyond, evolution, planning, rows
+from benchmarks import basic, beyond, camera, evolution, planning, recovery, rows
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
@@ -12,8 +12,10 @@ BENCHMARKS = {
     "commands": basic.commands,
     "evolution": evolution.main,
     "rows": rows.main,
+    "camera": camera.main,
     "planning": planning.main,
     "beyond": beyond.main,
+    "recovery": recovery.main,
 }
 
 

@@ -7,7 +7,7 @@ from importlib import import_module
 
 from calib_pin.errors import CalibPinError
 
-STUDIES = ("aoyagi2010", "liu2012", "liu2022")
+STUDIES = ("aoyagi2010", "klimchik", "liu2012", "liu2022")
 """Modules with a function `main(words)`."""
 
 

@@ -121,7 +121,29 @@ POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
+CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
+
 DEEP = "[" * 100_000
+
+
+def touch(*rows: str, columns: str = "target") -> str:
+    """A file of twelve configurations, with these cells in turn."""
+    lines = [f"joint1,joint2,joint3,joint4,{columns}"]
+    for k in range(12):
+        q = f"{0.1 * k:.1f},{0.2 * k - 1:.1f},0.3,{-0.1 * k:.1f}"
+        lines.append(f"{q},{rows[k % len(rows)]}")
+    return "\n".join(lines) + "\n"
+
+
+LOADS = """\
+parameters: [compliance]
+payloads:
+  light: {mass: 1, com: [0, 0, 0]}
+  heavy: {mass: 9, com: [0, 0, 0]}
+"""
+CAMERA = "camera: {mount: hand, focal: [900, 900], center: [640, 480]}\n"
+PIXELS = touch("1,2,m", columns="u,v,target")
+APART = "model: fixed-point\ndistances:\n"
 
 # (command, files to write first, what the line must contain)
 CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
@@ -175,7 +197,7 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     "unknown solver in the setup": (
         SETUP,
         {"bad.yaml": "solver: {name: simplex}\n"},
-        "bad.yaml:1|solver.name|'simplex'|gauss-newton, de, hybrid",
+        "bad.yaml:1|solver.name|'simplex'|gauss-newton, two-step, de, hybrid",
     ),
     "unknown option of the solver": (
         SETUP,
@@ -212,10 +234,20 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         {},
         "'positions'|did you mean 'position'|plane-distance",
     ),
-    "model of a later version": (
+    "columns of another model": (
         f"{CALIBRATE} --model camera",
         {},
-        "camera|not available|position, pose",
+        "rows.csv:2|model 'camera' needs the missing u, v",
+    ),
+    "unknown model among several": (
+        f"{CALIBRATE} --model position+camra",
+        {},
+        "'camra'|did you mean 'camera'|fixed-point",
+    ),
+    "model twice": (
+        f"{CALIBRATE} --model position+position",
+        {},
+        "twice|'position+position'",
     ),
     "empty tip": (["calibrate", "arm.urdf", "rows.csv", "--tip", ""], {}, "--tip"),
     "holdout too large": (f"{CALIBRATE} --holdout 1.5", {}, "holdout|1.5|0 and 1"),
@@ -431,10 +463,15 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         {"rows.csv": column("distance", lambda *_: 1.0)},
         "rows.csv:2|--model|position, pose, plane-distance",
     ),
-    "files of different models": (
-        "calibrate arm.urdf rows.csv distances.csv",
-        {},
-        "distances.csv|position|plane-distance|--model",
+    "unknown model of a row": (
+        CALIBRATE,
+        {"rows.csv": column("model", lambda i, _: "position" if i else "positon")},
+        "rows.csv:3|column 'model'|'positon'|did you mean 'position'|camera",
+    ),
+    "model of a row with the cells of another": (
+        CALIBRATE,
+        {"rows.csv": column("model", lambda i, _: "camera" if i == 4 else "position")},
+        "rows.csv:7|'camera'|has no x|a blank cell",
     ),
     "no measured columns": (
         "calibrate arm.urdf bare.csv",
@@ -445,6 +482,150 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         DISTANCES,
         {"distances.csv": cell(5, "target", "wal")},
         "'wal'|did you mean 'wall'",
+    ),
+    # points, sockets, wires and cameras
+    "unknown target": (
+        SETUP,
+        {
+            "rows.csv": column("target", lambda i, _: "ball" if i else "bal"),
+            "bad.yaml": "targets: {ball: {xyz: [0, 0, 0.1]}}\n",
+        },
+        "rows.csv:3|column 'target'|'bal'|did you mean 'ball'",
+    ),
+    "unknown point in a socket": (
+        CONTACT,
+        {
+            "touch.csv": touch("ball@s", "bal@s"),
+            "bad.yaml": "model: fixed-point\ntargets: {ball: {}}\n",
+        },
+        "touch.csv:3|there is no target 'bal'|did you mean 'ball'",
+    ),
+    "unknown socket": (
+        CONTACT,
+        {
+            "touch.csv": touch("front/0", "front/l"),
+            "bad.yaml": "model: fixed-point\nsockets: {front/0: {}, front/1: {}}\n",
+        },
+        "touch.csv:3|there is no socket 'front/l'|did you mean 'front/",
+    ),
+    "socket with one row": (
+        CONTACT,
+        {
+            "touch.csv": touch(*["a"] * 11, "b"),
+            "bad.yaml": "model: fixed-point\n",
+        },
+        "touch.csv:13|the socket 'b' has one configuration only|two configurations",
+    ),
+    "no socket": (
+        CONTACT,
+        {"touch.csv": touch("a", ""), "bad.yaml": "model: fixed-point\n"},
+        "touch.csv:3|the row names no socket|column 'target'",
+    ),
+    "no column of sockets": (
+        CONTACT,
+        {
+            "touch.csv": touch("a", columns="note"),
+            "bad.yaml": "model: fixed-point\n",
+        },
+        "touch.csv:1|needs a column 'target' with the socket of each row",
+    ),
+    "distance between unknown sockets": (
+        CONTACT,
+        {
+            "touch.csv": touch("a/0", "a/1"),
+            "bad.yaml": APART + "  - {between: [a/0, a/2], value: 0.05}\n",
+        },
+        "bad.yaml|'distances' names 'a/2', which no row does|did you mean 'a/",
+    ),
+    "negative distance": (
+        CONTACT,
+        {
+            "touch.csv": touch("a/0", "a/1"),
+            "bad.yaml": APART + "  - {between: [a/0, a/1], value: -0.05}\n",
+        },
+        "bad.yaml:3|distances[0].value|'-0.05'|a positive number",
+    ),
+    "distance from a socket to itself": (
+        CONTACT,
+        {
+            "touch.csv": touch("a/0", "a/1"),
+            "bad.yaml": APART + "  - {between: [a/0, a/0], value: 0.05}\n",
+        },
+        "bad.yaml:3|distances[0].between|two different names",
+    ),
+    "camera without intrinsics": (
+        "calibrate arm.urdf touch.csv -o out",
+        {"touch.csv": PIXELS},
+        "'camera' in a setup file (--setup)|mount, focal and center",
+    ),
+    "camera without a focal length": (
+        CONTACT,
+        {
+            "touch.csv": PIXELS,
+            "bad.yaml": "camera:\n  mount: hand\n  center: [640, 480]\n",
+        },
+        "bad.yaml:1|'camera.focal' is missing",
+    ),
+    "camera on the head": (
+        CONTACT,
+        {
+            "touch.csv": PIXELS,
+            "bad.yaml": CAMERA.replace("hand", "head"),
+        },
+        "bad.yaml:1|camera.mount|'head'|hand, world",
+    ),
+    "camera without points": (
+        CONTACT,
+        {"touch.csv": PIXELS, "bad.yaml": CAMERA},
+        "'camera' needs known points|the xyz of 'm' under 'targets'",
+    ),
+    "unknown point of a camera": (
+        CONTACT,
+        {
+            "touch.csv": PIXELS,
+            "bad.yaml": CAMERA + "targets: {n: {xyz: [0, 0, 0]}}\n",
+        },
+        "touch.csv:2|there is no target 'm'|allowed: n",
+    ),
+    "unknown anchor": (
+        CONTACT,
+        {
+            "touch.csv": touch("0.5,wire", "0.5,wier", columns="distance,target"),
+            "bad.yaml": "model: point-distance\nanchors: {wire: {}}\n",
+        },
+        "touch.csv:3|there is no anchor 'wier'|did you mean 'wire'",
+    ),
+    "way without a start": (
+        CONTACT,
+        {
+            "touch.csv": touch("0.5,a", columns="distance,target"),
+            "bad.yaml": "model: relative-distance\n",
+        },
+        "touch.csv:2|the first row of a target is its start|'0.5'|allowed: 0",
+    ),
+    "negative way": (
+        CONTACT,
+        {
+            "touch.csv": touch("0,a", *["-0.5,a"] * 11, columns="distance,target"),
+            "bad.yaml": "model: relative-distance\n",
+        },
+        "touch.csv:3|'-0.5'|more than 0",
+    ),
+    "something learned from ways": (
+        f"{CONTACT} --learned network",
+        {
+            "touch.csv": touch("0,a", *["0.5,a"] * 11, columns="distance,target"),
+            "bad.yaml": "model: relative-distance\n",
+        },
+        "bad.yaml|nothing can be learned|'network'",
+    ),
+    "prior of a socket that nobody has placed": (
+        CONTACT,
+        {
+            "touch.csv": touch("a/0", "a/1"),
+            "bad.yaml": "model: fixed-point\nprior: {a/0.socket.x: 0.001}\n",
+        },
+        "bad.yaml|fixed, bounds or prior|'sockets' in a setup file",
     ),
     "beam parallel to the plane": (
         "calibrate arm.urdf flat.csv --setup bad.yaml",
@@ -464,10 +645,15 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         {"bad.yaml": "tip: tool\nparamters: [dh]\n"},
         "bad.yaml:2|'paramters'|'parameters'",
     ),
-    "key of a later version": (
+    "unknown key of a target": (
         SETUP,
-        {"bad.yaml": "targets: {ball: {xyz: [0, 0, 0]}}\n"},
-        "bad.yaml:1|'targets'|not available",
+        {"bad.yaml": "targets:\n  ball: {xy: [0, 0, 0]}\n"},
+        "bad.yaml:2|'targets.ball.xy'|did you mean 'xyz'|xyz, estimate",
+    ),
+    "known target without a place": (
+        SETUP,
+        {"bad.yaml": "targets:\n  ball: {estimate: false}\n"},
+        "bad.yaml:2|'targets.ball'|estimate: false only together with xyz",
     ),
     "bad YAML": (SETUP, {"bad.yaml": "tip: tool\nbase: [a\n"}, "bad.yaml|YAML"),
     "key twice": (SETUP, {"bad.yaml": "tip: a\ntip: b\n"}, "bad.yaml:2|'tip'|twice"),
@@ -557,12 +743,16 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     ),
     "several payloads": (
         SETUP,
+        {"bad.yaml": LOADS},
+        "rows.csv:3|several payloads|the row names none|none, light, heavy",
+    ),
+    "unknown payload": (
+        SETUP,
         {
-            "bad.yaml": "parameters: [placement, compliance]\n"
-            "payloads: {light: {mass: 1, com: [0, 0, 0]}, "
-            "heavy: {mass: 9, com: [0, 0, 0]}}\n"
+            "rows.csv": column("payload", lambda i, _: "hevy" if i == 3 else "heavy"),
+            "bad.yaml": LOADS,
         },
-        "bad.yaml|'payloads'|light|heavy|one payload, carried in all rows",
+        "rows.csv:6|there is no payload 'hevy'|did you mean 'heavy'|light, heavy",
     ),
     "compliance without a mass": (
         f"{CALIBRATE} --parameters placement,compliance",
@@ -741,6 +931,16 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "# none\n"},
         "bad.yaml|empty",
+    ),
+    "no sockets": (
+        "simulate arm.urdf --model fixed-point --count 5 -o out.csv",
+        {},
+        "'sockets' in a setup file (--setup)",
+    ),
+    "ways among other measurements": (
+        "simulate arm.urdf --model position+relative-distance --count 5 -o out.csv",
+        {},
+        "relative distances are simulated by themselves",
     ),
     "plane out of reach": (
         "simulate arm.urdf --setup bad.yaml --count 5 -o out.csv",

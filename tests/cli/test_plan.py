@@ -15,7 +15,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.io.measurements import read_configurations, read_targets
+from calib_pin.io.measurements import read_configurations, read_names
 from calib_pin.io.setup import read_setup
 
 QUICK = "--method greedy --candidates 100 --ignore-collisions"
@@ -257,14 +257,14 @@ def test_planes_are_named(here, run):
     words = f"plan arm.urdf --setup planes.yaml {QUICK} --count 30 -o plan.csv"
     result = run(words)
     assert (result.status, result.err) == (0, "")
-    targets = read_targets(Path("plan.csv"))
+    targets = read_names(Path("plan.csv"), "target")
     assert set(targets) == {"wall", "floor"}
     result = run(
         "simulate arm.urdf --setup planes.yaml --configurations plan.csv -o out.csv"
     )
     assert (result.status, result.err) == (0, "")
     # Each configuration looks at the plane that it was planned for.
-    assert read_targets(Path("out.csv")) == targets
+    assert read_names(Path("out.csv"), "target") == targets
 
 
 @pytest.mark.parametrize(
@@ -281,20 +281,20 @@ def test_configurations_that_name_planes_are_what_the_next_commands_take(
     assert run(words).status == 0
     # Which plane is told even where there is one: others may come later.
     assert table("plan.csv")[0][-1] == "target"
-    targets = read_targets(Path("plan.csv"))
+    targets = read_names(Path("plan.csv"), "target")
     assert set(targets) == names
     result = run(
         f"simulate arm.urdf --setup {setup} --configurations plan.csv --noise 1e-4 "
         "--errors errors.yaml -o measured.csv"
     )
     assert (result.status, result.err) == (0, "")
-    assert read_targets(Path("measured.csv")) == targets
+    assert read_names(Path("measured.csv"), "target") == targets
     result = run(f"calibrate arm.urdf measured.csv --setup {setup}")
     assert result.status == 0
     assert result.out.startswith("GOOD: ")
     words = f"plan arm.urdf --setup {setup} {QUICK} --add 4 --to measured.csv -o a.csv"
     assert run(words).status == 0
-    assert set(read_targets(Path("a.csv"))) <= names
+    assert set(read_names(Path("a.csv"), "target")) <= names
 
 
 def test_obstacles_region_and_limits_of_the_setup_file(here, run):

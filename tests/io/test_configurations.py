@@ -14,7 +14,7 @@ from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.io.joint_columns import column_values, joint_sources
 from calib_pin.io.measurements import (
     read_configurations,
-    read_targets,
+    read_names,
     write_configurations,
 )
 from calib_pin.setup import JointMap
@@ -29,14 +29,14 @@ def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:
     lines = file.read_text().splitlines()
     assert lines[:4] == ["# one", "# two", "#", ",".join(CHAIN.joints)]
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
-    assert read_targets(file) == ()
+    assert read_names(file, "target") == ()
 
 
 def test_targets_read_back(tmp_path: Path) -> None:
     names = ("wall", "floor, left", 'a "b"', "wall", "ä", "x", "wall")
     file = tmp_path / "plan.csv"
     write_configurations(file, CHAIN, Q, names)
-    assert read_targets(file) == names
+    assert read_names(file, "target") == names
     assert read_configurations(file, CHAIN).tobytes() == Q.tobytes()
 
 

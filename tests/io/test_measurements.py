@@ -8,6 +8,7 @@ import subprocess
 import sys
 import time
 import xml.etree.ElementTree as ElementTree
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -26,8 +27,8 @@ from calib_pin.io.measurements import (
     write_measurements,
 )
 from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
-from calib_pin.measurements import Measurements
-from calib_pin.setup import JointMap, Setup
+from calib_pin.measurements import LAYOUT, Measurements
+from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/><link name="d"/>
@@ -414,11 +415,15 @@ TEXT = st.text(
 ).map(str.strip)
 
 
+# What a target has to be so that a row of the model can be read.
+NAMED = TEXT.filter(lambda name: name.rpartition("@")[2] != "")
+
+
 @st.composite
-def measurements(draw):
-    model, width, components = draw(
-        st.sampled_from([("position", 3, 3), ("pose", 7, 6), ("plane-distance", 1, 1)])
-    )
+def measurements(draw, model=None):
+    """Rows of one model, which keep to what the reader checks."""
+    model = model or draw(st.sampled_from(list(LAYOUT)))
+    width, components = LAYOUT[model]
     count = draw(st.integers(1, 5))
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
     q = draw(arrays(float, (count, 3), elements=st.floats(-0.4, 0.4)))
@@ -427,38 +432,78 @@ def measurements(draw):
         quaternion = draw(arrays(float, (count, 4), elements=st.floats(0.1, 1)))
         quaternion /= np.linalg.norm(quaternion, axis=1, keepdims=True)
         values[:, 3:] = quaternion * [-1, 1, -1, 1]
-    sigma = draw(st.none() | arrays(float, (count, components), elements=SIGMA))
+    sizes = st.floats(1e-8, 1e3) if model == "camera" else SIGMA
+    sigma = draw(st.none() | arrays(float, (count, components), elements=sizes))
+    named = model not in ("position", "pose", "plane-distance", "relative-distance")
+    names = st.lists(NAMED if named else TEXT, min_size=count, max_size=count)
+    if model in ("point-distance", "plane-contact", "sphere-contact"):
+        names |= st.just([""] * count)
+    target = draw(names)
+    payload = draw(st.lists(TEXT, min_size=count, max_size=count))
+    start = np.zeros((0, 0))
+    if model == "relative-distance":
+        values = np.abs(values) + 1e-6
+        begins = [0.45, *draw(arrays(float, 2, elements=st.floats(-3, 3)))]
+        first = [target.index(name) for name in target]
+        payload = [payload[k] for k in first]
+        start = np.array([begins] * count) - 0.01 * np.array(first)[:, None]
     return Measurements(
         joints=("lift", "elbow", "wrist"),
         q=q,
         model=model,
         values=values,
         sigma=sigma,
-        target=tuple(draw(st.lists(TEXT, min_size=count, max_size=count))),
+        target=tuple(target),
+        payload=tuple(payload),
+        start=start,
         validate=draw(arrays(bool, count)),
     )
 
 
+@st.composite
+def mixtures(draw):
+    """Rows of several models."""
+    names = st.lists(st.sampled_from(list(LAYOUT)), min_size=2, max_size=4, unique=True)
+    return Measurements.concatenate([draw(measurements(name)) for name in draw(names)])
+
+
+def same(data, again):
+    """Whether two measurements are the same, bit by bit."""
+    for name in ("q", "values", "sigma", "start", "validate"):
+        one, other = getattr(data, name), getattr(again, name)
+        assert (one is None) == (other is None)
+        assert one is None or (one.shape, one.tobytes()) == (
+            other.shape,
+            other.tobytes(),
+        )
+    assert (again.model, again.joints) == (data.model, data.joints)
+    assert (again.target, again.payload) == (data.target, data.payload)
+    return True
+
+
 @settings(
-    max_examples=80,
+    max_examples=200,
     deadline=None,
     suppress_health_check=[HealthCheck.function_scoped_fixture],
 )
-@given(data=measurements(), comments=st.lists(TEXT, max_size=3))
+@given(data=measurements() | mixtures(), comments=st.lists(TEXT, max_size=3))
 def test_written_files_read_back_bit_by_bit(tmp_path, chain, data, comments):
     file = tmp_path / "written.csv"
     write_measurements(file, data, comments, force=True)
-    again = read_measurements(file, chain, notice=pytest.fail)
-    for name in ("q", "values", "sigma", "validate"):
-        written, read = getattr(data, name), getattr(again, name)
-        assert (written is None) == (read is None)
-        assert written is None or written.tobytes() == read.tobytes()
-    assert (again.model, again.joints) == (data.model, data.joints)
-    assert again.target == data.target
+    options = {"notice": pytest.fail, "sockets": sockets(data)}
+    if data.model not in ("position", "pose", "plane-distance", "camera"):
+        options["model"] = data.model
+    again = read_measurements(file, chain, **options)
+    assert same(data, again)
     first = file.read_bytes()
     write_measurements(file, again, comments, force=True)
     assert file.read_bytes() == first
     assert b"\r" not in first
+
+
+def sockets(data):
+    """All of them, so that one row is enough for each."""
+    return {name.rpartition("@")[2] for name in data.of("fixed-point")}
 
 
 def test_what_is_written(tmp_path, chain):
@@ -526,8 +571,8 @@ def test_what_would_not_read_back_is_not_written(tmp_path, joint, target):
 
 
 def test_a_model_without_a_format_is_not_written(tmp_path):
-    data = Measurements(("j",), np.zeros((1, 1)), "camera", np.ones((1, 2)))
-    with pytest.raises(OptionError, match="'camera' is not available"):
+    data = Measurements(("j",), np.zeros((1, 1)), "camra", np.ones((1, 2)))
+    with pytest.raises(OptionError, match=r"'camra' \(did you mean 'camera'"):
         write_measurements(tmp_path / "out.csv", data)
 
 
@@ -616,7 +661,15 @@ J = "lift,elbow,wrist"
         (f"{J},distance,sigma [deg]\n0,0,0,1,1\n", ["'deg'", "'sigma'", "m, mm"]),
         (f"{J},distance,target [m]\n0,0,0,1,1\n", ["'target'", "takes no unit"]),
         # Which model?
-        (f"{J},target\n0,0,0,a\n", ["m.csv:1: no measured columns", "x, y, z", "dist"]),
+        (f"{J},note\n0,0,0,a\n", ["m.csv:1: no measured columns", "x, y, z", "dist"]),
+        (
+            f"{J},target\n0,0,0,a\n",
+            [
+                "m.csv:1: no measured columns",
+                "only name targets; say what is measured with --model",
+                "allowed: fixed-point, plane-contact, sphere-contact",
+            ],
+        ),
         (f"{J},x,y\n0,0,0,1,2\n", ["model 'position' needs the missing z"]),
         (f"{J},x,y,z (mm)\n0,0,0,1,2,3\n", ["missing z", "mean 'z (mm)'"]),
         (
@@ -773,11 +826,10 @@ def test_limits_of_many_turns_are_believed(write):
 @pytest.mark.parametrize(
     ("model", "parts"),
     [
-        *(
-            (name, [f"'{name}' is not available in this version", "plane-distance"])
-            for name in ("point-distance", "fixed-point", "plane-contact", "camera")
-        ),
         ("positon", ["'positon'", "mean 'position'", "position, pose, plane-distance"]),
+        ("position+camra", ["'camra'", "mean 'camera'"]),
+        ("position+", ["unknown measurement model ''"]),
+        ("camera+position+camera", ["named twice"]),
     ],
 )
 def test_model_names(write, chain, model, parts):
@@ -814,10 +866,7 @@ def test_several_near_columns_give_no_hint(message):
 
 def test_files_that_cannot_be_joined(write, chain):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
-    position = write(f"{J},x,y,z\n0,0,0,1,2,3\n", "p.csv")
     sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
-    with pytest.raises(InputError, match=r"p\.csv: .*'position'.*'plane-dist.*--model"):
-        read_measurements([distance, position], chain)
     with pytest.raises(InputError, match=r"s\.csv: .*standard deviations"):
         read_measurements([distance, sigma], chain)
     with pytest.raises(InputError, match="no measurement file"):
@@ -830,9 +879,12 @@ def test_missing_file(tmp_path, chain):
 
 
 def test_every_measurement_model_has_a_file_format():
-    assert list(COMPONENTS) == list(VALUES) == list(MEASUREMENT_MODELS)
+    models = list(MEASUREMENT_MODELS)
+    assert list(LAYOUT) == list(COMPONENTS) == list(VALUES) == models
+    setup = Setup(camera=CameraSetup("hand", (500.0, 500.0), (320.0, 240.0)))
     for name, components in COMPONENTS.items():
-        model = measurement_model(name, Setup())
+        assert LAYOUT[name] == (len(VALUES[name]), len(components))
+        model = measurement_model(name, setup)
         units = {}
         for quantity in model.quantities:
             indices = range(*quantity.columns.indices(len(components)))
@@ -840,6 +892,572 @@ def test_every_measurement_model_has_a_file_format():
         assert [kind.si for kind in components.values()] == [
             units[i] for i in range(len(components))
         ]
+        assert model.width == len(VALUES[name])
+
+
+# --- models without a tracker ------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("model", "text", "values", "sigma", "target"),
+    [
+        (
+            "camera",
+            "v,u [px],target,sigma\n20.5,10,m1,0.5\n-1,1e5,m2,0.25\n",
+            [[10.0, 20.5], [1e5, -1.0]],
+            [[0.5, 0.5], [0.25, 0.25]],
+            ("m1", "m2"),
+        ),
+        (
+            "camera",
+            "u,v,target,sigma_v,sigma_u [px]\n1,2,m,0.5,0.1\n3,4,m,0.5,0.2\n",
+            [[1.0, 2.0], [3.0, 4.0]],
+            [[0.1, 0.5], [0.2, 0.5]],
+            ("m", "m"),
+        ),
+        ("fixed-point", "target\nfront/0\nfront/0\n", [[], []], None, ("front/0",) * 2),
+        (
+            "fixed-point",
+            "target,sigma [mm]\nball@a,1\nother@a,2\n",
+            [[], []],
+            [[1e-3] * 3, [2e-3] * 3],
+            ("ball@a", "other@a"),
+        ),
+        (
+            "fixed-point",
+            "target,sigma_z,sigma_x,sigma_y [mm]\na,0.3,0.1,2\na,0.3,0.1,2\n",
+            [[], []],
+            [[0.1, 0.002, 0.3]] * 2,
+            ("a", "a"),
+        ),
+        ("plane-contact", "note\na\nb\n", [[], []], None, ("", "")),
+        (
+            "plane-contact",
+            "target,sigma [um]\ntip@table,5\ntable,5\n",
+            [[], []],
+            [[5e-6], [5e-6]],
+            ("tip@table", "table"),
+        ),
+        (
+            "sphere-contact",
+            "sigma_contact [mm]\n1\n2\n",
+            [[], []],
+            [[1e-3], [2e-3]],
+            ("", ""),
+        ),
+        (
+            "point-distance",
+            "distance [mm],sigma_distance\n1500,0.1\n2,0.1\n",
+            [[1.5], [0.002]],
+            [[0.1], [0.1]],
+            ("", ""),
+        ),
+    ],
+)
+def test_columns_of_models(write, chain, model, text, values, sigma, target):
+    header, *rows = text.splitlines()
+    q = ["0,0,0,", "0.1,0.2,0.3,"]
+    lines = [f"lift,elbow,wrist,{header}", *map("".join, zip(q, rows, strict=True))]
+    data = read_measurements(write("\n".join(lines)), chain, model=model)
+    assert data.model == model
+    assert data.values.tolist() == values
+    assert data.values.shape == (2, LAYOUT[model][0])
+    assert (data.sigma is None) == (sigma is None)
+    assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-15, atol=0.0)
+    assert (data.target, data.payload) == (target, ("", ""))
+
+
+@pytest.mark.parametrize(
+    ("columns", "model"),
+    [
+        ("u,v,target", "camera"),
+        ("u,x,y,z", "position"),
+        ("v,distance", "plane-distance"),
+        ("distance,target", "plane-distance"),
+        ("x,y,z,rx,ry,rz,target", "pose"),
+    ],
+)
+def test_models_are_inferred(write, chain, columns, model):
+    row = ",".join("a" if name == "target" else "0" for name in columns.split(","))
+    data = read_measurements(write(f"{J},{columns}\n0,0,0,{row}\n"), chain)
+    assert data.model == model
+
+
+def test_payload(write, chain):
+    file = write(f"{J},distance,payload\n0,0,0,1, gripper \n0,0,0,1,\n")
+    assert read_measurements(file, chain, notice=pytest.fail).payload == ("gripper", "")
+
+
+# --- relative distances ------------------------------------------------------------
+
+
+def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
+    data = read_measurements(
+        write(
+            "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
+            "100,0,0,0,a,,,p\n"
+            "200,0,0,100,a,1,train,p\n"
+            "0,1,0,0,ball@2,far,neither,\n"
+            "300,0,0,200,a,2,validate,p\n"
+            "0,1,1,20,ball@2,3,train,\n"
+        ),
+        chain,
+        model="relative-distance",
+        notice=pytest.fail,
+    )
+    assert data.values.tolist() == [[0.1], [0.2], [0.02]]
+    assert data.q[:, 0].tolist() == [0.2, 0.3, 0.0]
+    assert data.start.tolist() == [[0.1, 0.0, 0.0], [0.1, 0.0, 0.0], [0.0, 1.0, 0.0]]
+    np.testing.assert_allclose(data.sigma, [[1e-3], [2e-3], [3e-3]])
+    assert data.target == ("a", "a", "ball@2")
+    assert data.payload == ("p", "p", "")
+    assert data.validate.tolist() == [False, True, False]
+    assert data.lines.tolist() == [3, 5, 6]
+
+
+def test_without_targets_all_start_at_the_first_row(write, chain):
+    file = write(f"{J},distance\n0,0,0,0\n0.1,0,0,0.1\n0.2,0,0,0.2\n")
+    again = write(f"{J},distance\n0.4,0,0,0\n0.3,0,0,0.1\n", "n.csv")
+    data = read_measurements([file, again], chain, model="relative-distance")
+    assert data.start[:, 0].tolist() == [0.0, 0.0, 0.4]
+    assert data.values[:, 0].tolist() == [0.1, 0.2, 0.1]
+
+
+@pytest.mark.parametrize(
+    ("rows", "parts"),
+    [
+        (
+            "0,0,0,0.5,a,\n0.1,0,0,1,a,\n",
+            ["m.csv:2:", "first row of a target is its start", "'distance'", "'0.5'"],
+        ),
+        (
+            "0,0,0,0,a,\n0.1,0,0,1,a,\n0,0,0,0,b,\n",
+            ["m.csv:4:", "no other row is measured from it", "'target'", "value 'b'"],
+        ),
+        (
+            "0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,0.0,a,\n",
+            ["m.csv:4:", "'distance'", "a new start needs a target of its own"],
+        ),
+        (
+            "0,0,0,0,a,\n0.1,0,0,-1,a,\n",
+            ["m.csv:3:", "value '-1'", "allowed: more than 0"],
+        ),
+        (
+            "0,0,0.5,0,a,\n0.1,0,0,1,a,\n0,0,0.5,1e-6,a,\n",
+            ["m.csv:4:", "positions are those of the start"],
+        ),
+        (
+            "0,0,0,0,a,\n0.1,0,0,1,a,\n0.2,0,0,1,a,p\n",
+            ["m.csv:4:", "payload is not that of the start", "value 'p'"],
+        ),
+        ("0,0,0,,a,\n0.1,0,0,1,a,\n", ["m.csv:2:", "the cell is empty"]),
+    ],
+)
+def test_starts_that_are_none(message, rows, parts):
+    text = f"{J},distance,target,payload\n{rows}"
+    result = message(text, model="relative-distance")
+    for part in parts:
+        assert part in result
+
+
+def relative(**changes):
+    fields = {
+        "joints": ("lift", "elbow", "wrist"),
+        "q": np.array([[0.1, 0, 0], [0.2, 0, 0], [0.3, 0, 0]]),
+        "model": "relative-distance",
+        "values": np.array([[0.1], [0.2], [0.3]]),
+        "start": np.zeros((3, 3)),
+    }
+    return Measurements(**{**fields, **changes})
+
+
+def test_starts_are_written_before_their_rows(tmp_path):
+    file = tmp_path / "out.csv"
+    write_measurements(
+        file, relative(target=("a", "b", "a"), start=np.eye(3)[[0, 1, 0]])
+    )
+    assert file.read_text() == (
+        "lift,elbow,wrist,distance,target\n"
+        "1.0,0.0,0.0,0.0,a\n0.1,0.0,0.0,0.1,a\n"
+        "0.0,1.0,0.0,0.0,b\n0.2,0.0,0.0,0.2,b\n"
+        "0.3,0.0,0.0,0.3,a\n"
+    )
+
+
+@pytest.mark.parametrize(
+    ("target", "names"),
+    [
+        ("a", ("a", "a/2", "a/4")),
+        ("", ("", "start/2", "start/3")),
+        ("ball@", ("ball@", "ball@start/2", "ball@start/3")),
+    ],
+)
+def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
+    """As in rows that are joined from several files, or each have their own start."""
+    start = 0.01 * np.arange(3)[:, None] + np.zeros(3)
+    data = relative(target=(target,) * 3, start=start)
+    if target == "a":
+        # A name that others have is not taken.
+        data = Measurements.concatenate(
+            [data, relative(target=("a/3",) * 3, start=np.full((3, 3), 0.05))]
+        )
+        names += ("a/3",) * 3
+    file = tmp_path / "out.csv"
+    write_measurements(file, data)
+    again = read_measurements(file, chain, model="relative-distance")
+    assert again.target == names
+    assert again.start.tobytes() == data.start.tobytes()
+    assert again.values.tobytes() == data.values.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("changes", "reason"),
+    [
+        ({"start": np.zeros((0, 0))}, "row 0: the relative distance has no start"),
+        ({"values": np.array([[1.0], [0.0], [1.0]])}, "row 1: .* not more than 0"),
+        ({"q": np.eye(3) - np.eye(3)[0]}, "row 0: .* is taken at its start"),
+    ],
+)
+def test_relative_distances_that_would_not_read_back(tmp_path, changes, reason):
+    with pytest.raises(OutputError, match=reason):
+        write_measurements(tmp_path / "out.csv", relative(**changes))
+    assert not list(tmp_path.iterdir())
+
+
+# --- several models ----------------------------------------------------------------
+
+MIXED = f"""{J},model,x,y,z,u,v,distance,target,sigma,payload
+0,0,0,camera,,,,1,2,,m1,,p
+0.1,0,0,position,1,2,3,,,,,,
+0.2,0,0,camera,,,,3,4,,m2,,
+0.3,0,0,relative-distance,,,,,,0,a,,
+0.4,0,0,relative-distance,,,,,,0.1,a,0.001,
+"""
+
+
+def test_a_file_of_several_models(write, chain):
+    file = write(MIXED)
+    data = read_measurements(file, chain, notice=pytest.fail)
+    assert data.model == "camera+position+relative-distance"
+    # Rows of one model stand together.
+    assert data.target == (
+        *("camera:m1", "camera:m2", "position:"),
+        "relative-distance:a",
+    )
+    assert data.lines.tolist() == [2, 4, 3, 6]
+    assert data.q[:, 0].tolist() == [0.0, 0.2, 0.1, 0.4]
+    assert data.values.tolist() == [
+        [1, 2, 0, 0, 0, 0],
+        [3, 4, 0, 0, 0, 0],
+        [0, 0, 1, 2, 3, 0],
+        [0, 0, 0, 0, 0, 0.1],
+    ]
+    nan, inf = np.nan, np.inf
+    np.testing.assert_array_equal(
+        data.sigma,
+        [
+            [nan, nan, inf, inf, inf, inf],
+            [nan, nan, inf, inf, inf, inf],
+            [inf, inf, nan, nan, nan, inf],
+            [inf, inf, inf, inf, inf, 0.001],
+        ],
+    )
+    assert data.payload == ("p", "", "", "")
+    np.testing.assert_array_equal(
+        data.start, [[nan] * 3, [nan] * 3, [nan] * 3, [0.3, 0, 0]]
+    )
+    assert data.files == (str(file),) * 4
+
+
+def test_what_is_written_of_several_models(tmp_path, write, chain):
+    data = read_measurements(write(MIXED), chain)
+    file = tmp_path / "out.csv"
+    write_measurements(file, data)
+    assert file.read_text() == (
+        "lift,elbow,wrist,model,u,v,x,y,z,distance,sigma_distance,target,payload\n"
+        "0.0,0.0,0.0,camera,1.0,2.0,,,,,,m1,p\n"
+        "0.2,0.0,0.0,camera,3.0,4.0,,,,,,m2,\n"
+        "0.1,0.0,0.0,position,,,1.0,2.0,3.0,,,,\n"
+        "0.3,0.0,0.0,relative-distance,,,,,,0.0,0.001,a,\n"
+        "0.4,0.0,0.0,relative-distance,,,,,,0.1,0.001,a,\n"
+    )
+    assert same(data, read_measurements(file, chain))
+    # A model that is left without rows is not in the file.
+    write_measurements(file, data.rows(np.array([2])), force=True)
+    assert read_measurements(file, chain).model == "position"
+
+
+def test_what_would_not_read_back_of_several_models(tmp_path, write, chain):
+    data = read_measurements(write(MIXED), chain).rows(np.array([0, 1]))
+    file = tmp_path / "out.csv"
+    sigma = data.sigma.copy()
+    sigma[0] = 1.0
+    with pytest.raises(OutputError, match="some rows of 'camera' have standard dev"):
+        write_measurements(file, replace(data, sigma=sigma))
+    with pytest.raises(OutputError, match="'wall' is of none of camera"):
+        write_measurements(file, replace(data, target=("wall", "wall")))
+    for name, value in (("payload", " p"), ("target", "camera: m")):
+        with pytest.raises(OutputError, match=f"{name} '.*' would not read back"):
+            write_measurements(file, replace(data, **{name: (value, value)}))
+    assert not file.exists()
+
+
+def test_a_model_column_of_one_model_is_a_plain_file(write, chain):
+    file = write(
+        f"{J},distance,model\n0,0,0,1,point-distance\n1,0,0,1,point-distance\n"
+    )
+    data = read_measurements(file, chain, model="position", notice=pytest.fail)
+    assert (data.model, data.target) == ("point-distance", ("", ""))
+
+
+def test_several_files_of_different_models(write, chain):
+    distance = write(f"{J},distance,target\n0,0,0,1,wall\n0,0,0,2,\n", "d.csv")
+    position = write(f"{J},x,y,z,sigma\n0,0,0,1,2,3,0.1\n", "p.csv")
+    mixed = write(MIXED, "m.csv")
+    data = read_measurements([distance, position], chain)
+    assert data.model == "plane-distance+position"
+    assert data.values.tolist() == [[1, 0, 0, 0], [2, 0, 0, 0], [0, 1, 2, 3]]
+    assert data.target == ("plane-distance:wall", "plane-distance:", "position:")
+    assert data.files == (str(distance), str(distance), str(position))
+    assert not data.stated
+    # The column wins over what is asked for.
+    data = read_measurements([distance, mixed], chain, model="plane-distance")
+    assert data.model == "plane-distance+camera+position+relative-distance"
+    # All rows of a model stand together.
+    plain = write(f"{J},x,y,z\n0,0,0,1,2,3\n", "q.csv")
+    data = read_measurements([mixed, plain], chain)
+    assert [name.partition(":")[0] for name in data.target] == [
+        *("camera", "camera", "position", "position", "relative-distance")
+    ]
+    assert data.lines.tolist() == [2, 4, 3, 2, 6]
+    with pytest.raises(InputError, match=r"p\.csv: .*with and without standard dev"):
+        read_measurements([mixed, position], chain)
+
+
+def test_each_file_is_the_one_model_that_its_columns_allow(write, chain):
+    sockets = write(f"{J},target\n0,0,0,a\n1,0,0,a\n".replace("1,0", "0.1,0"), "s.csv")
+    position = write(f"{J},x,y,z,target\n0,0,0,1,2,3,a\n", "p.csv")
+    pose = write(f"{J},x,y,z,rx,ry,rz\n0,0,0,1,2,3,0,0,0\n", "o.csv")
+    touched = write(f"{J},note\n0,0,0,1\n", "t.csv")
+
+    def models(files, model):
+        return read_measurements(files, chain, model=model).model
+
+    # Those that are asked for decide on the order.
+    both = "fixed-point+position"
+    assert models([position, sockets], both) == both
+    assert models([sockets], both) == "fixed-point"
+    assert models([pose, position], "position+pose") == "position+pose"
+    assert models([pose], "position+camera") == "position"
+    assert models([touched, position], "position+plane-contact+fixed-point") == (
+        "position+plane-contact"
+    )
+    for file, model, parts in (
+        (position, "camera+plane-distance", ["none of", "camera needs u, v"]),
+        (position, "pose+fixed-point", ["needs x, y, z and an orientation"]),
+        (touched, "fixed-point+camera", ["needs nothing measured and a target"]),
+        (touched, "plane-contact+sphere-contact", ["allow plane-contact and sphere"]),
+        (sockets, "fixed-point+plane-contact", ["'model'"]),
+    ):
+        with pytest.raises(InputError) as caught:
+            read_measurements(file, chain, model=model)
+        assert str(caught.value).startswith(f"{file}:1: the columns allow ")
+        for part in parts:
+            assert part in str(caught.value)
+
+
+@pytest.mark.parametrize(
+    ("text", "parts"),
+    [
+        (
+            "distance,model\n0,0,0,1,plane-distance\n0,0,0,1,plane-distanse\n",
+            [
+                "m.csv:3:",
+                "unknown",
+                "mean 'plane-distance'",
+                "'plane-distanse'",
+                "allo",
+            ],
+        ),
+        ("distance,model\n0,0,0,1,\n", ["m.csv:2:", "names no measurement model"]),
+        ("distance,model [m]\n0,0,0,1,pose\n", ["m.csv:1:", "takes no unit"]),
+        (
+            "x,y,z,distance,model\n0,0,0,1,2,3,4,position\n0,0,0,,,,1,plane-distance\n",
+            ["m.csv:2:", "measures 'position', which has no distance", "'4'", "blank"],
+        ),
+        (
+            "u,v,distance,sigma_u,sigma_v,target,model\n"
+            "0,0,0,,,1,0.5,,,plane-distance\n0,0,0,1,2,,1,1,m,camera\n",
+            ["m.csv:2:", "which has no sigma_u", "value '0.5'"],
+        ),
+        (
+            "u,v,distance,target,model\n"
+            "0,0,0,,,1,,plane-distance\n0,0,0,1,,,m,camera\n",
+            ["m.csv:3:", "the cell is empty", "column 'v'"],
+        ),
+        (
+            "u,distance,target,model\n0,0,0,,1,,plane-distance\n0,0,0,1,,m,camera\n",
+            ["m.csv:1:", "model 'camera' needs the missing v"],
+        ),
+        (
+            "u,v,distance,target,model,sigma\n"
+            "0,0,0,,,1,,plane-distance,\n0,0,0,1,1,,m,camera,1\n0,0,0,1,1,,m,camera,\n",
+            ["m.csv:4:", "the cell is empty", "column 'sigma'"],
+        ),
+        (
+            "x,y,z,rx,ry,rz,model,sigma\n"
+            "0,0,0,1,2,3,,,,position,1\n0,0,0,1,2,3,0,0,0,pose,1\n",
+            ["m.csv:1:", "lengths and angles at once"],
+        ),
+    ],
+)
+def test_bad_rows_of_several_models(message, text, parts):
+    result = message(f"{J},{text}")
+    for part in parts:
+        assert part in result
+
+
+def test_only_columns_that_nobody_reads_are_reported(write, chain):
+    text = "x,y,z,distance,qx,sigma_u,note,model\n"
+    text += "0,0,0,1,2,3,,a,b,c,position\n0,0,0,,,,1,d,e,f,plane-distance\n"
+    notices: list[str] = []
+    file = write(f"{J},{text}")
+    read_measurements(file, chain, notice=notices.append)
+    assert notices == [f"{file}: columns ignored: qx, sigma_u, note"]
+
+
+# --- what rows have to name --------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("model", "text", "parts"),
+    [
+        ("camera", "u,v\n0,0,0,1,2\n", ["m.csv:1:", "'target'", "the point of each"]),
+        ("fixed-point", "n\n0,0,0,1\n", ["m.csv:1:", "'target'", "the socket of each"]),
+        (
+            "camera",
+            "u,v,target\n0,0,0,1,2,m\n0,0,0,1,2,\n",
+            ["m.csv:3:", "the row names no point"],
+        ),
+        (
+            "fixed-point",
+            "target\n0,0,0,a\n0.1,0,0,ball@\n0.2,0,0,a\n",
+            ["m.csv:3:", "the row names no socket", "value 'ball@'"],
+        ),
+        (
+            "plane-contact",
+            "target\n0,0,0,wall\n0.1,0,0,ball@\n",
+            ["m.csv:3:", "the row names no plane, others do"],
+        ),
+        ("sphere-contact", "target\n0,0,0,a\n0,0,0,\n", ["m.csv:3:", "no sphere"]),
+        (
+            "point-distance",
+            "distance,target\n0,0,0,1,\n0,0,0,1,a\n",
+            ["m.csv:2:", "the row names no anchor"],
+        ),
+        # A ball that is in a socket once tells nothing.
+        (
+            "fixed-point",
+            "target\n0,0,0,a\n0,0,0,b\n0.1,0,0,a\n",
+            [
+                "m.csv:3: the socket 'b' has one configuration only",
+                "column 'target'",
+                "allowed: two configurations or more",
+            ],
+        ),
+        (
+            "fixed-point",
+            "target\n0,0,0,x@a\n1e-9,0,0,y@a\n",
+            ["m.csv:2: the socket 'a' has one configuration only"],
+        ),
+        # Numbers that cannot be.
+        ("camera", "u,target\n0,0,0,1,m\n", ["model 'camera' needs the missing v"]),
+        (
+            "camera",
+            "u,v,target\n0,0,0,1,-2e5,m\n",
+            ["m.csv:2: -200000 px is too large", "column 'v'", "100000 px or less"],
+        ),
+        ("camera", "u [m],v,target\n0,0,0,1,1,m\n", ["'m'", "'u'", "allowed: px"]),
+        ("camera", "u,v,target,sigma\n0,0,0,1,1,m,0\n", ["m.csv:2:", "not positive"]),
+        (
+            "camera",
+            "u,v,target,sigma\n0,0,0,1,1,m,1e-10\n",
+            ["m.csv:2:", "too small", "1e-09 px or more"],
+        ),
+        (
+            "camera",
+            "u,v,target,sigma_u,sigma_v\n0,0,0,1,1,m,1,1001\n",
+            ["m.csv:2: 1001 px is too large", "'sigma_v'", "1000 px or less"],
+        ),
+        ("camera", "u,v,target,sigma_u\n0,0,0,1,1,m,1\n", ["missing: sigma_v"]),
+        ("camera", "u,v,target,sigma [mm]\n0,0,0,1,1,m,1\n", ["'mm'", "allowed: px"]),
+        (
+            "plane-contact",
+            "sigma_x,sigma_y,sigma_z\n0,0,0,1,1,1\n",
+            ["m.csv:1:", "one direction only", "'sigma_x'", "sigma, sigma_contact"],
+        ),
+        (
+            "sphere-contact",
+            "sigma_contact [rad]\n0,0,0,1\n",
+            ["'rad'", "m, mm, um, in"],
+        ),
+        (
+            "fixed-point",
+            "target,sigma_x\n0,0,0,a,1\n0.1,0,0,a,1\n",
+            ["missing: sigma_y, sigma_z"],
+        ),
+        ("plane-contact", "payload [kg]\n0,0,0,1\n", ["'payload'", "takes no unit"]),
+        # Nothing but guesses.
+        (None, "u\n0,0,0,1\n", ["model 'camera' needs the missing v"]),
+        (
+            None,
+            "u,v,x,y,z,target\n0,0,0,1,2,3,4,5,m\n",
+            ["both a position and pixels", "--model", "'model'", "camera"],
+        ),
+    ],
+)
+def test_errors_of_models(message, model, text, parts):
+    result = message(f"{J},{text}", model=model)
+    assert result.startswith("m.csv:")
+    for part in parts:
+        assert part in result
+
+
+def test_sockets_count_over_all_files(write, chain):
+    files = [
+        write(f"{J},target,set\n{row}\n", f"{name}.csv")
+        for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
+    ]
+    assert len(read_measurements(files, chain, model="fixed-point")) == 2
+    with pytest.raises(InputError, match=r"b\.csv:2: the socket 's' has one"):
+        read_measurements(files[1], chain, model="fixed-point")
+    data = read_measurements(files[1], chain, model="fixed-point", sockets=["s"])
+    assert len(data) == 1
+
+
+def test_contacts_ignore_the_sigma_of_what_they_do_not_read(write, chain):
+    notices: list[str] = []
+    file = write(f"{J},x,sigma_x\n0,0,0,1,1\n")
+    data = read_measurements(file, chain, model="plane-contact", notice=notices.append)
+    assert data.sigma is None
+    assert notices == [f"{file}: columns ignored: x, sigma_x"]
+
+
+@pytest.mark.parametrize("name", ["u", "model", "payload", "sigma_contact"])
+def test_joints_with_reserved_names(write, name):
+    chain = Chain(robot(URDF.replace('"lift"', f'"{name}"')), tip="c")
+    file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
+    with pytest.raises(InputError, match=rf"'{name}' has a meaning of its own"):
+        read_measurements(file, chain)
+    file = write("rail,elbow,wrist,distance\n0.1,0,0,1\n")
+    joints = {"rail": JointMap(name)}
+    data = read_measurements(file, chain, joints=joints, notice=pytest.fail)
+    assert data.q[0, 0] == 0.1
+    file = write(f"{name},rail,elbow,wrist,distance\n,0.1,0,0,1\n")
+    if name not in ("model", "payload"):
+        notices: list[str] = []
+        read_measurements(file, chain, joints=joints, notice=notices.append)
+        assert notices == [f"{file}: columns ignored: {name}"]
 
 
 # --- size and speed ----------------------------------------------------------------
@@ -942,3 +1560,16 @@ def test_real_configurations():
     assert read_configurations(file, chain).shape == (182, 7)
     with pytest.raises(InputError, match="no measured columns"):
         read_measurements(file, chain)
+
+
+@pytest.mark.parametrize(("number", "count"), [(1, 182), (2, 559)])
+def test_real_sockets(tmp_path, number, count):
+    chain = real_chain("panda_description/urdf/panda.urdf", "panda_link8")
+    file = DATA / "mukca_panda" / f"panda_{number}.csv"
+    notices: list[str] = []
+    data = read_measurements(file, chain, model="fixed-point", notice=notices.append)
+    assert len(data) == count
+    assert notices == [f"{file}: columns ignored: tool_position"]
+    written = tmp_path / "again.csv"
+    write_measurements(written, data)
+    assert same(data, read_measurements(written, chain, model="fixed-point"))

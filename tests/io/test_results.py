@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cache
 from pathlib import Path
 from typing import Any
 
@@ -15,13 +16,31 @@ from calib_pin.calibration import calibrate, evaluate
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
 from calib_pin.io.documents import Provenance, calibration_document, encode
-from calib_pin.io.results import read_calibration, write_urdf
+from calib_pin.io.results import read_accuracy, read_calibration, write_urdf
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.features import Frame
 from calib_pin.measurements import Measurements
-from calib_pin.problem import nominal_problem
+from calib_pin.problem import (
+    Problem,
+    absent,
+    frame_pose,
+    make_problem,
+    nominal_problem,
+)
 from calib_pin.result import CalibratedModel, CalibrationResult
-from calib_pin.setup import FrameSetup, JointMap, Payload, PlaneSetup, Setup
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    FrameSetup,
+    JointMap,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
 from calib_pin.simulation import simulate
 
 ARM = """<robot name="arm">
@@ -117,20 +136,182 @@ CASES: dict[str, tuple[str, Setup]] = {
     ),
 }
 
+BALLS = {"ball": PointSetup((0.05, 0.0, 0.1)), "a.b": PointSetup((0.0, 0.1, 0.1))}
+SOCKETS = {
+    "front/0": PointSetup((0.6, 0.1, 0.3)),
+    "front/1": PointSetup((0.6, -0.2, 0.35)),
+    "top": PointSetup((0.5, 0.0, 0.6), estimate=False),
+}
+PLATES = {
+    "shelf": PlaneSetup((0.1, 0.2, 1.0), -0.7),
+    "floor": PlaneSetup((0.0, 0.0, 2.0), -0.8, estimate=False),
+}
+BOARD = {
+    f"m{k}": PointSetup((0.1 * (k % 3), 0.1 * (k // 3), 0.03 * (k % 2)))
+    for k in range(9)
+}
+WORLD = CameraSetup(
+    mount="world",
+    focal=(800.0, 810.0),
+    center=(640.0, 480.0),
+    distortion=(0.01, 0.0, 0.0, 0.0, 0.0),
+    size=(1280.0, 960.0),
+)
+ABOVE = FrameSetup((0.0, 0.0, 4.0), (np.pi, 0.0, 0.0))
+PROBE = FrameSetup((0.0, 0.02, 0.1), estimate=False)
+OFFSET = ("joint-offset",)
+
+INSTRUMENTS: dict[str, tuple[str, Setup, tuple[str, ...]]] = {
+    "position, named points": (
+        "position",
+        Setup(parameters=OFFSET, targets=BALLS),
+        ("ball", "a.b"),
+    ),
+    "position, some points named": (
+        "position",
+        Setup(parameters=OFFSET, targets=BALLS),
+        ("", "ball"),
+    ),
+    "fixed-point": (
+        "fixed-point",
+        Setup(parameters=OFFSET, targets=BALLS, sockets=SOCKETS),
+        ("ball@front/0", "ball@front/1", "ball@top", "a.b@top"),
+    ),
+    "plane-contact": (
+        "plane-contact",
+        Setup(parameters=OFFSET, planes=PLATES, targets=BALLS),
+        ("ball@shelf", "ball@floor", "a.b@shelf"),
+    ),
+    "sphere-contact": (
+        "sphere-contact",
+        Setup(
+            parameters=OFFSET,
+            tool_frame=PROBE,
+            spheres={
+                "s.1": SphereSetup((0.6, 0.1, 0.4), 0.05),
+                "s.2": SphereSetup((0.5, 0.3, 0.3), 0.04, estimate_radius=True),
+            },
+        ),
+        ("s.1", "s.2"),
+    ),
+    "point-distance": (
+        "point-distance",
+        Setup(
+            parameters=OFFSET,
+            targets=BALLS,
+            anchors={
+                "wire": AnchorSetup((1.5, 0.1, 0.4), 0.05, estimate_bias=True),
+                "rope": AnchorSetup((0.6, 1.3, 0.3)),
+                "bar": AnchorSetup((0.6, -1.3, 1.3), -0.1, estimate=False),
+            },
+        ),
+        ("ball@wire", "ball@rope", "ball@bar"),
+    ),
+    "relative-distance": (
+        "relative-distance",
+        Setup(parameters=OFFSET, tool_frame=FrameSetup((0.1, 0.0, 0.1))),
+        ("1",),
+    ),
+    "relative-distance, a named point": (
+        "relative-distance",
+        Setup(parameters=OFFSET, targets=BALLS),
+        ("ball@1", "2"),
+    ),
+    "camera in the world": (
+        "camera",
+        Setup(parameters=OFFSET, targets=BOARD, camera=WORLD, base_frame=ABOVE),
+        tuple(BOARD),
+    ),
+    "camera on the hand": (
+        "camera",
+        Setup(
+            parameters=OFFSET,
+            targets=BOARD,
+            camera=replace(WORLD, mount="hand"),
+            base_frame=FrameSetup((0.0, 0.0, 1.5)),
+        ),
+        tuple(BOARD),
+    ),
+    "camera, estimated": (
+        "camera",
+        Setup(
+            parameters=OFFSET,
+            targets={**BOARD, "m4": PointSetup((0.1, 0.1, 0.0), estimate=True)},
+            camera=replace(WORLD, estimate=True),
+            base_frame=ABOVE,
+        ),
+        tuple(BOARD),
+    ),
+    "position+fixed-point": (
+        "position+fixed-point",
+        Setup(
+            parameters=OFFSET,
+            targets={**BALLS, "unseen": PointSetup((0.0, 0.0, 1.0))},
+            sockets={k: replace(v, estimate=None) for k, v in SOCKETS.items()},
+            base_frame=KNOWN,
+        ),
+        (
+            *("position:", "position:a.b"),
+            *("fixed-point:ball@front/0", "fixed-point:ball@top"),
+        ),
+    ),
+    "plane-distance+plane-contact": (
+        "plane-distance+plane-contact",
+        Setup(parameters=OFFSET, planes={**WALL, **PLATES}, targets=BALLS),
+        ("plane-distance:my.wall", "plane-contact:ball@shelf"),
+    ),
+    "position+camera": (
+        "position+camera",
+        Setup(parameters=OFFSET, targets=BOARD, camera=WORLD, base_frame=ABOVE),
+        ("position:", *(f"camera:{name}" for name in BOARD)),
+    ),
+}
+
 
 def calibrated(
-    file: Path, model: str, setup: Setup
+    file: Path, model: str, setup: Setup, targets: tuple[str, ...] = ()
 ) -> tuple[CalibrationResult, Measurements]:
     """A calibration of the arm, and rows that were not fitted."""
     chain = Chain(load_robot(file), setup.base, setup.tip)
-    problem = nominal_problem(chain, model, replace(setup, fixed=(), prior={}))
+    if targets:
+        problem = naming(chain, model, setup, targets)
+    else:
+        problem = nominal_problem(chain, model, replace(setup, fixed=(), prior={}))
     rng = np.random.default_rng(3)
     moved = problem.parameters.free & ~problem.parameters.nuisance
     theta = np.where(moved, rng.uniform(-2e-3, 2e-3, len(moved)), 0.0)
-    rows = simulate(problem, theta, rng, count=60, noise=1e-4)
+    count = max(60, 15 * len(targets))  # Of a camera alone every point takes some.
+    rows = simulate(problem, theta, rng, count=count, noise=1e-4)
     new = simulate(problem, theta, rng, count=15, noise=1e-4)
-    rows, new = replace(rows, sigma=None), replace(new, sigma=None)
+    rows, new = (
+        replace(part, sigma=absent(problem.measurement, part.target))
+        for part in (rows, new)
+    )
     return calibrate(chain, rows, setup, validate=False), new
+
+
+def naming(chain: Chain, model: str, setup: Setup, targets: tuple[str, ...]) -> Problem:
+    """A problem whose rows name targets, about what the setup gives."""
+    count, width = len(targets), measurement_model(model, setup, targets).width
+    rows = Measurements(
+        joints=chain.joints,
+        q=np.zeros((count, len(chain.joints))),
+        model=model,
+        values=np.zeros((count, width)),
+        target=targets,
+    )
+    problem = make_problem(chain, rows, setup)
+    stands = {"base": frame_pose(ABOVE), "tool": frame_pose(PROBE)}
+    features = [
+        replace(f, pose=stands[f.kind]) if isinstance(f, Frame) else f
+        for f in problem.measurement.features
+    ]
+    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
+    return replace(
+        problem,
+        error=problem.error.with_frames(*frames),
+        measurement=problem.measurement.with_features(features),
+    )
 
 
 def write(result: CalibrationResult, folder: Path) -> Path:
@@ -154,9 +335,25 @@ def stored(arm: Path) -> tuple[CalibrationResult, Path]:
 
 
 def predict(model: CalibratedModel, rows: Measurements) -> Any:
+    """Tool poses, values and errors."""
     own = np.zeros(len(model.measurement.parameters))
-    T = model.poses(rows.q)
-    return T, model.measurement.predict(T, own, rows.target)
+    problem, theta = model.problem(rows), np.concatenate([model.theta, own])
+    T = problem.poses(theta)
+    return T, model.measurement.predict(T, own, rows.target), problem.errors(theta)
+
+
+def assert_equal_accuracy(
+    found: CalibratedModel, model: CalibratedModel, rows: Measurements
+) -> None:
+    for registration in (False, True):
+        there, here = (
+            evaluate(subject, rows, registration=registration)
+            for subject in (found, model)
+        )
+        assert there.registered == here.registered == registration
+        for a, b in zip(there.errors, here.errors, strict=True):
+            assert a[:2] == b[:2]
+            assert a[2].rms == pytest.approx(b[2].rms, rel=1e-6)
 
 
 # --- what comes back ---------------------------------------------------------------
@@ -183,15 +380,158 @@ def test_predictions_come_back(case, arm):
         found.tool.homogeneous, model.tool.homogeneous, atol=1e-12
     )
     assert found.setup == model.setup
-    for registration in (False, True):
-        there, here = (
-            evaluate(subject, rows, registration=registration)
-            for subject in (found, model)
-        )
-        assert there.registered == here.registered == registration
-        for a, b in zip(there.errors, here.errors, strict=True):
-            assert a[:2] == b[:2]
-            assert a[2].rms == pytest.approx(b[2].rms, rel=1e-6)
+    assert_equal_accuracy(found, model, rows)
+
+
+@pytest.mark.parametrize("case", INSTRUMENTS)
+def test_what_rows_refer_to_comes_back(case, arm):
+    result, rows = calibrated(arm, *INSTRUMENTS[case])
+    model = result.model
+    assert np.abs(model.theta).max() > 1e-5
+
+    found = read_calibration(write(result, Path("out")))
+
+    assert found.setup == model.setup
+    assert found.measurement.name == model.measurement.name
+    assert found.measurement.targets == model.measurement.targets
+    there, here = (m.measurement.parameters for m in (found, model))
+    assert sorted(there, key=str) == sorted(here, key=str)
+    for a, b in zip(predict(found, rows), predict(model, rows), strict=True):
+        # Pixels are large numbers, and a frame is written as angles.
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-11)
+    assert_equal_accuracy(found, model, rows)
+
+
+@cache
+def text_of(case: str, file: Path) -> bytes:
+    result, _ = calibrated(file, *INSTRUMENTS[case])
+    return encode(calibration_document(result, PROVENANCE))
+
+
+def document_of(case: str, file: Path) -> dict[str, Any]:
+    return json.loads(text_of(case, file))
+
+
+def test_planes_are_written_as_ever(arm):
+    result, _ = calibrated(arm, *CASES["plane-distance"])
+    document = json.loads(encode(calibration_document(result, PROVENANCE)))
+    planes = [m.measurement.planes[0] for m in (result.model, result.reference)]
+    fitted, reference = (
+        {"normal": plane.normal.tolist(), "offset": plane.offset} for plane in planes
+    )
+    assert fitted != reference
+    entry = {**fitted, "estimated": True, "reference": reference}
+    assert json.dumps(document["planes"]) == json.dumps({"my.wall": entry})
+    assert document["targets"] == {}
+    assert document["measurements"]["targets"] == ["my.wall"]
+    assert {"sockets", "spheres", "anchors", "camera"}.isdisjoint(document)
+
+
+def test_the_sections_of_points_and_sockets(arm):
+    document = document_of("fixed-point", arm)
+    assert list(document["targets"]) == list(BALLS)
+    assert list(document["sockets"]) == list(SOCKETS)
+    ball, top = document["targets"]["ball"], document["sockets"]["top"]
+    assert list(ball) == ["xyz", "estimated", "reference"]
+    assert ball["estimated"] and not top["estimated"]
+    assert top["xyz"] == top["reference"]["xyz"] == [0.5, 0.0, 0.6]
+    assert ball["xyz"] == pytest.approx(BALLS["ball"].xyz, abs=0.01)
+    (x,) = [p for p in document["parameters"] if p["name"] == "ball.target.x"]
+    assert ball["xyz"][0] == pytest.approx(ball["reference"]["xyz"][0] + x["value"])
+    assert document["planes"] == {}
+
+
+def test_the_sections_of_spheres_and_anchors(arm):
+    spheres = document_of("sphere-contact", arm)["spheres"]
+    keys = ["xyz", "radius", "estimated", "estimated_radius", "reference"]
+    assert [list(sphere) for sphere in spheres.values()] == [keys, keys]
+    assert spheres["s.1"]["radius"] == 0.05
+    assert [s["estimated_radius"] for s in spheres.values()] == [False, True]
+    anchors = document_of("point-distance", arm)["anchors"]
+    assert list(anchors["bar"]) == [
+        "xyz",
+        "bias",
+        *keys[2:3],
+        "estimated_bias",
+        keys[4],
+    ]
+    assert [a["estimated"] for a in anchors.values()] == [True, True, False]
+    assert [a["estimated_bias"] for a in anchors.values()] == [True, False, False]
+    assert anchors["bar"]["bias"] == -0.1
+
+
+def test_the_section_and_the_frames_of_a_camera(arm):
+    document = document_of("position+camera", arm)
+    camera = document["camera"]
+    stated = {k: v for k, v in camera.items() if k not in ("estimated", "reference")}
+    assert stated == camera["reference"]
+    assert stated["mount"] == "world"
+    assert stated["distortion"] == [0.01, 0.0, 0.0, 0.0, 0.0]
+    assert stated["size"] == [1280.0, 960.0]
+    assert camera["estimated"] is False
+    assert list(document["targets"]) == list(BOARD)
+    frames = document["frames"]
+    assert list(frames) == ["base", "tool", "camera.base", "camera.tool"]
+    for frame in frames.values():
+        assert {"xyz", "rpy", "estimated"} < frame.keys()
+        assert frame["reference"].keys() == {"xyz", "rpy"}
+    assert frames["camera.base"]["xyz"] == pytest.approx([0.0, 0.0, 4.0], abs=0.1)
+
+
+@pytest.mark.parametrize(
+    ("case", "path", "message"),
+    [
+        ("fixed-point", ("sockets",), "'front/0' is missing under 'sockets'"),
+        ("fixed-point", ("sockets", "top"), "'ball.target.x'|not those|'top'"),
+        ("fixed-point", ("targets",), "'ball' is missing under 'targets'"),
+        ("plane-contact", ("planes",), "'shelf' is missing under 'planes'"),
+        ("sphere-contact", ("spheres",), r"'s\.1' is missing under 'spheres'"),
+        ("sphere-contact", ("spheres", "s.1", "radius"), "'radius' is missing"),
+        ("point-distance", ("anchors",), "'wire' is missing under 'anchors'"),
+        ("point-distance", ("anchors", "bar", "estimated_bias"), "is missing"),
+        ("camera, estimated", ("camera",), "'camera' is missing"),
+        ("camera, estimated", ("camera", "mount"), "'mount' is missing"),
+        ("position+camera", ("camera",), "'camera' is missing"),
+        ("position+camera", ("frames", "camera.base"), r"'camera\.base' is missing"),
+        ("position+camera", ("targets", "m3"), "are not those|'m3' is missing"),
+        ("position+camera", ("measurements", "targets", 3), "no row refers to 'm2'"),
+    ],
+)
+def test_what_is_missing(case, path, message, arm):
+    document = document_of(case, arm)
+    part = document
+    for step in path[:-1]:
+        part = part[step]
+    del part[path[-1]]
+    Path("damaged.json").write_text(json.dumps(document))
+    with pytest.raises(InputError, match=rf"^damaged.json: damaged .*({message})"):
+        read_calibration("damaged.json")
+
+
+def test_files_without_what_came_later(arm):
+    result, rows = calibrated(arm, *CASES["plane-distance"])
+    document = json.loads(write(result, Path("out")).read_text())
+    del document["measurements"]["targets"], document["distances"]
+    assert document.keys() == {
+        *("format", "version", "verdict", "robot", "measurements", "parameters"),
+        *("identifiability", "errors", "statistics", "solver", "frames", "targets"),
+        *("planes", "residual_model", "model_ladder", "urdf", "setup", "provenance"),
+    }
+    Path("old.json").write_text(json.dumps(document))
+    found = read_calibration("old.json")
+    for a, b in zip(predict(found, rows), predict(result.model, rows), strict=True):
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-12)
+
+
+def test_the_accuracy_of_pixels_is_passed_over(arm):
+    document = document_of("position+camera", arm)
+    accuracy = {"mean": 1.0, "rms": 2.0, "max": 3.0}
+    assert [error["unit"] for error in document["errors"].values()] == ["m", "px"]
+    for error in document["errors"].values():
+        error["validation"] = {"method": "set", "before": accuracy, "after": accuracy}
+    Path("calibration.json").write_text(json.dumps(document))
+    stated = {"unit": "m", "mean": 1.0, "max": 3.0, "method": "set"}
+    assert read_accuracy("calibration.json") == {"position": stated}
 
 
 @pytest.mark.parametrize("case", CASES)
@@ -292,9 +632,9 @@ def test_what_the_contract_does_not_ask_for_may_be_missing(arm):
             assert a[2].rms == pytest.approx(b[2].rms, rel=1e-9)
 
 
-@pytest.mark.parametrize("case", CASES)
+@pytest.mark.parametrize("case", [*CASES, *INSTRUMENTS])
 def test_a_setup_comes_back(case):
-    setup = CASES[case][1]
+    setup = (CASES | INSTRUMENTS)[case][1]
     text = json.dumps(setup_document(setup))
     assert setup_of(json.loads(text)) == setup
 
@@ -423,11 +763,28 @@ def test_no_damage_passes_unnoticed_or_crashes(parameters, arm):
     if parameters == ("compliance",):
         setup = replace(setup, **LOADED)
     result, rows = calibrated(arm, "plane-distance", setup)
+    assert_no_damage_passes(result, rows, (*USED, "measurements"))
+
+
+@pytest.mark.parametrize(
+    "case", ["sphere-contact", "point-distance", "position+camera"]
+)
+def test_no_damage_of_an_instrument_passes_unnoticed(case, arm):
+    result, rows = calibrated(arm, *INSTRUMENTS[case])
+    sections = ("measurements", "frames", "targets", "spheres", "anchors", "camera")
+    assert_no_damage_passes(result, rows, sections)
+
+
+def assert_no_damage_passes(
+    result: CalibrationResult, rows: Measurements, keys: tuple[str, ...]
+) -> None:
     file = write(result, Path("out"))
     good = json.loads(file.read_text())
-    expected = predict(read_calibration(file), rows)[1]
+    expected = predict(read_calibration(file), rows)[2]
     rng = np.random.default_rng(0)
-    every = [path for path in places(good) if path[0] in (*USED, "measurements")]
+    every = [path for path in places(good) if path[0] in keys]
+    # One point of a board is like the other.
+    every = [path for path in every if "m0" in path or not BOARD.keys() & set(path)]
     for path in every:
         for junk in ("delete", *rng.choice(np.array(JUNK, object), 1)):
             document = json.loads(json.dumps(good))
@@ -448,7 +805,7 @@ def test_no_damage_passes_unnoticed_or_crashes(parameters, arm):
                 continue
             # What was accepted predicts finite numbers, and others only where a
             # number stands in the place of a number.
-            values = predict(found, rows)[1]
+            values = predict(found, rows)[2]
             assert np.isfinite(values).all(), (path, junk)
             if not np.allclose(values, expected):
                 assert isinstance(junk, int | float), (path, junk)

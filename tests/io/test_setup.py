@@ -14,17 +14,23 @@ import pytest
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup, setup_document, setup_of
 from calib_pin.io.yaml_tree import read_tree
+from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
     Cone,
+    DistanceSetup,
     FrameSetup,
     JointMap,
     Obstacle,
     Payload,
     PlaneSetup,
+    PointSetup,
     RangerSetup,
     Region,
     Setup,
     SolverSetup,
+    SphereSetup,
 )
 
 
@@ -59,7 +65,7 @@ FULL = """\
 # every key there is
 base: base_link
 tip: "tool0"
-model: plane-distance
+model: position+fixed-point
 parameters: [placement, joint-offset]
 frames:
   base: {estimate: true}
@@ -72,6 +78,30 @@ planes:
       - 0
       - 1
     offset: 0
+targets:
+  ball: {xyz: [0.01, 0.02, 0.1], estimate: true}
+  tip: {}
+sockets:
+  front/0: {xyz: [0.6, 0, 0.3], estimate: false}
+  front/1: {xyz: [0.65, 0, 0.3]}
+spheres:
+  gauge: {xyz: [0.6, 0.2, 0.3], radius: 0.0254, estimate: false,
+    estimate_radius: false}
+  knob: {radius: 0.01}
+anchors:
+  wire: {xyz: [1, 0, 2], bias: -0.01, estimate: false, estimate_bias: true}
+  spring: {}
+camera:
+  mount: hand
+  focal: [1200, 1210.5]
+  center: [639.5, "479.5"]
+  distortion: [-0.1, 1e-2, 0, 1e-4, 0.3]
+  size: [1280, 960]
+  estimate: true
+distances:
+  - {between: [front/0, front/1], value: 0.05, sigma: 1.0e-5}
+  - between: [ball, "12"]
+    value: 0.2
 joints:
   J3: {joint: joint_3, sign: -1, gear: 0.01, offset: 1.57, coupled: {J2: 1.0}}
   4: {joint: joint_4}
@@ -81,7 +111,8 @@ gear_ratios: {"joint_*": 160, rail: -1.2e3}
 fixed: ["*.placement.z", base.frame.x]
 bounds: {"*.placement.x": 0.01, "*.dh.*": [-0.1, 0.2]}
 prior: {"*.placement.*": 0.002}
-noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4"}
+noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4",
+  contact: 1e-5, pixel: 0.3}
 solver: {name: hybrid, strategy: best/1, population_size: 60, mutation: "0.7",
   recombination: 1, maxiter: 5e2, target: 1e-3, tol: 0, atol: 1e-9, init: random}
 obstacles:
@@ -104,7 +135,7 @@ def test_every_key(write):
     assert read_setup(write(FULL)) == Setup(
         base="base_link",
         tip="tool0",
-        model="plane-distance",
+        model="position+fixed-point",
         parameters=("placement", "joint-offset"),
         base_frame=FrameSetup(estimate=True),
         tool_frame=FrameSetup((0.0, 0.0, 0.1), (0.0, -1.5, 1e-5), False),
@@ -112,6 +143,31 @@ def test_every_key(write):
             "wall": PlaneSetup((0.0, 1.0, 4.6), -0.69, False),
             "floor": PlaneSetup((0.0, 0.0, 1.0), 0.0, True),
         },
+        targets={"ball": PointSetup((0.01, 0.02, 0.1), True), "tip": PointSetup()},
+        sockets={
+            "front/0": PointSetup((0.6, 0.0, 0.3), False),
+            "front/1": PointSetup((0.65, 0.0, 0.3)),
+        },
+        spheres={
+            "gauge": SphereSetup((0.6, 0.2, 0.3), 0.0254, False, False),
+            "knob": SphereSetup(radius=0.01),
+        },
+        anchors={
+            "wire": AnchorSetup((1.0, 0.0, 2.0), -0.01, False, True),
+            "spring": AnchorSetup(),
+        },
+        camera=CameraSetup(
+            mount="hand",
+            focal=(1200.0, 1210.5),
+            center=(639.5, 479.5),
+            distortion=(-0.1, 0.01, 0.0, 1e-4, 0.3),
+            size=(1280.0, 960.0),
+            estimate=True,
+        ),
+        distances=(
+            DistanceSetup(("front/0", "front/1"), 0.05, 1e-5),
+            DistanceSetup(("ball", "12"), 0.2),
+        ),
         joints={
             "J3": JointMap("joint_3", -1, 0.01, 1.57, {"J2": 1.0}),
             "4": JointMap("joint_4"),
@@ -122,7 +178,13 @@ def test_every_key(write):
         fixed=("*.placement.z", "base.frame.x"),
         bounds={"*.placement.x": 0.01, "*.dh.*": (-0.1, 0.2)},
         prior={"*.placement.*": 0.002},
-        noise={"position": 1e-4, "orientation": 5e-4, "distance": 2e-4},
+        noise={
+            "position": 1e-4,
+            "orientation": 5e-4,
+            "distance": 2e-4,
+            "contact": 1e-5,
+            "pixel": 0.3,
+        },
         solver=SolverSetup(
             "hybrid",
             {
@@ -171,6 +233,14 @@ def test_the_document_of_a_setup_reads_back(write):
         Setup(gravity=(0.0, 0.0, 0.0)),
         Setup(payloads={"a": Payload(0.1), "b": Payload(3.0, (0.0, 1.0, 0.0))}),
         Setup(gear_ratios={"a[1]": 80.5}),
+        Setup(model="pose+plane-contact+camera"),
+        Setup(targets={"a": PointSetup(), "b": PointSetup((1.0, 2.0, 3.0), False)}),
+        Setup(sockets={"a/0": PointSetup(estimate=True)}),
+        Setup(spheres={"a": SphereSetup(), "b": SphereSetup(None, 0.1, True, False)}),
+        Setup(anchors={"a": AnchorSetup(), "b": AnchorSetup((1.0, 0.0, 0.0), -0.1)}),
+        Setup(camera=CameraSetup("world", (900.0, 900.0), (320.0, -5.5))),
+        Setup(distances=(DistanceSetup(("a", "b"), 0.1),)),
+        Setup(noise={"contact": 1e-3, "pixel": 2.0}),
     ],
 )
 def test_parts_of_a_setup_read_back(setup):
@@ -186,7 +256,10 @@ def test_a_residual_model_reads_back(name, write):
 
 def test_what_nobody_stated_is_not_stored():
     keys = setup_document(Setup()).keys()
-    assert {"gravity", "payloads", "gear_ratios", "learned"}.isdisjoint(keys)
+    assert keys == {"parameters"}
+    spring = Setup(anchors={"a": AnchorSetup()}, targets={"b": PointSetup()})
+    assert setup_document(spring)["targets"] == {"b": {}}
+    assert "xyz" not in setup_document(spring)["anchors"]["a"]
     assert setup_document(Setup(gravity=(0, 0, 9.81)))["gravity"] == [0, 0, 9.81]
 
 
@@ -252,8 +325,9 @@ def test_what_is_not_a_number(message, written):
 
 
 KEYS = (
-    "base, tip, model, parameters, learned, frames, planes, joints, gravity, payloads, "
-    "gear_ratios, fixed, bounds, prior"
+    "base, tip, model, parameters, learned, frames, planes, targets, sockets, spheres, "
+    "anchors, camera, distances, joints, gravity, payloads, gear_ratios, fixed, "
+    "bounds, prior"
 )
 
 
@@ -276,12 +350,6 @@ KEYS = (
         ),
         ("joints:\n  a:\n    joint: b\n    signs: 1\n", 4, ["mean 'sign'"]),
         ("<<: {base: a}", 1, ["unknown key '<<'"]),
-        # Keys of later versions.
-        *(
-            (f"tip: a\n{key}: {{}}\n", 2, [f"'{key}' is not available in this version"])
-            for key in ("targets", "distances")
-        ),
-        ("tip: a\ntargets:\n", 2, ["'targets' is not available"]),
         # Missing keys.
         ("planes:\n  w: {normal: [0, 0, 1]}", 2, ["'planes.w.offset' is missing"]),
         ("joints:\n  J1: {sign: 1}", 2, ["'joints.J1.joint' is missing"]),
@@ -292,7 +360,11 @@ KEYS = (
         ("tip: no\n", 1, ["'tip'", "'no'", "in quotes"]),
         ("tip: ''\n", 1, ["'tip'", "text"]),
         ("tip: [a]\n", 1, ["'tip'", "'[a]'", "text"]),
-        ("model: camera\n", 1, ["'camera'", "position, pose, plane-distance"]),
+        ("model: cam\n", 1, ["'cam'", "position, pose, plane-distance"]),
+        ("model: pose+cam\n", 1, ["'pose+cam'", "several of them with a + between"]),
+        ("model: pose+\n", 1, ["'pose+'", "several of them"]),
+        ("model: ''\n", 1, ["'model'", "several of them"]),
+        ("model: pose+camera+pose\n", 1, ["'pose+camera+pose'", "at most once"]),
         ("model: [pose]\n", 1, ["'[pose]'", "position, pose, plane-distance"]),
         ("frames: base\n", 1, ["'frames'", "'base'", "mapping"]),
         ("frames: [base]\n", 1, ["'frames'", "'[base]'", "mapping"]),
@@ -344,6 +416,138 @@ KEYS = (
         ("noise: {distance: 0}", 1, ["'noise.distance'", "'0'", "a positive number"]),
         ("noise: {distance: .nan}", 1, ["'.nan'", "a finite number"]),
         ("noise: {distance: '1e999'}", 1, ["'1e999'", "a finite number"]),
+        ("noise: {contact: 0}", 1, ["'noise.contact'", "'0'", "a positive number"]),
+        ("noise: {pixel: -1}", 1, ["'noise.pixel'", "'-1'", "a positive number"]),
+        ("noise: {pixel: 2e3}", 1, ["'2e3'", "a standard deviation in px, at most"]),
+        # What is measured against.
+        ("targets: [a]", 1, ["'targets'", "'[a]'", "mapping of names to values"]),
+        ("targets:\n  a: [0, 0, 1]\n", 2, ["'targets.a'", "mapping"]),
+        ("targets:\n  a:\n    xzy: 1\n", 3, ["'targets.a.xzy'", "mean 'xyz'"]),
+        ("targets: {a: {xyz: [0, 1]}}", 1, ["'targets.a.xyz'", "three finite numbers"]),
+        ("targets: {a: {xyz: [0, 0, 101]}}", 1, ["'targets.a.xyz'", "numbers in m"]),
+        ("sockets: {a: {estimate: 1}}", 1, ["sockets.a.estimate", "true, false"]),
+        *(
+            (
+                f"tip: a\n{key}:\n  b: {{}}\n  c: {{estimate: false}}\n",
+                4,
+                [f"'{key}.c'", "{estimate: false}", "only together with xyz"],
+            )
+            for key in ("targets", "sockets", "spheres", "anchors")
+        ),
+        *(
+            (
+                f"{key}:\n  b: {{{rest}}}\n  {name}: {{{rest}}}\n",
+                3,
+                ["cannot have this name", "a name without @, which in the target"],
+            )
+            for key, rest in (
+                ("targets", ""),
+                ("sockets", ""),
+                ("spheres", ""),
+                ("anchors", ""),
+                ("planes", "normal: [0, 0, 1], offset: 1"),
+            )
+            for name in ("a@b", "'@'", "''", "' '")
+        ),
+        (
+            "payloads:\n  p: {mass: 1, com: [0, 0, 0]}\n"
+            "  none: {mass: 1, com: [0, 0, 0]}\n",
+            3,
+            ["'payloads.none' cannot have this name", "any name but none, which rows"],
+        ),
+        ("payloads: {'': {mass: 1, com: [0, 0, 0]}}", 1, ["cannot have this name"]),
+        ("spheres: {a: {radius: 0}}", 1, ["spheres.a.radius", "a positive number"]),
+        ("spheres: {a: {radius: -1}}", 1, ["spheres.a.radius", "a positive number"]),
+        ("spheres: {a: {radius: 25.4e3}}", 1, ["'25.4e3'", "a length in m, at most"]),
+        ("spheres: {a: {raduis: 1}}", 1, ["spheres.a.raduis", "mean 'radius'"]),
+        (
+            "spheres: {a: {estimate_radius: false}}",
+            1,
+            ["'spheres.a'", "estimate_radius: false only together with radius"],
+        ),
+        ("anchors: {a: {bias: x}}", 1, ["anchors.a.bias", "'x'", "a number"]),
+        ("anchors: {a: {bias: -200}}", 1, ["anchors.a.bias", "at most 100 either"]),
+        (
+            "anchors: {a: {estimat_bias: true}}",
+            1,
+            ["mean 'estimate_bias'", "xyz, bias"],
+        ),
+        ("camera: world", 1, ["'camera'", "'world'", "mapping"]),
+        ("tip: a\ncamera: {}", 2, ["'camera.mount' is missing"]),
+        (
+            "camera:\n  mount: hand\n  center: [1, 2]\n",
+            1,
+            ["'camera.focal' is missing"],
+        ),
+        ("camera: {mount: hand, focal: [1, 1]}", 1, ["'camera.center' is missing"]),
+        *(
+            (
+                "camera:\n"
+                + "".join(
+                    f"  {key}: {value}\n"
+                    for key, value in {
+                        "mount": "hand",
+                        "focal": "[900, 900]",
+                        "center": "[320, 240]",
+                        **dict([wrong.split(": ", 1)]),
+                    }.items()
+                ),
+                line,
+                [f"'camera.{wrong.split(':')[0]}'", *parts],
+            )
+            for wrong, line, parts in (
+                ("mount: table", 2, ["'table'", "hand, world"]),
+                ("mount: [hand]", 2, ["'[hand]'", "hand, world"]),
+                ("focal: 900", 3, ["'900'", "[f_x, f_y], both positive and in px"]),
+                ("focal: [900, 0]", 3, ["'[900, 0]'", "both positive"]),
+                ("focal: [900, -1]", 3, ["'[900, -1]'", "both positive"]),
+                ("focal: [900, 1e6]", 3, ["'[900, 1e6]'", "both positive"]),
+                ("focal: [900, .nan]", 3, ["'[900, .nan]'", "both positive"]),
+                ("center: [1, 2, 3]", 4, ["'[1, 2, 3]'", "[c_x, c_y] in px"]),
+                ("center: [1, -1e6]", 4, ["'[1, -1e6]'", "[c_x, c_y] in px"]),
+                ("size: [640, 0]", 5, ["'[640, 0]'", "[width, height]"]),
+                ("distortion: 0.1", 5, ["'0.1'", "the first two or four of them"]),
+                ("distortion: [1, 2, 3]", 5, ["'[1, 2, 3]'", "two or four of them"]),
+                ("distortion: [1, 1e9]", 5, ["'[1, 1e9]'", "two or four of them"]),
+                ("distortion: [1, x]", 5, ["'[1, x]'", "two or four of them"]),
+                ("estimate: yes please", 5, ["'yes please'", "true, false"]),
+                ("fokal: 1", 5, ["unknown key", "mean 'focal'", "mount, focal"]),
+            )
+        ),
+        ("distances: {a: 1}", 1, ["'distances'", "a list"]),
+        ("distances:\n  - 0.05\n", 2, ["'distances[0]'", "'0.05'", "mapping"]),
+        ("distances: [{value: 1}]", 1, ["'distances[0].between' is missing"]),
+        ("distances: [{between: [a, b]}]", 1, ["'distances[0].value' is missing"]),
+        *(
+            (
+                f"distances:\n  - between: {between}\n    value: 1\n",
+                2,
+                [between, "two different names, such as", "in quotes"],
+            )
+            for between in ("a", "[a]", "[a, a]", "[a, b, c]", "[1, 2]", "[a, '']")
+        ),
+        (
+            "distances:\n  - between: [a, b]\n    value: -0.05\n",
+            3,
+            ["'distances[0].value'", "'-0.05'", "a positive number"],
+        ),
+        ("distances: [{between: [a, b], value: 500}]", 1, ["'500'", "a length in m"]),
+        (
+            "distances: [{between: [a, b], value: 1, sigma: 0}]",
+            1,
+            ["'distances[0].sigma'", "'0'", "a positive number"],
+        ),
+        (
+            "distances: [{between: [a, b], value: 1, sgma: 1}]",
+            1,
+            ["'distances[0].sgma'", "mean 'sigma'", "between, value, sigma"],
+        ),
+        (
+            "distances:\n  - {between: [a, b], value: 1}\n"
+            "  - {between: [a, c], value: 1}\n  - {between: [b, a], value: 1}\n",
+            4,
+            ["'distances[2]'", "'distances[0]'", "the same points", "['b', 'a']"],
+        ),
         # Gravity, loads and gears.
         ("gravity: 9.81", 1, ["'gravity'", "'9.81'", "three finite numbers in m/s^2"]),
         ("gravity: [0, -9.81]", 1, ["'gravity'", "[0, -9.81]", "[0, 0, -9.81]"]),
@@ -480,6 +684,26 @@ def test_errors(message, text, line, parts):
     assert result.startswith(f"{place} ")
     for part in parts:
         assert part in result
+
+
+@pytest.mark.parametrize(
+    ("written", "value"),
+    [
+        ("[0.1, 0.2]", (0.1, 0.2, 0.0, 0.0, 0.0)),
+        ("[0.1, 0.2, 3, -4]", (0.1, 0.2, 3.0, -4.0, 0.0)),
+        ("[0, 0, 0, 0, -0.5]", (0.0, 0.0, 0.0, 0.0, -0.5)),
+    ],
+)
+def test_distortions(write, written, value):
+    camera = f"mount: world, focal: [9, 9], center: [0, 0], distortion: {written}"
+    assert read_setup(write(f"camera: {{{camera}}}")).camera.distortion == value
+
+
+@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
+def test_models(write, name):
+    assert read_setup(write(f"model: {name}")).model == name
+    other = "pose" if name != "pose" else "position"
+    assert read_setup(write(f"model: {other}+{name}")).model == f"{other}+{name}"
 
 
 def test_the_first_problem_of_several_is_reported(message):

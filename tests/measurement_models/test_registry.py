@@ -3,18 +3,22 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 import pytest
+from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.measurement_models import (
     MEASUREMENT_MODELS,
     MeasurementModel,
+    Quantity,
     measurement_model,
 )
 from calib_pin.measurements import Measurements
+from calib_pin.problem import absent
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.spatial import Floats
 
@@ -24,36 +28,72 @@ SETUP = Setup(
         "wall": PlaneSetup((1.0, 0.3, 0.2), -3.0),
     }
 )
+FREE = ("position", "pose", "plane-distance")
+"""Models whose rows need not name anything."""
+
+MIXED = "position+fixed-point+plane-contact+relative-distance"
+CASES = {
+    **{name: name for name in MEASUREMENT_MODELS},
+    "named points": "position",
+    "mixed": MIXED,
+}
 
 
-def poses(seed: int = 0, count: int = 20) -> Floats:
+@pytest.fixture(params=CASES)
+def model(request: pytest.FixtureRequest, equipped: Setup) -> MeasurementModel:
+    """Each model, with all that its rows can name; the board hangs before a camera."""
+    setup = SETUP if request.param in FREE else equipped
+    if request.param == "camera":
+        board = {
+            name: replace(point, xyz=(x, y, z + 8.0))
+            for name, point in equipped.targets.items()
+            for x, y, z in [point.xyz]
+        }
+        setup = replace(equipped, targets=board)
+    return measurement_model(CASES[request.param], setup)
+
+
+def poses(model: MeasurementModel, seed: int = 0, count: int = 20) -> Floats:
     rng = np.random.default_rng(seed)
-    return np.array([pin.exp6(rng.normal(size=6)).homogeneous for _ in range(count)])
+    # What a camera looks at must stay before it.
+    size = 0.2 if model.name == "camera" else 1.0
+    twists = size * rng.normal(size=(count, 6))
+    return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
 
 def exact(model: MeasurementModel, T: Floats, own: Floats) -> Measurements:
-    target = tuple(("floor", "wall")[i % 2] for i in range(len(T)))
+    names = tuple(model.targets) or ("",)
+    target = tuple(names[i % len(names)] for i in range(len(T)))
     return Measurements(
         joints=("j",),
         q=np.zeros((len(T), 1)),
         model=model.name,
         values=model.predict(T, own, target),
+        sigma=absent(model, target),
         target=target,
     )
 
 
 def parameters_of(model: MeasurementModel) -> Floats:
-    return np.random.default_rng(1).normal(size=len(model.parameters)) * 0.1
+    scales = np.array([parameter.scale for parameter in model.parameters])
+    return np.random.default_rng(1).normal(size=len(scales)) * 0.1 * scales
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_shapes_and_names(name: str) -> None:
-    model = measurement_model(name, SETUP)
-    assert model.name == name
-    T, own = poses(), parameters_of(model)
+def told(model: MeasurementModel, data: Measurements) -> NDArray[np.bool_]:
+    """The components of the residual that rows have, shape (N, d)."""
+    size = model.quantities[-1].columns.stop
+    if data.sigma is None:
+        return np.ones((len(data), size), bool)
+    return ~np.isinf(data.sigma)
+
+
+def test_shapes_and_names(model: MeasurementModel, request: Any) -> None:
+    assert model.name == CASES[request.node.callspec.params["model"]]
+    T, own = poses(model), parameters_of(model)
     data = exact(model, T, own)
     linear = model.linearize(T, own, data)
     size = model.quantities[-1].columns.stop
+    assert data.values.shape == (20, model.width)
     assert linear.residual.shape == (20, size)
     assert linear.by_twist.shape == (20, size, 6)
     assert linear.by_own.shape == (20, size, len(own))
@@ -64,53 +104,76 @@ def test_shapes_and_names(name: str) -> None:
     for quantity in model.quantities:
         assert quantity.columns.start == edges[-1]
         edges.append(quantity.columns.stop)
-        assert quantity.unit in ("m", "rad") and quantity.sigma == 1e-4
+        expected = {"m": 1e-4, "rad": 1e-4, "px": 0.5}
+        assert quantity.sigma == expected[quantity.unit]
     for parameter in model.parameters:
-        assert parameter.nuisance and parameter.scale == 1.0
+        assert parameter.nuisance
+        assert parameter.scale == 1.0 or ".intrinsics." in parameter.name
+    assert not model.missing
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_predictions_leave_no_residual(name: str) -> None:
-    model = measurement_model(name, SETUP)
-    T, own = poses(), parameters_of(model)
-    residual = model.residual(T, own, exact(model, T, own))
-    assert np.abs(residual).max() < 1e-14
+def test_predictions_leave_no_residual(model: MeasurementModel) -> None:
+    T, own = poses(model), parameters_of(model)
+    data = exact(model, T, own)
+    residual = model.residual(T, own, data)
+    size = max(1.0, np.abs(data.values).max(initial=0.0))
+    for quantity in model.quantities:
+        left = np.abs(residual[:, quantity.columns]).max()
+        # Where a tool should touch something it is anywhere.
+        assert left > 0.1 if gapped(model, quantity) else left < 1e-14 * size
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_residual_of_a_disturbance_is_its_negative(name: str) -> None:
-    model = measurement_model(name, SETUP)
-    T, own = poses(), parameters_of(model)
+def gapped(model: MeasurementModel, quantity: Quantity) -> bool:
+    """Whether a quantity is the gap of a contact."""
+    return model.contact or quantity.name in ("contact", "position (fixed-point)")
+
+
+def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> None:
+    T, own = poses(model), parameters_of(model)
     data = exact(model, T, own)
     size = model.quantities[-1].columns.stop
     noise = np.random.default_rng(2).normal(size=(20, size)) * 0.3
     kept = data.values.copy()
     disturbed = replace(data, values=model.disturb(data.values, noise))
     np.testing.assert_array_equal(data.values, kept)
-    residual = model.residual(T, own, disturbed)
-    np.testing.assert_allclose(residual, -noise, rtol=0, atol=1e-13)
+    before, residual = (model.residual(T, own, d) for d in (data, disturbed))
+    # A contact has no value that noise could be in.
+    measured = told(model, data)
+    for quantity in model.quantities:
+        if gapped(model, quantity):
+            measured[:, quantity.columns] = False
+    expected = np.where(measured, -noise, 0.0)
+    largest = max(1.0, np.abs(data.values).max(initial=0.0))
+    np.testing.assert_allclose(
+        residual - before, expected, rtol=0, atol=1e-13 * largest
+    )
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_own_parameters_move_into_the_references(name: str) -> None:
-    model = measurement_model(name, SETUP)
-    T, own = poses(), parameters_of(model)
+def test_own_parameters_move_into_the_references(model: MeasurementModel) -> None:
+    T, own = poses(model), parameters_of(model)
     moved = model.about(own)
     data = exact(model, T, own)
-    again = moved.predict(T, np.zeros_like(own), data.target)
+    zero = np.zeros_like(own)
+    again = moved.predict(T, zero, data.target)
     np.testing.assert_allclose(again, data.values, rtol=1e-12, atol=1e-14)
+    residual = model.residual(T, own, data)
+    size = max(1.0, np.abs(data.values).max(initial=0.0))
+    np.testing.assert_allclose(
+        moved.residual(T, zero, data), residual, rtol=0, atol=1e-13 * size
+    )
     assert [p.name for p in moved.parameters] == [p.name for p in model.parameters]
 
 
-@pytest.mark.parametrize("name", MEASUREMENT_MODELS)
-def test_known_frames_stand(name: str) -> None:
-    model = measurement_model(name, SETUP)
-    T = poses()
+def test_known_frames_stand(model: MeasurementModel) -> None:
+    T = poses(model)
     data = exact(model, T, np.zeros(len(model.parameters)))
     B, X = pin.exp6(np.full(6, 0.1)), pin.exp6(np.full(6, -0.2))
     F = np.array([(B.inverse() * pin.SE3(M) * X.inverse()).homogeneous for M in T])
-    _, base, tool = model.register(F, data, B, X)
+    registered, base, tool = model.register(F, data, B, X)
     assert base == B and tool == X
+    # So do places and points that are given.
+    for one, other in zip(registered.features, model.features, strict=True):
+        assert one.stated() == other.stated()
 
 
 def test_errors_of_a_quantity() -> None:

@@ -13,9 +13,10 @@ import pytest
 import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError
+from calib_pin.fit import fit
 from calib_pin.parameterizations.compliance import DEFLECTION, LEAST, Compliance
-from calib_pin.problem import nominal_problem
+from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.spatial import Floats
 
@@ -270,8 +271,123 @@ def test_a_payload_that_loads_nothing(urdf_of: UrdfOf, chain_of: ChainOf) -> Non
     }
     chain = chain_of(urdf_of(table))
     with pytest.raises(OptionError, match="something that gravity pulls at"):
-        Compliance(payload=Payload(3.0)).screws(chain)
+        Compliance(payloads={"load": Payload(3.0)}).screws(chain)
     assert len(Compliance(gravity=(0.0, 1.0, -G)).screws(chain)) == 1
+
+
+# Several payloads.
+
+LOADS = {"light": Payload(1.0, (0.1, 0.0, 0.0)), "heavy": Payload(9.0, (0.0, 0.2, 0.1))}
+CARRIED = ("heavy", "none", "light", "heavy", "none", "light")
+
+
+def test_each_row_has_the_torques_of_its_payload() -> None:
+    chain = calib_pin.load_chain("pa10")
+    model = model_of(chain, payloads=LOADS)
+    q = chain.random_configurations(6, np.random.default_rng(0))
+    torques = model.factors(q, CARRIED)
+    for k, name in enumerate(CARRIED):
+        (alone,) = chain.gravity_torques(q[k : k + 1], Setup.gravity, LOADS.get(name))
+        np.testing.assert_allclose(torques[k], alone, rtol=0, atol=1e-13)
+    assert np.abs(torques[1] - model.factors(q, ("heavy",) * 6)[1]).max() > 1.0
+    # The heaviest one sets the scale.
+    names = [f"{joint}.compliance.k" for joint in chain.joints]
+    several, heavy = (
+        [p.scale for p in model_of(chain, payloads=loads).parameters if p.name in names]
+        for loads in (LOADS, {"heavy": LOADS["heavy"]})
+    )
+    assert several == heavy
+
+
+def test_rows_that_name_no_payload() -> None:
+    chain = calib_pin.load_chain("pa10")
+    q = chain.random_configurations(2, np.random.default_rng(0))
+    one = model_of(chain, payloads={"only": LOADS["heavy"]})
+    # The only one is carried, unless a row says that nothing is.
+    expected = one.factors(q, ("only", "only"))
+    np.testing.assert_array_equal(one.factors(q), expected)
+    np.testing.assert_array_equal(one.factors(q, ("", "only")), expected)
+    nothing = model_of(chain).factors(q)
+    np.testing.assert_array_equal(one.factors(q, ("none", "none")), nothing)
+    np.testing.assert_array_equal(model_of(chain).factors(q, ("none", "")), nothing)
+    with pytest.raises(InputError) as caught:
+        model_of(chain, payloads=LOADS).factors(q, ("light", ""))
+    assert str(caught.value) == (
+        "there are several payloads, and nothing says which is carried "
+        "(column 'payload'); allowed: light, heavy, none"
+    )
+    with pytest.raises(InputError, match="'lihgt' \\(did you mean 'light'\\?\\)"):
+        model_of(chain, payloads=LOADS).factors(q, ("light", "lihgt"))
+
+
+def test_payloads_of_a_problem() -> None:
+    """Poses and derivatives of each row are those of a robot with its payload alone."""
+    chain = calib_pin.load_chain("pa10")
+    setup = replace(SETUP, payloads=LOADS, tool_frame=FrameSetup((0.1, 0.0, 0.1)))
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q = chain.random_configurations(6, rng)
+    rows = problem.about(theta, q, ("",) * 6, payload=CARRIED)
+    _, J = rows.linearize(theta)
+    for k, name in enumerate(CARRIED):
+        loads = {name: LOADS[name]} if name in LOADS else {}
+        alone = nominal_problem(chain, "position", replace(setup, payloads=loads))
+        alone = alone.about(theta, q[k : k + 1], ("",))
+        np.testing.assert_allclose(
+            alone.data.values[0], rows.data.values[k], atol=1e-14
+        )
+        part = alone.linearize(theta)[1]
+        np.testing.assert_allclose(part, J[3 * k : 3 * k + 3], rtol=0, atol=1e-7)
+
+
+def test_rows_of_an_unknown_payload() -> None:
+    chain = calib_pin.load_chain("pa10")
+    setup = replace(SETUP, payloads=LOADS)
+    problem = nominal_problem(chain, "position", setup)
+    zero, q = np.zeros(len(problem.parameters)), np.zeros((2, 7))
+    rows = problem.about(zero, q, ("", ""), payload=("light", "none")).data
+    rows = replace(rows, lines=np.array([7, 8]), files=("m.csv",) * 2)
+    for name, reason in (
+        ("heavi", "there is no payload 'heavi' (did you mean 'heavy'?)"),
+        ("", "there are several payloads, and the row names none"),
+    ):
+        with pytest.raises(InputError) as caught:
+            make_problem(chain, replace(rows, payload=("light", name)), setup)
+        assert str(caught.value).startswith(f"m.csv:8: {reason} (column 'payload')")
+        assert "light, heavy" in str(caught.value)
+
+
+def test_payloads_in_turn_are_recovered() -> None:
+    """Simulated with either load, the compliance of every loaded joint comes out."""
+    chain = calib_pin.load_chain("pa10")
+    setup = replace(SETUP, payloads=LOADS, tool_frame=FrameSetup((0.1, 0.0, 0.1)))
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=40, noise=0.0)
+    assert rows.payload == ("light", "heavy") * 20
+    fitted = fit(replace(problem, data=rows), rng)
+    robot = ~problem.parameters.nuisance
+    scales = problem.parameters.scales
+    error = ((fitted.theta - theta) / scales)[robot]
+    # The first axis stands upright, and no load turns it.
+    np.testing.assert_allclose(error[1:], 0.0, rtol=0, atol=1e-9)
+
+
+def test_two_payloads_tell_a_lever_from_a_wave(
+    urdf_of: UrdfOf, chain_of: ChainOf
+) -> None:
+    """With one, a torque of m g l cos q is what a wheel could do as well."""
+    chain = chain_of(urdf_of(*beam()))
+    both = ("transmission", "compliance")
+    one = {"one": Payload(2.0, (0.1, 0.0, 0.0))}
+    status, sums = identified(chain, parameters=both, payloads=one)
+    assert sums and status["j.compliance.k"] == "coupled"
+    two = {**one, "two": Payload(5.0, (0.1, 0.0, 0.0))}
+    status, sums = identified(chain, parameters=both, payloads=two)
+    assert not sums
+    assert status["j.compliance.k"] == status["j.transmission.cos1"] == "identifiable"
 
 
 # What can be known.

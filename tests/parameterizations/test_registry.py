@@ -14,6 +14,7 @@ from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, owner
+from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.setup import Payload, Setup
 
 COMPONENTS = {
@@ -53,18 +54,11 @@ def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> Non
     assert len(parameterization("compliance", framed).screws(chain)) == 6
 
 
-def test_which_of_several_payloads_cannot_be_told(framed: Setup) -> None:
+def test_several_payloads_reach_the_compliance(framed: Setup) -> None:
     payloads = {"light": Payload(1.0), "heavy": Payload(9.0)}
-    several = replace(framed, payloads=payloads, file="s.yaml")
-    with pytest.raises(OptionError) as caught:
-        parameterization("compliance", several)
-    assert str(caught.value) == (
-        "s.yaml: 'payloads' names 2; which of them a row carries cannot be told in "
-        "this version (value ['light', 'heavy']); allowed: one payload, carried in "
-        "all rows"
-    )
-    # Whoever asks for no compliance need not choose.
-    assert parameterization("placement", several).name == "placement"
+    several = parameterization("compliance", replace(framed, payloads=payloads))
+    assert isinstance(several, Compliance)
+    assert several.payloads == payloads and several.gravity == framed.gravity
 
 
 def test_unknown_name() -> None:

@@ -208,9 +208,12 @@ def test_rows_of_the_matrix_against_central_differences() -> None:
     [
         (
             ["lieu"],
-            "reproduce: unknown study 'lieu'; there is aoyagi2010, liu2012, liu2022",
+            "reproduce: unknown study 'lieu'; there is aoyagi2010, klimchik, liu2012, liu2022",
         ),
-        ([], "reproduce: name a study; there is aoyagi2010, liu2012, liu2022"),
+        (
+            [],
+            "reproduce: name a study; there is aoyagi2010, klimchik, liu2012, liu2022",
+        ),
         (
             ["liu2012", "--seeds", "0"],
             "reproduce liu2012: argument --seeds: '0' is not a number from 1 on",

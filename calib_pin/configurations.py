@@ -1,0 +1,163 @@
+"""Random configurations at which an instrument can measure.
+
+A camera must see its points and a beam must meet its plane, so they are drawn until
+enough can be measured. A tool that must touch something is brought there.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.measurement_models import MeasurementModel
+from calib_pin.problem import Problem, rows_where
+from calib_pin.spatial import Floats
+
+__all__ = ["brought_to_contact", "contact_rows", "observable_configurations"]
+
+DRAWS = 50
+"""Times that configurations are drawn anew."""
+
+AT_ONCE = 4
+"""Draws for each row that is drawn anew; never fewer in all than there are rows."""
+
+PATIENCE = 25
+"""Draws after which a row looks at other targets."""
+
+NEWTON = 15
+"""Steps to a contact; a random start needs five to ten."""
+
+TOUCHING = 1e-13
+"""Gap at which the tool touches: nothing but rounding [m]."""
+
+FARTHEST = 0.5
+"""Longest step of a joint on the way to a contact [rad, m]."""
+
+
+def observable_configurations(
+    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
+) -> tuple[Floats, tuple[str, ...]]:
+    """Random configurations within the limits at which the instrument can measure.
+
+    Those of a contact are brought to where the tool touches.
+
+    Args:
+        problem: Chain, frames, instrument; its data only name the targets.
+        theta: Parameter values, shape (P,).
+        count: Number K of configurations.
+        rng: Random generator.
+
+    Returns:
+        Joint positions, shape (K, n), and the target of each, in turn.
+
+    Raises:
+        InputError: If hardly any configuration can be measured.
+    """
+    names = tuple(dict.fromkeys(problem.data.target)) or ("",)
+    target = [names[i % len(names)] for i in range(count)]
+    loads = problem.loads(count)
+    own = problem.split(theta)[1]
+    chain, measurement = problem.error.chain, problem.measurement
+    q_found: Floats = np.empty((count, len(chain.joints)))
+    left, tries, drawn = np.arange(count), 0, 0
+    while len(left) and tries < DRAWS:
+        tries += 1
+        if tries > PATIENCE:
+            # Some targets are hardly ever seen; the others will do.
+            for i in left:
+                target[i] = names[(i + tries) % len(names)]
+        # Where hardly any draw will do, those that do are shared out.
+        some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
+        drawn += len(some)
+        q = chain.random_configurations(len(some), rng)
+        looked, carried = [target[i] for i in some], [loads[i] for i in some]
+        touching = contact_rows(measurement, looked)
+        seen = np.ones(len(some), bool)
+        if touching.any():
+            q, seen = brought_to_contact(
+                problem, theta, q, looked, touching, payload=carried
+            )
+        if not touching.all():
+            there = problem.looking(q, looked, payload=carried)
+            seen &= measurement.observable(there.poses(theta), own, looked)
+        found: dict[tuple[str, str], list[int]] = {}
+        for k in np.flatnonzero(seen):
+            found.setdefault((looked[k], carried[k]), []).append(int(k))
+        still = []
+        for i in left:
+            if ready := found.get((target[i], loads[i])):
+                q_found[i] = q[ready.pop(0)]
+            else:
+                still.append(i)
+        left = np.array(still, np.int64)
+    if len(left):
+        what = "brought into contact" if measurement.contact else "measured"
+        raise InputError(
+            f"only {count - len(left)} of {count} configurations that can be {what} "
+            f"were found among {drawn} random ones within the joint limits "
+            f"({measurement.name})"
+        )
+    return q_found, tuple(target)
+
+
+def contact_rows(
+    measurement: MeasurementModel, target: Sequence[str]
+) -> NDArray[np.bool_]:
+    """The rows at which the tool touches something, shape (N,)."""
+    return rows_where(measurement, target, lambda part: part.contact)
+
+
+def brought_to_contact(
+    problem: Problem,
+    theta: Floats,
+    q: Floats,
+    target: Sequence[str],
+    rows: NDArray[np.bool_],
+    gap: Floats | None = None,
+    payload: Sequence[str] = (),
+) -> tuple[Floats, NDArray[np.bool_]]:
+    """Configurations moved until the tool touches, by damped Newton steps.
+
+    Args:
+        problem: Chain, frames, instrument.
+        theta: Parameter values, shape (P,).
+        q: Configurations, shape (N, n) [rad, m].
+        target: What each touches.
+        rows: Which of them touch something, shape (N,).
+        gap: Residual that is left, shape (N, d); default none.
+        payload: What the robot carries in each; default `Problem.loads`.
+
+    Returns:
+        The configurations, and which of them touch and lie within the limits.
+    """
+    of_robot, own = problem.split(theta)
+    chain, measurement = problem.error.chain, problem.measurement
+    q, touches = q.copy(), ~rows
+    payload = payload or problem.loads(len(q))
+    left = np.flatnonzero(rows)
+    for _ in range(NEWTON):
+        names = [target[int(k)] for k in left]
+        loads = [payload[int(k)] for k in left]
+        T, J_q = problem.error.kinematics(q[left], of_robot, loads)
+        data = problem.looking(q[left], names, payload=loads).data
+        linear = measurement.linearize(T, own, data)
+        short = -linear.residual if gap is None else gap[left] - linear.residual
+        size = np.abs(short).max(axis=1)
+        touches[left[size < TOUCHING]] = True
+        # A stretched arm turns around its singularity and never gets there.
+        on = (size >= TOUCHING) & np.isfinite(size)
+        left, short, J = left[on], short[on], (linear.by_twist @ J_q)[on]
+        if not len(left):
+            break
+        damped = J @ np.swapaxes(J, 1, 2)
+        scale = np.trace(damped, axis1=1, axis2=2)[:, None, None]
+        damped = damped + (1e-12 * scale + 1e-30) * np.eye(damped.shape[1])
+        step = np.swapaxes(J, 1, 2) @ np.linalg.solve(damped, short[:, :, None])
+        longest = np.abs(step[:, :, 0]).max(axis=1)
+        shorter = np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST))
+        q[left] += step[:, :, 0] * shorter[:, None]
+    within = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
+    return q, touches & within

@@ -1,0 +1,99 @@
+"""Known distances between points: a gauge, the sockets of one plate.
+
+They say nothing of the robot by themselves. A ball in two sockets a known distance
+apart is what gives a robot without any other length its scale.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.measurement_models.features import (
+    Anchor,
+    Feature,
+    Point,
+    Sphere,
+    slices,
+)
+from calib_pin.setup import DistanceSetup
+from calib_pin.spatial import Floats
+
+__all__ = ["KnownDistances"]
+
+
+@dataclass(frozen=True)
+class KnownDistances:
+    """D distances between features of a measurement model.
+
+    Attributes:
+        stated: The distances.
+        ends: Places of both ends about the references, shape (D, 2, 3) [m].
+        columns: Where the coordinates of both ends stand among the model's own
+            parameters, shape (D, 2, 3).
+    """
+
+    stated: tuple[DistanceSetup, ...]
+    ends: Floats
+    columns: NDArray[np.int64]
+
+    @staticmethod
+    def of(
+        distances: Sequence[DistanceSetup], features: Sequence[Feature]
+    ) -> KnownDistances:
+        """Those of the distances whose both ends are among some features.
+
+        Args:
+            distances: What is known.
+            features: The features of a measurement model, in their order.
+        """
+        found: dict[str, tuple[Floats, int]] = {}
+        # A point of the tool yields its name to a place of the same name.
+        for feature, part in zip(features, slices(features), strict=True):
+            xyz = feature.xyz if isinstance(feature, Point | Sphere | Anchor) else None
+            hidden = feature.section == "targets" and feature.name in found
+            if xyz is not None and not hidden:
+                found[feature.name] = xyz, part.start
+        known = tuple(d for d in distances if all(name in found for name in d.between))
+        ends = [[found[name][0] for name in d.between] for d in known]
+        starts = [[found[name][1] for name in d.between] for d in known]
+        return KnownDistances(
+            known,
+            np.array(ends).reshape(-1, 2, 3),
+            np.array(starts, np.int64).reshape(-1, 2, 1) + np.arange(3),
+        )
+
+    def __len__(self) -> int:
+        """Number of distances D."""
+        return len(self.stated)
+
+    def lengths(self, own: Floats) -> Floats:
+        """The distances as the model has them, shape (D,) [m].
+
+        Args:
+            own: The model's own parameters, shape (K,).
+        """
+        return np.asarray(np.linalg.norm(self._vectors(own), axis=1))
+
+    def residual(self, own: Floats) -> Floats:
+        """Whitened residuals, the model's distance minus the known one, shape (D,)."""
+        values = np.array([d.value for d in self.stated])
+        sigma = np.array([d.sigma for d in self.stated])
+        return np.asarray((self.lengths(own) - values) / sigma)
+
+    def jacobian(self, own: Floats) -> Floats:
+        """Derivative of the whitened residuals by the own parameters, shape (D, K)."""
+        vectors = self._vectors(own)
+        result = np.zeros((len(self), len(own)))
+        for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
+            direction = vector / np.linalg.norm(vector) / self.stated[k].sigma
+            result[k, columns[0]] = -direction
+            result[k, columns[1]] = direction
+        return result
+
+    def _vectors(self, own: Floats) -> Floats:
+        ends = self.ends + own[self.columns]
+        return np.asarray(ends[:, 1] - ends[:, 0])

@@ -1,0 +1,456 @@
+"""Pixels of known points in the image of a camera (reprojection).
+
+The camera is the tool and looks at points of the measuring frame, that of a board, or
+it is the measuring frame and looks at points of the tool. Its frame is the optical one:
+z forward, x to the right of the image, y down. So where it stands, or where it sits on
+the robot, are the base and the tool frame of the error model.
+
+A row is one point in one image; rows of one configuration are one image.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from typing import Literal
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError, OptionError
+from calib_pin.measurement_models.base import (
+    Curvature,
+    Featured,
+    Linearization,
+    Quantity,
+    rotation_curvature,
+)
+from calib_pin.measurement_models.camera_start import Rays
+from calib_pin.measurement_models.features import Feature, Point, locate, slices
+from calib_pin.measurement_models.pinhole import (
+    NEAR,
+    Image,
+    turning_radius,
+    undistort,
+)
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.setup import CameraSetup, PointSetup, Setup
+from calib_pin.spatial import Floats, invert, skew
+
+__all__ = ["Camera", "CameraModel", "Marker", "camera"]
+
+INTRINSICS = (
+    *(("fx", "px", 100.0), ("fy", "px", 100.0), ("cx", "px", 100.0)),
+    *(("cy", "px", 100.0), ("k1", "", 0.1), ("k2", "", 0.1)),
+    *(("p1", "", 0.01), ("p2", "", 0.01), ("k3", "", 0.1)),
+)
+"""Name, unit and scale of the parameters of a camera."""
+
+
+@dataclass(frozen=True)
+class Camera:
+    """A pinhole camera with Brown-Conrady distortion.
+
+    Attributes:
+        mount: `hand` if it is the tool, `world` if it stands still.
+        intrinsics: f_x, f_y, c_x, c_y [px], k_1, k_2, p_1, p_2, k_3, shape (9,).
+        size: Width and height of the image [px]; None where it has no edge.
+        estimate: Whether the intrinsics are estimated.
+    """
+
+    mount: Literal["hand", "world"]
+    intrinsics: Floats
+    size: tuple[float, float] | None = None
+    estimate: bool = False
+
+    name = "camera"
+    section = "camera"
+
+    @property
+    def placed(self) -> bool:
+        """Always: a camera is given."""
+        return True
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`camera.intrinsics.fx|fy|cx|cy|k1|k2|p1|p2|k3`."""
+        return tuple(
+            Parameter(
+                f"{self.name}.intrinsics.{name}",
+                unit,
+                scale,
+                nuisance=True,
+                free=self.estimate,
+            )
+            for name, unit, scale in INTRINSICS
+        )
+
+    def about(self, own: Floats) -> Camera:
+        """With other intrinsics."""
+        return replace(self, intrinsics=self.intrinsics + own)
+
+    def stated(self) -> CameraSetup:
+        """Its intrinsics."""
+        f_x, f_y, c_x, c_y, k_1, k_2, p_1, p_2, k_3 = map(float, self.intrinsics)
+        return CameraSetup(
+            self.mount,
+            (f_x, f_y),
+            (c_x, c_y),
+            (k_1, k_2, p_1, p_2, k_3),
+            self.size,
+            self.estimate,
+        )
+
+    def rays(self, pixels: Floats) -> Floats:
+        """Where pixels look, at depth 1, shape (N, 2); NaN where no point is seen."""
+        focal, center = self.intrinsics[:2], self.intrinsics[2:4]
+        return undistort((pixels - center) / focal, self.intrinsics[4:])
+
+
+@dataclass(frozen=True)
+class Marker(Point):
+    """A point that a camera looks at; one that is known has no parameters.
+
+    Boards have many points. Columns of zeros for all of them would take most of the
+    time of a fit.
+    """
+
+    kind: str = "target"
+    estimate: bool = False
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<name>.target.x|y|z` where it is estimated."""
+        return super().parameters if self.estimate else ()
+
+    def at(self, own: Floats) -> Floats:
+        """Its place, shape (3,) [m]."""
+        assert self.xyz is not None
+        return super().at(own) if len(own) else self.xyz
+
+
+@dataclass(frozen=True)
+class CameraModel(Featured):
+    """Predicted minus measured pixel.
+
+    Attributes:
+        camera: The camera.
+        points: The points that it looks at: of a camera on the hand in the measuring
+            frame, of a camera in the world in the tool frame.
+        spare: Other points of a known place, which rows to come may name.
+    """
+
+    camera: Camera
+    points: tuple[Point, ...]
+    spare: tuple[Point, ...] = ()
+    name: str = field(default="camera", init=False)
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the pixel."""
+        return (Quantity("pixel", "px", slice(0, 2), 0.5),)
+
+    @property
+    def measuring_frame(self) -> bool:
+        """That of the board, or of the camera."""
+        return True
+
+    @property
+    def sees_tool(self) -> bool:
+        """Yes: it is the camera's, or carries the points."""
+        return True
+
+    @property
+    def width(self) -> int:
+        """Column and row of the image."""
+        return 2
+
+    @property
+    def missing(self) -> str:
+        """Points that nobody has given."""
+        lacking = [f"'{point.name}'" for point in self.points if not point.placed]
+        if self.points and not lacking:
+            return ""
+        first = f" of {lacking[0]}" if len(lacking) == 1 else ""
+        if len(lacking) > 1:
+            first = f" of {lacking[0]} and {len(lacking) - 1} more"
+        return f"give the xyz{first} under 'targets' in a setup file (--setup)"
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """Names of the points."""
+        return tuple(point.name for point in self.points)
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """The camera, then the points."""
+        return (self.camera, *self.points)
+
+    def with_features(self, features: Sequence[Feature]) -> CameraModel:
+        """The same about another camera and other points."""
+        camera, *points = features
+        assert isinstance(camera, Camera)
+        kept = tuple(point for point in points if isinstance(point, Point))
+        return replace(self, camera=camera, points=kept)
+
+    def extended(self, T: Floats, data: Measurements) -> CameraModel:
+        """With the spare points that the rows name."""
+        named = set(data.target)
+        more = tuple(point for point in self.spare if point.name in named)
+        return replace(self, points=(*self.points, *more)) if more else self
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Pixels (u, v), shape (N, 2) [px]; NaN behind the camera."""
+        return self._look(T, own, self._index(target)).image.pixels
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Where the point is in front of the camera and within its image.
+
+        Beyond the radius at which the distortion folds back there is no image. An
+        image without a size reaches as far behind its principal point as before it.
+        """
+        image = self._look(T, own, self._index(target)).image
+        radius = turning_radius(image.intrinsics[4:])
+        seen = (image.points[2] > NEAR) & (np.hypot(image.x, image.y) < radius)
+        size = self.camera.size
+        edge = 2.0 * image.intrinsics[2:4] if size is None else np.array(size)
+        pixels = image.pixels
+        seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
+        return np.asarray(seen)
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Add noise to the pixels."""
+        return values + noise
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured pixel, shape (N, 2) [px]."""
+        return self.predict(T, own, data.target) - data.values
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """Derivatives by the point in the camera, carried to the tool.
+
+        With g the derivative by the point X in the camera, and a body twist (v, w): on
+        the hand `dX = -v + X x w`, in the world `dX = R (v + w x P)` of a point P of
+        the tool. Either way the derivative is `(h, L x h)`: h that by a shift of the
+        tool, `-g` or `R^T g`, and L the point in the tool frame, X or P.
+        """
+        index = self._index(data.target)
+        view = self._look(T, own, index)
+        g = view.image.gradient
+        hand = self.camera.mount == "hand"
+        h = -g if hand else np.einsum("din,ijn->djn", g, view.R)
+        lever = view.image.points if hand else view.place
+        by_twist = np.empty((len(T), 2, 6))
+        by_twist[:, :, :3] = h.transpose(2, 0, 1)
+        for k in range(3):
+            i, j = (k + 1) % 3, (k + 2) % 3
+            by_twist[:, :, 3 + k] = (lever[i] * h[:, j] - lever[j] * h[:, i]).T
+        by_own = np.zeros((len(T), 2, len(own)))
+        by_own[:, :, : len(INTRINSICS)] = view.image.by_intrinsics.transpose(2, 0, 1)
+        column = self._columns[index]
+        rows = np.flatnonzero(column >= 0)
+        if len(rows):
+            by_point = np.einsum("djn,ijn->din", g, view.R) if hand else h
+            for k in range(3):
+                by_own[rows, :, column[rows] + k] = by_point[:, k, rows].T
+        return Linearization(view.image.pixels - data.values, by_twist, by_own)
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """Second derivatives: the point moves in the image, and its motion turns.
+
+        With `dX = M (v, w)` of the point in the camera the rows are `g M`, and change
+        by `M^T H M + g dM`, H the second derivative of the pixel by X.
+        """
+        index = self._index(target)
+        view = self._look(T, own, index)
+        image, R = view.image, T[:, :3, :3]
+        turning = rotation_curvature(R)
+        if self.camera.mount == "hand":
+            X = image.points.T
+            M = np.concatenate([np.tile(-np.eye(3), (len(T), 1, 1)), skew(X)], axis=2)
+            # X x w changes with X alone.
+            by_M = np.zeros((len(T), 3, 6, 6))
+            by_M[:, :, 3:] = -np.einsum("ack,nkb->ncab", skew(np.eye(3)), M)
+            P, by_P = np.swapaxes(R, 1, 2), np.swapaxes(turning, 1, 2)
+        else:
+            lever = skew(view.place.T)
+            M = np.concatenate([R, -R @ lever], axis=2)
+            of_turn = -np.einsum("nacb,ncd->nadb", turning, lever)
+            by_M = np.concatenate([turning, of_turn], axis=2)
+            P, by_P = R, turning
+        g, H = image.gradient.transpose(2, 0, 1), image.bend @ M[:, None]
+
+        def carried(M: Floats, by_M: Floats) -> Floats:
+            return np.asarray(
+                np.einsum("ndcb,nca->ndab", H, M) + np.einsum("ndc,ncab->ndab", g, by_M)
+            )
+
+        by_own = np.zeros((len(T), 2, len(own), 6))
+        by_own[:, :, : len(INTRINSICS)] = image.bend_by_intrinsics @ M[:, None]
+        column = self._columns[index]
+        rows = np.flatnonzero(column >= 0)
+        by_point = carried(P, by_P)
+        for k in range(3):
+            by_own[rows, :, column[rows] + k] = by_point[rows, :, k]
+        return Curvature(carried(M, by_M), by_own)
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[CameraModel, pin.SE3, pin.SE3]:
+        """Frames from all images in closed form, see `camera_start`.
+
+        References of intrinsics and points stay.
+
+        Raises:
+            InputError: If points are not given, rows are too few for a start, or a
+                point is behind the camera there.
+        """
+        if self.missing:
+            raise InputError(f"the model 'camera' needs known points: {self.missing}")
+        index = self._index(data.target, data)
+        if base is None or tool is None:
+            base, tool = self._start(F, data, index, base, tool)
+        T = base.homogeneous @ F @ tool.homogeneous
+        own = np.zeros(len(self.parameters))
+        seen = self._look(T, own, index).image.points[2] > NEAR
+        if not seen.all():
+            row = int(np.argmin(seen))
+            raise InputError(
+                f"{data.place(row)}: the point '{self.points[index[row]].name}' is "
+                "behind the camera in the frames that the fit starts from; give "
+                "'frames' in a setup file (--setup)"
+            )
+        return self, base, tool
+
+    def _start(
+        self,
+        F: Floats,
+        data: Measurements,
+        index: NDArray[np.int64],
+        base: pin.SE3 | None,
+        tool: pin.SE3 | None,
+    ) -> tuple[pin.SE3, pin.SE3]:
+        """The base and the tool frame, one of them given or none."""
+        rays = self.camera.rays(data.values)
+        seen = np.isfinite(rays[:, 0])
+        places = np.array([point.xyz for point in self.points])
+        found = Rays(F[seen], places, index[seen], rays[seen], data.groups()[seen])
+        if self.camera.mount == "world":
+            ends = found.ends(_matrix(base), _matrix(tool), (False, True))
+        else:
+            # On the hand the chain runs from the tip to the base.
+            found = replace(found, F=invert(found.F))
+            outer = _matrix(tool and tool.inverse())
+            inner = _matrix(base and base.inverse())
+            ends = found.ends(outer, inner, (True, False))
+            ends = ends and (invert(ends[1]), invert(ends[0]))
+        if ends is None:
+            raise InputError(
+                f"{len(data)} rows of the model 'camera' are too few to find where the "
+                "camera is; give 'frames' in a setup file (--setup)"
+            )
+        return base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
+
+    @property
+    def _columns(self) -> NDArray[np.int64]:
+        """First column of each point among the own parameters, -1 for a known one."""
+        parts = slices(self.features)[1:]
+        return np.array([p.start if p.stop > p.start else -1 for p in parts], np.int64)
+
+    def _index(
+        self, target: Sequence[str], data: Measurements | None = None
+    ) -> NDArray[np.int64]:
+        """Position of each row's point; data tell where a wrong name stands."""
+        known = {point.name: k for k, point in enumerate(self.points)}
+        try:
+            # Rows are many, and this takes half the time of `locate`.
+            return np.fromiter(map(known.__getitem__, target), np.int64, len(target))
+        except KeyError:
+            return locate(target, self.points, "target", data)
+
+    def _look(self, T: Floats, own: Floats, index: NDArray[np.int64]) -> _View:
+        camera, *parts = slices(self.features)
+        places = np.array(
+            [
+                # Points that are not estimated have no parameters.
+                point.at(own[part]) if part.stop > part.start else point.xyz
+                for point, part in zip(self.points, parts, strict=True)
+            ],
+            float,
+        )
+        # By components: sums over rows that lie side by side.
+        pose = np.ascontiguousarray(T[:, :3].transpose(1, 2, 0))
+        place = np.take(places.T, index, axis=1)
+        R, p = pose[:, :3], pose[:, 3]
+        if self.camera.mount == "hand":
+            point = np.einsum("ijn,in->jn", R, place - p)
+        else:
+            point = np.einsum("ijn,jn->in", R, place) + p
+        return _View(R, place, Image(self.camera.intrinsics + own[camera], point))
+
+
+@dataclass(frozen=True)
+class _View:
+    """What rows see, by components.
+
+    Attributes:
+        R: Rotations of the tool, shape (3, 3, N).
+        place: The points where they are given, shape (3, N) [m].
+        image: The points in the camera.
+    """
+
+    R: Floats
+    place: Floats
+    image: Image
+
+
+def camera(setup: Setup, targets: Sequence[str]) -> CameraModel:
+    """The camera of a setup and the points that it looks at.
+
+    Args:
+        setup: What the user states; points are known unless it says otherwise.
+        targets: The targets that rows name, for where the setup has none.
+
+    Raises:
+        OptionError: If there is no camera, or one without a focal length.
+    """
+    given = setup.camera
+    if given is None:
+        raise OptionError(
+            "the model 'camera' needs 'camera' in a setup file (--setup): its mount, "
+            "focal and center",
+            file=setup.file or None,
+        )
+    if not all(0.0 < focal < np.inf for focal in given.focal):
+        raise OptionError(
+            "the focal lengths of the camera are positive numbers",
+            value=list(given.focal),
+        )
+    intrinsics = np.array([*given.focal, *given.center, *given.distortion], float)
+    stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
+    points = [
+        Marker(
+            name,
+            xyz=None if point.xyz is None else np.array(point.xyz, float),
+            estimate=bool(point.estimate),
+        )
+        for name, point in stated.items()
+    ]
+    named = set(targets)
+    # Without rows, or where one names what is not stated, all of them count.
+    everything = not named or not named <= set(stated)
+    return CameraModel(
+        Camera(given.mount, intrinsics, given.size, given.estimate),
+        points=tuple(p for p in points if everything or p.name in named),
+        spare=tuple(
+            p for p in points if p.placed and not everything and p.name not in named
+        ),
+    )
+
+
+def _matrix(frame: pin.SE3 | None) -> Floats | None:
+    return None if frame is None else np.asarray(frame.homogeneous)

@@ -1,0 +1,155 @@
+"""A tool point that touches a plane or a sphere: touch probe, dial gauge, ball."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.contact_registration import (
+    Reached,
+    register_distances,
+    register_touched_plane,
+)
+from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.features import Feature, Plane, Sphere
+from calib_pin.measurement_models.tool_point import (
+    Bend,
+    PlaceModel,
+    Touch,
+    Touching,
+)
+from calib_pin.measurements import Measurements
+from calib_pin.spatial import Floats
+
+__all__ = ["PlaneContact", "SphereContact", "directions"]
+
+
+@dataclass(frozen=True)
+class Contact(Touching, PlaceModel):
+    """A contact with a surface."""
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the gap."""
+        return (Quantity("contact", "m", slice(0, 1), 1e-4),)
+
+
+@dataclass(frozen=True)
+class PlaneContact(Contact):
+    """`residual = n . p + f`, the height of the tool point above a plane [m]."""
+
+    name: str = "plane-contact"
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """The height, with the plane turned by (u, v) and shifted by f."""
+        n, f, by_turn = self._planes(place, own)
+        height = np.einsum("ni,ni->n", n, p) + f
+        by_plane = np.concatenate(
+            [np.einsum("ni,nik->nk", p, by_turn), np.ones((len(p), 1))], axis=1
+        )
+        return Touch(height[:, None], n[:, None], by_plane[:, None])
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """A plane is flat; what it turns about is as far as the point."""
+        _, _, by_turn = self._planes(place, own)
+        by_plane = np.zeros((len(p), 1, 3, 3))
+        by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
+        return Bend(np.zeros((len(p), 1, 3, 3)), by_plane)
+
+    def reached(
+        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+    ) -> Reached:
+        """The plane through the points."""
+        return register_touched_plane(F, point)
+
+    def found(self, place: Feature, reached: Reached) -> Feature:
+        """The plane with normal and offset."""
+        assert isinstance(place, Plane)
+        return replace(place, normal=reached.place, offset=reached.size)
+
+    def new(self, name: str) -> Plane:
+        """A plane that nobody has given."""
+        return Plane(name)
+
+    def _planes(
+        self, place: NDArray[np.int64], own: Floats
+    ) -> tuple[Floats, Floats, Floats]:
+        """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
+        # Rows of one plane share its parameters.
+        first = {int(k): int(np.argmax(place == k)) for k in np.unique(place)}
+        count = len(self.places)
+        normals, offsets = np.zeros((count, 3)), np.zeros(count)
+        slopes = np.zeros((count, 3, 2))
+        for k, row in first.items():
+            plane = self.places[k]
+            assert isinstance(plane, Plane)
+            normals[k], offsets[k], slopes[k] = plane.turned(own[row])
+        return normals[place], offsets[place], slopes[place]
+
+
+@dataclass(frozen=True)
+class SphereContact(Contact):
+    """`residual = |p - c| - r`, the height of the tool point above a sphere [m].
+
+    The radius is that of the sphere and of a ball at the tool point together.
+    """
+
+    name: str = "sphere-contact"
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """The height."""
+        e, distance = self._rays(p, place, own)
+        spheres = [s for s in self.places if isinstance(s, Sphere)]
+        radius = np.array([sphere.radius for sphere in spheres], float)[place]
+        height = distance - radius - own[:, 3]
+        by_sphere = np.concatenate([-e, np.full((len(p), 1), -1.0)], axis=1)
+        return Touch(height[:, None], e[:, None], by_sphere[:, None])
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """As round as the point is far from the center."""
+        e, distance = self._rays(p, place, own)
+        return round_bend(e, distance)
+
+    def reached(
+        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+    ) -> Reached:
+        """The sphere through the points."""
+        assert isinstance(place, Sphere)
+        if place.radius is None:
+            return register_distances(F, None, point)
+        return register_distances(F, np.full(len(F), place.radius), point)
+
+    def found(self, place: Feature, reached: Reached) -> Feature:
+        """The sphere with its center, and the radius where it was unknown."""
+        assert isinstance(place, Sphere)
+        radius = reached.size if place.radius is None else place.radius
+        return replace(place, xyz=reached.place, radius=radius)
+
+    def new(self, name: str) -> Sphere:
+        """A sphere that nobody has given."""
+        return Sphere(name)
+
+    def _rays(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> tuple[Floats, Floats]:
+        spheres = [s for s in self.places if isinstance(s, Sphere)]
+        centers = np.array([sphere.xyz for sphere in spheres])[place]
+        return directions(p - centers - own[:, :3])
+
+
+def directions(x: Floats) -> tuple[Floats, Floats]:
+    """Unit vectors, shape (N, 3), and lengths, shape (N,); NaN at zero."""
+    length = np.linalg.norm(x, axis=1)
+    with np.errstate(invalid="ignore", divide="ignore"):
+        return x / length[:, None], length
+
+
+def round_bend(e: Floats, distance: Floats) -> Bend:
+    """How a distance bends; its place has three coordinates and one number more."""
+    across = np.eye(3) - e[:, :, None] * e[:, None, :]
+    H = across / distance[:, None, None]
+    by_place = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
+    return Bend(H[:, None], by_place[:, None])

@@ -1,0 +1,153 @@
+"""Distances of a tool point: draw wire, ball bar, laser interferometer."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.contact_registration import (
+    Reached,
+    register_distances,
+    register_relative_distances,
+)
+from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.contact import directions, round_bend
+from calib_pin.measurement_models.features import Anchor, Feature
+from calib_pin.measurement_models.tool_point import (
+    Bend,
+    PlaceModel,
+    PointModel,
+    Touch,
+    placed_tool,
+    split_names,
+    tip_points,
+)
+from calib_pin.measurements import AT, Measurements
+from calib_pin.spatial import Floats
+
+__all__ = ["PointDistance", "RelativeDistance"]
+
+
+@dataclass(frozen=True)
+class PointDistance(PlaceModel):
+    """`h = |p - a| + b`, from an anchor a to the tool point, with a bias b [m]."""
+
+    name: str = "point-distance"
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the distance."""
+        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
+
+    @property
+    def width(self) -> int:
+        """The distance."""
+        return 1
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """The reading."""
+        e, distance = self._rays(p, place, own)
+        anchors = [a for a in self.places if isinstance(a, Anchor)]
+        bias = np.array([anchor.bias for anchor in anchors])[place]
+        by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
+        reading = distance + bias + own[:, 3]
+        return Touch(reading[:, None], e[:, None], by_anchor[:, None])
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """As round as the point is far from the anchor."""
+        return round_bend(*self._rays(p, place, own))
+
+    def reached(
+        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+    ) -> Reached:
+        """The anchor at these distances from the points."""
+        assert isinstance(place, Anchor)
+        bias = None if place.estimate_bias else place.bias
+        return register_distances(F, data.values[:, 0], point, bias)
+
+    def found(self, place: Feature, reached: Reached) -> Feature:
+        """The anchor with its place, and the bias where it was unknown."""
+        assert isinstance(place, Anchor)
+        return replace(place, xyz=reached.place, bias=reached.size)
+
+    def new(self, name: str) -> Anchor:
+        """An anchor that nobody has given."""
+        return Anchor(name)
+
+    def _rays(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> tuple[Floats, Floats]:
+        anchors = [a for a in self.places if isinstance(a, Anchor)]
+        centers = np.array([anchor.xyz for anchor in anchors])[place]
+        return directions(p - centers - own[:, :3])
+
+
+@dataclass(frozen=True)
+class RelativeDistance(PointModel):
+    """`h = |p - p_0|`, how far the tool point is from where a row starts [m].
+
+    Poses are those of the tool in the tool at the start, so that the point at the
+    start is its offset: `h = |R t + p - t|`. Where the base stands is unobservable.
+    Rows of one start share a name, which may follow that of a point, `point@name`.
+    """
+
+    name: str = "relative-distance"
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the distance."""
+        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
+
+    @property
+    def width(self) -> int:
+        """The distance."""
+        return 1
+
+    @property
+    def relative(self) -> bool:
+        """Yes."""
+        return True
+
+    @property
+    def missing(self) -> str:
+        """Points on the tool that nobody has given."""
+        return super().missing if self.points else ""
+
+    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The point that each row names, and its start."""
+        return split_names(target, True)
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """Points, each before the name of a start that is yet to come."""
+        return tuple(f"{name}{AT}" if name else "" for name in super().targets)
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """The length of the way."""
+        e, distance = directions(p)
+        return Touch(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """As round as the way is long."""
+        across = round_bend(*directions(p)).by_point
+        return Bend(across, np.zeros((len(p), 1, 0, 3)))
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[RelativeDistance, pin.SE3, pin.SE3]:
+        """The points of the tool, each by its own rows; the base stays."""
+        label, _ = self.names(data.target, data)
+        tip = tip_points(self.points, tool)
+        for k in np.unique(label[np.isnan(tip[label, 0])]):
+            rows = label == k
+            tip[k] = register_relative_distances(F[rows], data.values[rows, 0])
+        points, tool = placed_tool(tip, self.points, tool)
+        return replace(self, points=points), base or pin.SE3.Identity(), tool
+
+    def _reach(self, T: Floats, offset: Floats) -> tuple[Floats, Floats]:
+        p, by_offset = super()._reach(T, offset)
+        return p - offset, by_offset - np.eye(3)

@@ -1,0 +1,428 @@
+"""What measurements refer to beside the robot: points, planes, spheres, anchors.
+
+A feature is frozen and carries a reference, that it may lack until it is registered;
+its parameters are deviations from that. Rows name it as their target. Whatever has
+parameters of its own beside the robot's is a feature, so that a measurement model is
+only the formula that relates a tool pose to some of them.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from itertools import pairwise
+from typing import Protocol, Self
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError, nearest
+from calib_pin.measurements import Measurements
+from calib_pin.parameters import Parameter
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    SphereSetup,
+    Triple,
+)
+from calib_pin.spatial import Floats, so3_exp
+
+__all__ = [
+    "Anchor",
+    "Feature",
+    "Frame",
+    "Plane",
+    "Point",
+    "Sphere",
+    "Stated",
+    "locate",
+    "nuisances",
+    "slices",
+]
+
+METER = 1.0
+"""Scale of an unknown place [m]: where something stands is no error of a robot."""
+
+
+Stated = PointSetup | PlaneSetup | SphereSetup | AnchorSetup | CameraSetup | FrameSetup
+"""A reference as a setup file would state it."""
+
+
+class Feature(Protocol):
+    """Something with a name that rows refer to."""
+
+    @property
+    def name(self) -> str:
+        """Name that rows give."""
+        ...
+
+    @property
+    def section(self) -> str:
+        """Where it stands in a setup file, such as `planes`."""
+        ...
+
+    @property
+    def placed(self) -> bool:
+        """Whether it has a reference."""
+        ...
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """Its parameters, deviations from the reference."""
+        ...
+
+    def about(self, own: Floats) -> Self:
+        """The same about moved references; own has shape (K,)."""
+        ...
+
+    def stated(self) -> Stated:
+        """Its reference as a setup file would state it."""
+        ...
+
+
+def nuisances(
+    owner: str,
+    kind: str,
+    components: Iterable[tuple[str, str, bool]],
+    outer: bool = True,
+) -> tuple[Parameter, ...]:
+    """Parameters `<owner>.<kind>.<component>` of a feature.
+
+    Args:
+        owner: Name of the feature.
+        kind: Kind of the feature.
+        components: Name, unit, and whether it is estimated.
+        outer: Whether it stands where the base does and not on the tool.
+    """
+    return tuple(
+        Parameter(f"{owner}.{kind}.{name}", unit, METER, True, outer, free)
+        for name, unit, free in components
+    )
+
+
+@dataclass(frozen=True)
+class Point:
+    """A point: of the tool in the tool frame, or of a socket in the measuring frame.
+
+    Attributes:
+        name: Name that rows give.
+        kind: `target` for a point of the tool or of a board, `socket` for a socket.
+        xyz: Reference, shape (3,) [m]; None until it is registered.
+        estimate: Whether it is estimated.
+    """
+
+    name: str
+    kind: str
+    xyz: Floats | None = None
+    estimate: bool = True
+
+    @property
+    def section(self) -> str:
+        """`targets` or `sockets`."""
+        return f"{self.kind}s"
+
+    @property
+    def placed(self) -> bool:
+        """Whether its place is given or registered."""
+        return self.xyz is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<name>.<kind>.x|y|z`."""
+        free = self.estimate
+        components = ((c, "m", free) for c in "xyz")
+        return nuisances(self.name, self.kind, components, self.kind != "target")
+
+    def at(self, own: Floats) -> Floats:
+        """Its place, shape (3,) [m]."""
+        assert self.xyz is not None
+        return np.asarray(self.xyz + own)
+
+    def about(self, own: Floats) -> Point:
+        """Moved by (x, y, z)."""
+        return replace(self, xyz=self.at(own))
+
+    def stated(self) -> PointSetup:
+        """Its place."""
+        return PointSetup(_triple(self.xyz), self.estimate)
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Reference of a plane `n . p + f = 0` in the measuring frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        normal: Unit normal n, shape (3,); None until it is registered.
+        offset: Offset f [m].
+        estimate: Whether the plane is estimated.
+    """
+
+    name: str
+    normal: Floats | None = None
+    offset: float = 0.0
+    estimate: bool = True
+
+    section = "planes"
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is given or registered."""
+        return self.normal is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<plane>.plane.u|v|f`."""
+        units = (("u", "rad"), ("v", "rad"), ("f", "m"))
+        return nuisances(self.name, "plane", ((c, u, self.estimate) for c, u in units))
+
+    @cached_property
+    def tangents(self) -> Floats:
+        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
+        assert self.normal is not None
+        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        first = np.cross(self.normal, helper)
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.normal, first)])
+
+    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
+        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+
+        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
+
+        Returns:
+            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+        """
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
+        halfway = second @ self.normal
+        normal = first @ halfway
+        by_u = np.cross(t_1, normal)
+        by_v = first @ np.cross(t_2, halfway)
+        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
+
+    def turned_many(self, own: Floats) -> Floats:
+        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
+        assert self.normal is not None
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        # Element by element: a product of matrices may round by the place of a row.
+        t_1, t_2 = self.tangents
+        u, v = own[:, :1], own[:, 1:2]
+        normals = np.sin(v) * t_1 + np.cos(v) * (
+            np.cos(u) * self.normal - np.sin(u) * t_2
+        )
+        return np.column_stack([normals, self.offset + own[:, 2]])
+
+    def about(self, own: Floats) -> Plane:
+        """Turned and shifted by (u, v, f)."""
+        normal, offset, _ = self.turned(own)
+        return replace(self, normal=normal, offset=offset)
+
+    def stated(self) -> PlaneSetup:
+        """Its normal and offset."""
+        normal = _triple(self.normal)
+        assert normal is not None
+        return PlaneSetup(normal, float(self.offset), self.estimate)
+
+
+@dataclass(frozen=True)
+class Sphere:
+    """A sphere in the measuring frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        xyz: Center, shape (3,) [m]; None until it is registered.
+        radius: Radius [m]; None until it is registered.
+        estimate: Whether the center is estimated.
+        estimate_radius: Whether the radius is.
+    """
+
+    name: str
+    xyz: Floats | None = None
+    radius: float | None = None
+    estimate: bool = True
+    estimate_radius: bool = True
+
+    section = "spheres"
+
+    @property
+    def placed(self) -> bool:
+        """Whether center and radius are given or registered."""
+        return self.xyz is not None and self.radius is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<sphere>.sphere.x|y|z|r`."""
+        center = [(c, "m", self.estimate) for c in "xyz"]
+        radius = ("r", "m", self.estimate_radius)
+        return nuisances(self.name, "sphere", [*center, radius])
+
+    def about(self, own: Floats) -> Sphere:
+        """Moved by (x, y, z) and larger by r."""
+        assert self.xyz is not None and self.radius is not None
+        radius = self.radius + float(own[3])
+        return replace(self, xyz=self.xyz + own[:3], radius=radius)
+
+    def stated(self) -> SphereSetup:
+        """Its center and radius."""
+        return SphereSetup(
+            _triple(self.xyz), self.radius, self.estimate, self.estimate_radius
+        )
+
+
+@dataclass(frozen=True)
+class Anchor:
+    """A fixed point that distances are measured from, with the bias of its readings.
+
+    Attributes:
+        name: Name that rows give as their target.
+        xyz: Place in the measuring frame, shape (3,) [m]; None until registered.
+        bias: What is added to every true distance [m].
+        estimate: Whether the place is estimated.
+        estimate_bias: Whether the bias is.
+    """
+
+    name: str
+    xyz: Floats | None = None
+    bias: float = 0.0
+    estimate: bool = True
+    estimate_bias: bool = False
+
+    section = "anchors"
+
+    @property
+    def placed(self) -> bool:
+        """Whether its place is given or registered."""
+        return self.xyz is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<anchor>.anchor.x|y|z|bias`."""
+        place = [(c, "m", self.estimate) for c in "xyz"]
+        return nuisances(
+            self.name, "anchor", [*place, ("bias", "m", self.estimate_bias)]
+        )
+
+    def about(self, own: Floats) -> Anchor:
+        """Moved by (x, y, z), with another bias."""
+        assert self.xyz is not None
+        return replace(self, xyz=self.xyz + own[:3], bias=self.bias + float(own[3]))
+
+    def stated(self) -> AnchorSetup:
+        """Its place and bias."""
+        return AnchorSetup(
+            _triple(self.xyz), self.bias, self.estimate, self.estimate_bias
+        )
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of an instrument that is one among others.
+
+    Attributes:
+        name: Name of the instrument.
+        kind: `base` for where it stands, `tool` for its place on the tool.
+        pose: Reference; None until it is registered.
+        estimate: Whether it is estimated.
+    """
+
+    name: str
+    kind: str
+    pose: pin.SE3 | None = None
+    estimate: bool = True
+
+    @property
+    def section(self) -> str:
+        """`<kind> frames`; a setup file does not state it."""
+        return f"{self.kind} frames"
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is registered."""
+        return self.pose is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<name>.<kind>.x..rz`, screws in their order as those of the two frames."""
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        units = zip(names, ("m",) * 3 + ("rad",) * 3, strict=True)
+        components = ((c, u, self.estimate) for c, u in units)
+        return nuisances(self.name, self.kind, components, self.kind == "base")
+
+    def about(self, own: Floats) -> Frame:
+        """Moved by the screws."""
+        assert self.pose is not None
+        pose = self.pose
+        for k in np.flatnonzero(own):
+            pose = pose * pin.exp6(np.eye(6)[k] * own[k])
+        return replace(self, pose=pose)
+
+    def twists(self, own: Floats) -> Floats:
+        """Body twists of the frame by its parameters, shape (6, 6)."""
+        result, behind = np.eye(6), pin.SE3.Identity()
+        for k in reversed(range(6)):
+            result[:, k] = behind.toActionMatrixInverse()[:, k]
+            behind = pin.exp6(np.eye(6)[k] * own[k]) * behind
+        return result
+
+    def stated(self) -> FrameSetup:
+        """Its pose."""
+        assert self.pose is not None
+        roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
+        xyz = _triple(self.pose.translation)
+        return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
+
+
+def slices(features: Sequence[Feature]) -> list[slice]:
+    """Where the parameters of each feature stand among those of all."""
+    ends = np.cumsum([0, *(len(feature.parameters) for feature in features)])
+    return [slice(int(a), int(b)) for a, b in pairwise(ends)]
+
+
+def locate(
+    names: Sequence[str],
+    features: Sequence[Feature],
+    what: str,
+    data: Measurements | None = None,
+    alone: bool = True,
+) -> NDArray[np.int64]:
+    """Position of the feature that each row names.
+
+    Args:
+        names: Name of each row.
+        features: The features.
+        what: What they are called in messages.
+        data: Tells where a wrong name stands.
+        alone: Whether rows may leave the name out where there is one feature.
+
+    Raises:
+        InputError: If there is no feature of a name.
+    """
+    known = {feature.name: k for k, feature in enumerate(features)}
+    if alone and len(known) == 1:
+        known[""] = 0
+    wrong = next((k for k, name in enumerate(names) if name not in known), None)
+    if wrong is not None:
+        place = "" if data is None else f"{data.place(wrong)}: "
+        name = names[wrong]
+        raise InputError(
+            f"{place}there is no {what} '{name}'{nearest(name, known)}"
+            if name
+            else f"{place}the row names no {what}",
+            column="target",
+            allowed=", ".join(feature.name for feature in features),
+        )
+    return np.array([known[name] for name in names], np.int64)
+
+
+def _triple(values: Floats | None) -> Triple | None:
+    if values is None:
+        return None
+    x, y, z = (float(value) for value in values)
+    return x, y, z

@@ -1,0 +1,96 @@
+"""A ball on the tool that rests in sockets: the same place from many sides."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.contact_registration import register_sockets
+from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.tool_point import (
+    Bend,
+    PointModel,
+    Touch,
+    Touching,
+    placed_tool,
+    tip_points,
+)
+from calib_pin.measurements import Measurements
+from calib_pin.spatial import Floats
+
+__all__ = ["FixedPoint"]
+
+
+@dataclass(frozen=True)
+class FixedPoint(Touching, PointModel):
+    """`residual = p - c_s`, the ball's center against that of its socket [m].
+
+    The center is as unknown as the ball's place on the tool. A robot whose lengths are
+    all too large by one factor has its ball in the sockets just as well: only a known
+    distance between sockets, or something else that is known, sets the scale.
+    """
+
+    name: str = "fixed-point"
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """One: the distance of the ball's center from its socket."""
+        return (Quantity("position", "m", slice(0, 3), 1e-4),)
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """From the socket to the ball."""
+        identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
+        sockets = [s for s in self.places if isinstance(s, Point)]
+        centers = np.array([socket.xyz for socket in sockets])[place] + own
+        return Touch(p - centers, identity, -identity)
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """Nothing bends."""
+        flat = np.zeros((len(p), 3, 3, 3))
+        return Bend(flat, flat)
+
+    def extended(self, T: Floats, data: Measurements) -> FixedPoint:
+        """With a socket where the ball is on average, for each that is new."""
+        known = {socket.name for socket in self.places}
+        names = self.places_of(data.target)
+        new = [name for name in dict.fromkeys(names) if name not in known]
+        if not new:
+            return self
+        added = [Point(name, "socket", np.zeros(3)) for name in new]
+        wider = replace(self, places=(*self.places, *added))
+        own = np.zeros(len(wider.parameters))
+        p = wider.residual(T, own, data)  # New sockets stand at the origin so far.
+        of = np.array(names)
+        placed = [replace(s, xyz=p[of == s.name].mean(axis=0)) for s in added]
+        return replace(self, places=(*self.places, *placed))
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[FixedPoint, pin.SE3, pin.SE3]:
+        """Ball and sockets by linear least squares.
+
+        A base that is not given stays where the URDF puts it.
+        """
+        base = base or pin.SE3.Identity()
+        label, socket = self.names(data.target, data)
+        centers = [
+            np.full(3, np.nan) if s.xyz is None else base.actInv(s.xyz)
+            for s in self.places
+            if isinstance(s, Point)
+        ]
+        tip, found = register_sockets(
+            F, tip_points(self.points, tool), label, np.array(centers), socket
+        )
+        points, tool = placed_tool(tip, self.points, tool)
+        found = np.nan_to_num(found) @ base.rotation.T + base.translation
+        places = tuple(
+            place if place.placed else replace(place, xyz=found[k])
+            for k, place in enumerate(self.places)
+            if isinstance(place, Point)
+        )
+        return replace(self, points=points, places=places), base, tool

@@ -1,0 +1,331 @@
+"""Several ways of measuring in one fit, each weighted by its own sigma.
+
+A row belongs to one of the models, its part; its target is qualified by the name of
+that, as in `fixed-point:front/0`. The residual has the components of all parts; those
+of the others are zero in a row, and their standard deviation is infinite.
+
+All parts share the measuring frame and the tool, and features of the same kind and
+name are the same: the ball that a tracker sees is the one that rests in a socket. Only
+a camera, which is a frame of its own, has its own stand and its own place on the tool.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.measurement_models.base import (
+    Featured,
+    Linearization,
+    MeasurementModel,
+    Quantity,
+)
+from calib_pin.measurement_models.features import Feature, slices
+from calib_pin.measurement_models.mount import Mounted
+from calib_pin.measurements import PART, PLUS, Measurements
+from calib_pin.spatial import Floats
+
+__all__ = ["Mixed", "qualified"]
+
+
+@dataclass(frozen=True)
+class Mixed(Featured):
+    """Parts with their rows told apart by their targets.
+
+    Attributes:
+        parts: The models by name.
+    """
+
+    parts: Mapping[str, MeasurementModel]
+
+    @staticmethod
+    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
+        """Mix models; a camera gets frames of its own.
+
+        What several of them name has the parameters of all of them: a point that is
+        known to a camera and estimated by a tracker is estimated.
+        """
+        mixed = Mixed(
+            {
+                name: Mounted.of(model) if name == "camera" else model
+                for name, model in parts.items()
+            }
+        )
+        return mixed.with_features(mixed.features)
+
+    @property
+    def name(self) -> str:
+        """Names of the parts with a plus between them."""
+        return PLUS.join(self.parts)
+
+    @cached_property
+    def quantities(self) -> Sequence[Quantity]:
+        """Those of all parts; what two of them have is named with the part."""
+        names = [q.name for part in self.parts.values() for q in part.quantities]
+        result = []
+        for (name, part), (_, columns) in zip(
+            self.parts.items(), self._layout, strict=True
+        ):
+            for quantity in part.quantities:
+                shared = names.count(quantity.name) > 1
+                start, stop = quantity.columns.start, quantity.columns.stop
+                result.append(
+                    replace(
+                        quantity,
+                        name=f"{quantity.name} ({name})" if shared else quantity.name,
+                        noise=quantity.name,
+                        columns=slice(columns.start + start, columns.start + stop),
+                    )
+                )
+        return tuple(result)
+
+    @property
+    def measuring_frame(self) -> bool:
+        """Whether some part has one of its own, which is then that of all."""
+        return any(part.measuring_frame for part in self.parts.values())
+
+    @property
+    def width(self) -> int:
+        """Columns of all parts."""
+        return sum(part.width for part in self.parts.values())
+
+    @property
+    def contact(self) -> bool:
+        """Whether all parts are contacts."""
+        return all(part.contact for part in self.parts.values())
+
+    @property
+    def relative(self) -> bool:
+        """Whether some part has relative poses."""
+        return any(part.relative for part in self.parts.values())
+
+    @property
+    def sees_tool(self) -> bool:
+        """Whether some part does."""
+        return any(part.sees_tool for part in self.parts.values())
+
+    @property
+    def missing(self) -> str:
+        """What the first part lacks that lacks anything."""
+        return next(filter(None, (p.missing for p in self.parts.values())), "")
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """Those of all parts, qualified."""
+        return tuple(
+            f"{name}{PART}{target}"
+            for name, part in self.parts.items()
+            for target in part.targets or ("",)
+        )
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """Those of all parts, each once."""
+        found: dict[tuple[str, str], Feature] = {}
+        for part in self.parts.values():
+            for feature in part.features:
+                other = found.setdefault(_key(feature), feature)
+                if len(feature.parameters) > len(other.parameters):
+                    found[_key(feature)] = feature
+        return tuple(found.values())
+
+    def with_features(self, features: Sequence[Feature]) -> Mixed:
+        """The same about other references of the same features."""
+        of = {_key(feature): feature for feature in features}
+        return Mixed(
+            {
+                name: part.with_features([of[_key(f)] for f in part.features])
+                for name, part in self.parts.items()
+            }
+        )
+
+    def extended(self, T: Floats, data: Measurements) -> Mixed:
+        """Every part extended by its rows, with what the parts before have placed."""
+        mixed = self
+        for name, rows, _ in self._split(data.target):
+            part = mixed.parts[name].extended(T[rows], self.of_part(name, data))
+            mixed = Mixed({**mixed.parts, name: part})
+        return mixed
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Values of all parts side by side, shape (N, D)."""
+        result = np.zeros((len(T), self.width))
+        for name, rows, names in self._split(target):
+            part, columns = self.parts[name], self._columns(name)[0]
+            found = part.predict(T[rows], own[self._own[name]], names)
+            result[rows, columns] = found
+        return result
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Whether each row's part can measure there."""
+        result = np.ones(len(T), bool)
+        for name, rows, names in self._split(target):
+            part = self.parts[name]
+            result[rows] = part.observable(T[rows], own[self._own[name]], names)
+        return result
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Every part's own values with its own noise."""
+        result = np.array(values)
+        for name, part in self.parts.items():
+            columns, components = self._columns(name)
+            result[:, columns] = part.disturb(values[:, columns], noise[:, components])
+        return result
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Residuals of all parts side by side, shape (N, d)."""
+        result = np.zeros((len(T), self._layout[-1][1].stop))
+        for name, rows, _ in self._split(data.target):
+            part = self.parts[name]
+            result[rows, self._columns(name)[1]] = part.residual(
+                T[rows], own[self._own[name]], self.of_part(name, data)
+            )
+        return result
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """Linearizations of all parts side by side."""
+        shape = (len(T), self._layout[-1][1].stop)
+        residual, by_twist = np.zeros(shape), np.zeros((*shape, 6))
+        by_own = np.zeros((*shape, len(own)))
+        for name, rows, _ in self._split(data.target):
+            index = self._own[name]
+            found = self.parts[name].linearize(
+                T[rows], own[index], self.of_part(name, data)
+            )
+            components = self._columns(name)[1]
+            residual[rows, components] = found.residual
+            by_twist[rows, components] = found.by_twist
+            block = np.zeros((*found.residual.shape, len(own)))
+            block[:, :, index] = found.by_own
+            by_own[rows, components] = block
+        return Linearization(residual, by_twist, by_own)
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Mixed, pin.SE3, pin.SE3]:
+        """Part by part: each takes over what those before it have placed.
+
+        What has a measuring frame of its own comes first, since places stand in it.
+        """
+        mixed = self
+
+        def turn(name: str) -> tuple[bool, bool]:
+            part = self.parts[name]
+            return isinstance(part, Mounted), not part.measuring_frame
+
+        for name in sorted(self.parts, key=turn):
+            rows = self.rows_of(name, data.target)
+            if not rows.any():
+                continue
+            part = mixed.parts[name]
+            found, new_base, new_tool = part.register(
+                F[rows], self.of_part(name, data), base, tool
+            )
+            # A part that sees no base or tool frame has nothing to say of it.
+            if part.measuring_frame or not self.measuring_frame:
+                base = base or new_base
+            if part.sees_tool:
+                tool = tool or new_tool
+            placed = {_key(f): f for f in found.features if f.placed}
+            mixed = mixed.with_features(
+                [placed.get(_key(f), f) for f in mixed.features]
+            )
+        return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
+
+    def rows_of(self, name: str, target: Sequence[str]) -> NDArray[np.bool_]:
+        """The rows of one part, shape (N,)."""
+        start = name + PART
+        return np.array([t.startswith(start) for t in target], bool)
+
+    def unstated(self, target: Sequence[str]) -> Floats:
+        """Standard deviations of rows that state none, shape (N, d)."""
+        result = np.full((len(target), self._layout[-1][1].stop), np.inf)
+        for name, rows, _ in self._split(target):
+            result[rows, self._columns(name)[1]] = np.nan
+        return result
+
+    def of_part(self, name: str, data: Measurements) -> Measurements:
+        """The rows of one part with its own columns and targets."""
+        rows = data.rows(self.rows_of(name, data.target))
+        columns, components = self._columns(name)
+        sigma = None if rows.sigma is None else rows.sigma[:, components]
+        if sigma is not None and np.isnan(sigma).any():
+            sigma = None
+        return replace(
+            rows,
+            model=name,
+            values=rows.values[:, columns],
+            sigma=sigma,
+            target=tuple(target[len(name) + 1 :] for target in rows.target),
+        )
+
+    @cached_property
+    def _layout(self) -> tuple[tuple[slice, slice], ...]:
+        """Columns of the values and components of the residual of every part."""
+        result, a, b = [], 0, 0
+        for part in self.parts.values():
+            c, d = a + part.width, b + part.quantities[-1].columns.stop
+            result.append((slice(a, c), slice(b, d)))
+            a, b = c, d
+        return tuple(result)
+
+    def _columns(self, name: str) -> tuple[slice, slice]:
+        return self._layout[list(self.parts).index(name)]
+
+    @cached_property
+    def _own(self) -> Mapping[str, NDArray[np.intp]]:
+        """Where each part's own parameters stand among those of all."""
+        features = self.features
+        at = dict(zip(map(_key, features), slices(features), strict=True))
+        empty = [np.zeros(0, np.intp)]
+        return {
+            name: np.concatenate(
+                empty
+                + [
+                    np.arange(at[_key(f)].start, at[_key(f)].stop)
+                    for f in part.features
+                ]
+            )
+            for name, part in self.parts.items()
+        }
+
+    def _split(
+        self, target: Sequence[str]
+    ) -> Iterator[tuple[str, NDArray[np.bool_], tuple[str, ...]]]:
+        """Name, rows and plain targets of every part that has rows."""
+        for name in self.parts:
+            rows = self.rows_of(name, target)
+            if rows.any():
+                start = len(name) + 1
+                yield (
+                    name,
+                    rows,
+                    tuple(target[int(k)][start:] for k in np.flatnonzero(rows)),
+                )
+
+
+def qualified(
+    names: Sequence[str], targets: Sequence[str]
+) -> dict[str, tuple[str, ...]]:
+    """The plain targets of every part.
+
+    Args:
+        names: Names of the parts.
+        targets: Targets that are qualified by these.
+    """
+    found: dict[str, dict[str, None]] = {name: {} for name in names}
+    for target in dict.fromkeys(targets):
+        part, _, plain = target.partition(PART)
+        found[part][plain] = None
+    return {name: tuple(plain) for name, plain in found.items()}
+
+
+def _key(feature: Feature) -> tuple[str, str]:
+    return feature.section, feature.name

@@ -1,0 +1,149 @@
+"""An instrument with a stand and a place on the tool of its own, among others."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.measurement_models.base import (
+    Featured,
+    Linearization,
+    MeasurementModel,
+    Quantity,
+)
+from calib_pin.measurement_models.features import Feature, Frame
+from calib_pin.measurements import Measurements
+from calib_pin.spatial import Floats, adjoint, invert
+
+__all__ = ["Mounted"]
+
+
+@dataclass(frozen=True)
+class Mounted(Featured):
+    """A model that sees the poses `D T E` where others see T.
+
+    Attributes:
+        model: The model.
+        stand: Pose D of the measuring frame in that of the model.
+        place: Pose E of the model's tool frame in the tool frame.
+    """
+
+    model: MeasurementModel
+    stand: Frame
+    place: Frame
+
+    @staticmethod
+    def of(model: MeasurementModel) -> Mounted:
+        """A model with unknown frames of its own, named after it."""
+        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
+
+    @property
+    def name(self) -> str:
+        """That of the model."""
+        return self.model.name
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """Those of the model."""
+        return self.model.quantities
+
+    @property
+    def measuring_frame(self) -> bool:
+        """No: it stands in that of the others."""
+        return False
+
+    @property
+    def sees_tool(self) -> bool:
+        """No: it has a place of its own."""
+        return False
+
+    @property
+    def width(self) -> int:
+        """That of the model."""
+        return self.model.width
+
+    @property
+    def missing(self) -> str:
+        """What the model lacks."""
+        return self.model.missing
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """Those of the model."""
+        return self.model.targets
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """Those of the model, the stand and the place."""
+        return (*self.model.features, self.stand, self.place)
+
+    def with_features(self, features: Sequence[Feature]) -> Mounted:
+        """The same about other references."""
+        *own, stand, place = features
+        assert isinstance(stand, Frame) and isinstance(place, Frame)
+        return Mounted(self.model.with_features(own), stand, place)
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Values of the model at its own poses."""
+        inner, D, E = self._split(own)
+        return self.model.predict(D @ T @ E, inner, target)
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Whether the model can measure at its own poses."""
+        inner, D, E = self._split(own)
+        return self.model.observable(D @ T @ E, inner, target)
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """As the model does."""
+        return self.model.disturb(values, noise)
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Residual of the model at its own poses."""
+        inner, D, E = self._split(own)
+        return self.model.residual(D @ T @ E, inner, data)
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """Twists of the stand and of the tool are carried to the model's tool."""
+        inner, D, E = self._split(own)
+        TE = T @ E
+        linear = self.model.linearize(D @ TE, inner, data)
+        # D = D_0 Exp(d), so that a twist d stands before T E.
+        at_stand = linear.by_twist @ adjoint(invert(TE))
+        by_stand = at_stand @ self.stand.twists(own[-12:-6])
+        by_place = linear.by_twist @ self.place.twists(own[-6:])
+        return replace(
+            linear,
+            by_twist=linear.by_twist @ adjoint(invert(E[None])),
+            by_own=np.concatenate([linear.by_own, by_stand, by_place], axis=2),
+        )
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Mounted, pin.SE3, pin.SE3]:
+        """As the model does with frames of its own, which are then put behind T."""
+        base, tool = base or pin.SE3.Identity(), tool or pin.SE3.Identity()
+        D, E = self.stand.pose, self.place.pose
+        model, own_base, own_tool = self.model.register(
+            F, data, None if D is None else D * base, None if E is None else tool * E
+        )
+        return (
+            Mounted(
+                model,
+                replace(self.stand, pose=own_base * base.inverse()),
+                replace(self.place, pose=tool.inverse() * own_tool),
+            ),
+            base,
+            tool,
+        )
+
+    def _split(self, own: Floats) -> tuple[Floats, Floats, Floats]:
+        """Parameters of the model, and both frames, shape (4, 4)."""
+        stand, place = self.stand.about(own[-12:-6]), self.place.about(own[-6:])
+        assert stand.pose is not None and place.pose is not None
+        return own[:-12], stand.pose.homogeneous, place.pose.homogeneous

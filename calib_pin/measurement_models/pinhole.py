@@ -1,0 +1,244 @@
+"""Images of points in a pinhole camera, with the distortion of Brown and Conrady.
+
+A point (X, Y, Z) in the camera's optical frame (z forward, x to the right of the image,
+y down) is x = X / Z, y = Y / Z in the plane at depth 1, and there
+
+    r^2 = x^2 + y^2,  s = 1 + k_1 r^2 + k_2 r^4 + k_3 r^6
+    x' = x s + 2 p_1 x y + p_2 (r^2 + 2 x^2),  u = f_x x' + c_x
+    y' = y s + p_1 (r^2 + 2 y^2) + 2 p_2 x y,  v = f_y y' + c_y
+
+(D. C. Brown, "Close-range camera calibration", 1971; signs and order of OpenCV). The
+image (x', y') is the gradient of a potential, so that its derivative is symmetric and
+its second derivative has four different entries.
+
+Coefficients are k_1, k_2, p_1, p_2, k_3; intrinsics are f_x, f_y, c_x, c_y before them.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from functools import cached_property
+
+import numpy as np
+
+from calib_pin.spatial import Floats
+
+__all__ = ["NEAR", "Image", "distort", "turning_radius", "undistort"]
+
+NEAR = 1e-3
+"""Depth up to which a point counts as behind the camera [m]."""
+
+ITERATIONS = 50
+"""Newton steps after which a point is given up."""
+
+EXACT = 1e-12
+"""Largest error of a point whose distortion was undone, at depth 1."""
+
+
+@dataclass(frozen=True)
+class Image:
+    """Pixels of points and their derivatives.
+
+    Attributes:
+        intrinsics: Intrinsics, shape (9,).
+        points: Points in the camera by components, so that those of many points lie
+            side by side, shape (3, N) [m].
+    """
+
+    intrinsics: Floats
+    points: Floats
+
+    @cached_property
+    def depth(self) -> Floats:
+        """Depth of the point, shape (N,) [m]; NaN behind the camera."""
+        return np.where(self.points[2] > NEAR, self.points[2], np.nan)
+
+    @cached_property
+    def x(self) -> Floats:
+        """To the right, at depth 1, shape (N,)."""
+        return np.asarray(self.points[0] / self.depth)
+
+    @cached_property
+    def y(self) -> Floats:
+        """Down, at depth 1, shape (N,)."""
+        return np.asarray(self.points[1] / self.depth)
+
+    @property
+    def pixels(self) -> Floats:
+        """Pixels, shape (N, 2)."""
+        f_x, f_y, c_x, c_y = self.intrinsics[:4]
+        x, y = self._distorted
+        return np.column_stack([f_x * x + c_x, f_y * y + c_y])
+
+    @cached_property
+    def gradient(self) -> Floats:
+        """Derivative of the pixel by the point in the camera, shape (2, 3, N)."""
+        (f_x, f_y), (xx, xy, yy) = self.intrinsics[:2], self._slope
+        result = np.empty((2, 3, len(self.depth)))
+        for of, focal, x, y in ((result[0], f_x, xx, xy), (result[1], f_y, xy, yy)):
+            scale = focal / self.depth
+            of[0], of[1] = scale * x, scale * y
+        result[:, 2] = -(self.x * result[:, 0] + self.y * result[:, 1])
+        return result
+
+    @property
+    def by_intrinsics(self) -> Floats:
+        """Derivative of the pixel by the intrinsics, shape (2, 9, N)."""
+        result = np.zeros((2, 9, len(self.x)))
+        result[0, 0], result[1, 1] = self._distorted
+        result[0, 2] = result[1, 3] = 1.0
+        xx, yy = self.x * self.x, self.y * self.y
+        rr = xx + yy
+        for of, value, focal in zip(
+            result, (self.x, self.y), self.intrinsics[:2], strict=True
+        ):
+            np.multiply(focal * value, rr, out=of[4])
+            np.multiply(of[4], rr, out=of[5])
+            np.multiply(of[5], rr, out=of[8])
+        f_x, f_y = self.intrinsics[:2]
+        xy = 2.0 * self.x * self.y
+        result[0, 6], result[0, 7] = f_x * xy, f_x * (rr + 2.0 * xx)
+        result[1, 6], result[1, 7] = f_y * (rr + 2.0 * yy), f_y * xy
+        return result
+
+    @property
+    def bend(self) -> Floats:
+        """Second derivative of the pixel by the point, shape (N, 2, 3, 3)."""
+        x, y, depth = self.x, self.y, self.depth
+        (xx, xy, yy), by = self._slope, self._by_point
+        xxx, xxy, xyy, yyy = _bend(x, y, self.intrinsics[4:])
+        # x = X / Z has second derivatives by X Z and by Z Z, and so has y.
+        of_x, of_y = np.zeros((2, len(x), 3, 3))
+        for of, value, k in ((of_x, x, 0), (of_y, y, 1)):
+            of[:, k, 2] = of[:, 2, k] = -1.0 / depth**2
+            of[:, 2, 2] = 2.0 * value / depth**2
+        result = np.empty((len(x), 2, 3, 3))
+        for k, (a, b, c, first, second) in enumerate(
+            ((xxx, xxy, xyy, xx, xy), (xxy, xyy, yyy, xy, yy))
+        ):
+            inner = np.moveaxis(np.array([[a, b], [b, c]]), 2, 0)
+            result[:, k] = np.swapaxes(by, 1, 2) @ inner @ by
+            result[:, k] += first[:, None, None] * of_x + second[:, None, None] * of_y
+        return result * self.intrinsics[:2, None, None]
+
+    @property
+    def bend_by_intrinsics(self) -> Floats:
+        """Derivative of `by_intrinsics` by the point, shape (N, 2, 9, 3)."""
+        (f_x, f_y), (xx, xy, yy) = self.intrinsics[:2], self._slope
+        result = np.zeros((2, 9, 2, len(self.x)))
+        result[0, 0], result[1, 1] = (xx, xy), (xy, yy)
+        of_x, of_y = _slope_by_coefficients(self.x, self.y)
+        result[0, 4:], result[1, 4:] = f_x * of_x, f_y * of_y
+        return result.transpose(3, 0, 1, 2) @ self._by_point[:, None]
+
+    @cached_property
+    def _distorted(self) -> tuple[Floats, Floats]:
+        return distort(self.x, self.y, self.intrinsics[4:])
+
+    @cached_property
+    def _slope(self) -> tuple[Floats, Floats, Floats]:
+        return _slope(self.x, self.y, self.intrinsics[4:])
+
+    @property
+    def _by_point(self) -> Floats:
+        """Derivative of (x, y) by the point, shape (N, 2, 3)."""
+        result = np.zeros((len(self.x), 2, 3))
+        result[:, 0, 0] = result[:, 1, 1] = 1.0 / self.depth
+        result[:, 0, 2], result[:, 1, 2] = -self.x / self.depth, -self.y / self.depth
+        return result
+
+
+def distort(x: Floats, y: Floats, coefficients: Floats) -> tuple[Floats, Floats]:
+    """Distorted coordinates (x', y'), each of the shape of x and y."""
+    k_1, k_2, p_1, p_2, k_3 = coefficients
+    xx, yy, xy = x * x, y * y, 2.0 * x * y
+    rr = xx + yy
+    s = 1.0 + rr * (k_1 + rr * (k_2 + rr * k_3))
+    return (
+        x * s + p_1 * xy + p_2 * (rr + 2.0 * xx),
+        y * s + p_1 * (rr + 2.0 * yy) + p_2 * xy,
+    )
+
+
+def _slope(x: Floats, y: Floats, coefficients: Floats) -> tuple[Floats, Floats, Floats]:
+    """Derivatives: of x' by x, of x' by y, which is that of y' by x, and of y' by y."""
+    k_1, k_2, p_1, p_2, k_3 = coefficients
+    rr = x * x + y * y
+    s = 1.0 + rr * (k_1 + rr * (k_2 + rr * k_3))
+    ds = 2.0 * (k_1 + rr * (2.0 * k_2 + rr * (3.0 * k_3)))
+    return (
+        s + x * x * ds + 2.0 * p_1 * y + 6.0 * p_2 * x,
+        x * y * ds + 2.0 * p_1 * x + 2.0 * p_2 * y,
+        s + y * y * ds + 6.0 * p_1 * y + 2.0 * p_2 * x,
+    )
+
+
+def _bend(
+    x: Floats, y: Floats, coefficients: Floats
+) -> tuple[Floats, Floats, Floats, Floats]:
+    """Second derivatives: of x' by xx, xy and yy, of y' by yy.
+
+    Those of y' by xx and xy are those of x' by xy and yy.
+    """
+    k_1, k_2, p_1, p_2, k_3 = coefficients
+    rr = x * x + y * y
+    ds = 2.0 * (k_1 + rr * (2.0 * k_2 + rr * (3.0 * k_3)))
+    dds = 4.0 * (2.0 * k_2 + rr * (6.0 * k_3))
+    return (
+        3.0 * x * ds + x**3 * dds + 6.0 * p_2,
+        y * ds + x * x * y * dds + 2.0 * p_1,
+        x * ds + x * y * y * dds + 2.0 * p_2,
+        3.0 * y * ds + y**3 * dds + 6.0 * p_1,
+    )
+
+
+def _slope_by_coefficients(x: Floats, y: Floats) -> tuple[Floats, Floats]:
+    """Second derivatives of x' and y', by coefficients and (x, y), (5, 2, N) each."""
+    xx, yy, xy = x * x, y * y, x * y
+    rr = xx + yy
+    cross = 2.0 * np.stack([y, x])
+    of_x = [[rr + 2.0 * xx, 2.0 * xy], [rr * (rr + 4.0 * xx), 4.0 * rr * xy]]
+    of_x += [[*cross], [6.0 * x, 2.0 * y]]
+    of_x += [[rr**2 * (rr + 6.0 * xx), 6.0 * rr**2 * xy]]
+    of_y = [[2.0 * xy, rr + 2.0 * yy], [4.0 * rr * xy, rr * (rr + 4.0 * yy)]]
+    of_y += [[2.0 * x, 6.0 * y], [*cross]]
+    of_y += [[6.0 * rr**2 * xy, rr**2 * (rr + 6.0 * yy)]]
+    return np.array(of_x), np.array(of_y)
+
+
+def turning_radius(coefficients: Floats) -> float:
+    """Radius r at which `r s` first stops to grow; infinite where it never does.
+
+    Beyond, the image folds back over itself: no lens does that.
+    """
+    k_1, k_2, _, _, k_3 = coefficients
+    # Derivative of r s by r, as a polynomial in r^2.
+    roots = np.roots([7.0 * k_3, 5.0 * k_2, 3.0 * k_1, 1.0])
+    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
+    return float(np.sqrt(real.min(initial=np.inf)))
+
+
+def undistort(points: Floats, coefficients: Floats) -> Floats:
+    """Points whose distorted image is given, shape (N, 2); NaN where there is none.
+
+    Newton's method from the distorted points: of radial distortion it approaches the
+    solution from one side.
+    """
+    goal_x, goal_y = points.T
+    x, y = goal_x.copy(), goal_y.copy()
+    with np.errstate(all="ignore"):
+        for _ in range(ITERATIONS):
+            at_x, at_y = distort(x, y, coefficients)
+            miss_x, miss_y = at_x - goal_x, at_y - goal_y
+            xx, xy, yy = _slope(x, y, coefficients)
+            scale = 1.0 / (xx * yy - xy * xy)
+            step_x = scale * (yy * miss_x - xy * miss_y)
+            step_y = scale * (xx * miss_y - xy * miss_x)
+            x, y = x - step_x, y - step_y
+            if not (np.abs([step_x, step_y]) > 1e-15).any():
+                break
+        at = np.column_stack(distort(x, y, coefficients))
+        missed = np.abs(at - points).max(axis=1, initial=0.0)
+        within = np.hypot(x, y) < turning_radius(coefficients)
+    found = (missed < EXACT) & within
+    return np.where(found[:, None], np.column_stack([x, y]), np.nan)

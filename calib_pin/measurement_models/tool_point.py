@@ -1,0 +1,484 @@
+"""Models of a point of the tool: what they share.
+
+A row names the point of the tool that is measured, the place that it is measured
+against, or both as `point@place`. Without a point it is the origin of the tool frame.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from typing import Self
+
+import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
+
+from calib_pin.contact_registration import Reached
+from calib_pin.errors import InputError, OptionError
+from calib_pin.measurement_models.base import (
+    Curvature,
+    Featured,
+    Linearization,
+    rotation_curvature,
+)
+from calib_pin.measurement_models.features import Feature, Point, locate
+from calib_pin.measurements import AT, Measurements
+from calib_pin.registration import fit_pose
+from calib_pin.setup import PointSetup
+from calib_pin.spatial import Floats, skew
+
+__all__ = [
+    "Bend",
+    "PlaceModel",
+    "PointModel",
+    "Touch",
+    "Touching",
+    "named_points",
+    "placed_tool",
+    "split_names",
+    "tip_points",
+]
+
+
+@dataclass(frozen=True)
+class Touch:
+    """What is measured of N points, and its derivatives.
+
+    Attributes:
+        value: Values, shape (N, d).
+        by_point: Derivative by the point, shape (N, d, 3).
+        by_place: Derivative by the parameters of the place, shape (N, d, k).
+    """
+
+    value: Floats
+    by_point: Floats
+    by_place: Floats
+
+
+@dataclass(frozen=True)
+class Bend:
+    """How the derivatives of a `Touch` change with the point.
+
+    Attributes:
+        by_point: Of `Touch.by_point`, shape (N, d, 3, 3), the point last.
+        by_place: Of `Touch.by_place`, shape (N, d, k, 3).
+    """
+
+    by_point: Floats
+    by_place: Floats
+
+
+@dataclass(frozen=True)
+class PointModel(Featured):
+    """A measurement of a point of the tool, against a place or by itself.
+
+    A member says what is measured of a point (`compare`) and how that bends; this does
+    the rest: names, the way from the tool frame to the point, features.
+
+    Attributes:
+        points: Named points of the tool; rows without a name mean its origin.
+        places: What points are measured against.
+        origin: Whether rows look at the origin of the tool frame.
+    """
+
+    points: tuple[Point, ...] = ()
+    places: tuple[Feature, ...] = ()
+    origin: bool = True
+
+    @property
+    def measuring_frame(self) -> bool:
+        """No: places stand in the base frame unless the setup frees it."""
+        return False
+
+    @property
+    def sees_tool(self) -> bool:
+        """Where it looks at the origin, or at points known in the tool frame."""
+        return self.origin or not any(point.estimate for point in self.points)
+
+    @property
+    def missing(self) -> str:
+        """Points and places that nobody has given."""
+        lacking = [f for f in self.features if not f.placed]
+        if not lacking:
+            return ""
+        section = lacking[0].section
+        what = f"its '{section}'"
+        if any(f.placed for f in self.features if f.section == section):
+            names = ", ".join(f"'{f.name}'" for f in lacking if f.section == section)
+            what = f"{names} of {what}"
+        return f"give {what} in a setup file (--setup)"
+
+    @property
+    def targets(self) -> Sequence[str]:
+        """Points, places, or their combinations."""
+        points = [*([""] if self.origin else []), *(p.name for p in self.points)]
+        if not self.places:
+            return tuple(points) if self.points else ()
+        return tuple(
+            f"{point}{AT}{place.name}" if point else place.name
+            for place in self.places
+            for point in points
+        )
+
+    @property
+    def features(self) -> Sequence[Feature]:
+        """Points, then places."""
+        return (*self.points, *self.places)
+
+    def with_features(self, features: Sequence[Feature]) -> Self:
+        """The same about other references of points and places."""
+        count = len(self.points)
+        points = tuple(f for f in features[:count] if isinstance(f, Point))
+        return replace(self, points=points, places=tuple(features[count:]))
+
+    def observable(
+        self, T: Floats, own: Floats, target: Sequence[str]
+    ) -> NDArray[np.bool_]:
+        """Everywhere."""
+        return np.ones(len(T), bool)
+
+    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+        """Noise-free values, shape (N, d); none where nothing but contact is known."""
+        value = self._look(T, own, target).touch.value
+        return np.zeros((len(T), 0)) if self.contact else value
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Add noise to the values."""
+        return values if self.contact else values + noise
+
+    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured value, shape (N, d)."""
+        value = self._look(T, own, data.target).touch.value
+        return value if self.contact else value - data.values
+
+    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+        """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
+        view = self._look(T, own, data.target)
+        touch, by_twist = view.touch, view.by_twist(T)
+        by_own = np.zeros((len(T), touch.value.shape[1], len(own)))
+        row = np.arange(len(T))
+        named = view.point < len(self.points)
+        by_offset = touch.by_point @ view.by_offset
+        for c in range(3):
+            column = 3 * view.point[named] + c
+            by_own[row[named], :, column] = by_offset[named, :, c]
+        width = touch.by_place.shape[2]
+        for c in range(width if self.places else 0):
+            column = 3 * len(self.points) + width * view.place + c
+            by_own[row, :, column] = touch.by_place[:, :, c]
+        residual = touch.value if self.contact else touch.value - data.values
+        return Linearization(residual, touch.by_point @ by_twist, by_own)
+
+    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+        """Second derivatives: the point moves, and its own motion turns."""
+        view = self._look(T, own, target)
+        bend = self.bend(view.p, view.place, view.of_place)
+        G, P, rows = view.touch.by_point, view.by_twist(T), np.arange(len(T))
+        turning = rotation_curvature(T[:, :3, :3])
+        # P = (R, -R [t]x)
+        by_P = np.concatenate(
+            [turning, -np.einsum("nacb,ncd->nadb", turning, skew(view.offset))], axis=2
+        )
+        H = bend.by_point @ P[:, None]
+        by_twist = np.einsum("ndcb,nca->ndab", H, P)
+        by_twist += np.einsum("ndc,ncab->ndab", G, by_P)
+        by_own = np.zeros((*G.shape[:2], len(own), 6))
+        named = view.point < len(self.points)
+        R = view.by_offset
+        by_offset = np.einsum("ndcb,nca->ndab", H, R)
+        by_offset += np.einsum("ndc,ncab->ndab", G, turning)
+        for c in range(3):
+            column = 3 * view.point[named] + c
+            by_own[rows[named], :, column] = by_offset[named, :, c]
+        width = bend.by_place.shape[2]
+        by_place = bend.by_place @ P[:, None]
+        for c in range(width if self.places else 0):
+            column = 3 * len(self.points) + width * view.place + c
+            by_own[rows, :, column] = by_place[:, :, c]
+        return Curvature(by_twist, by_own)
+
+    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+        """What is measured of points.
+
+        Args:
+            p: Points in the measuring frame, shape (N, 3) [m].
+            place: Position of each row's place, shape (N,).
+            own: Parameters of each row's place, shape (N, k).
+        """
+        raise NotImplementedError
+
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+        """How that changes with the points; arguments as for `compare`."""
+        raise NotImplementedError
+
+    def names(
+        self, target: Sequence[str], data: Measurements | None = None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Position of each row's point, the last for the origin, and of its place.
+
+        Raises:
+            InputError: If a row names what is not there; data tell where.
+        """
+        points, places = self.split(target)
+        point = np.full(len(target), len(self.points))
+        if self.points and any(points):
+            of = np.flatnonzero([bool(name) for name in points])
+            rows = None if data is None else data.rows(of)
+            named = [points[k] for k in of]
+            point[of] = locate(named, self.points, "target", rows, alone=False)
+        unnamed = point == len(self.points)
+        if self.points and not self.origin and unnamed.any():
+            row = int(np.argmax(unnamed))
+            where = "" if data is None else f"{data.place(row)}: "
+            allowed = ", ".join(p.name for p in self.points)
+            raise InputError(
+                f"{where}the row names no target, others do",
+                column="target",
+                allowed=allowed,
+            )
+        place = np.zeros(len(target), np.int64)
+        if self.places:
+            what = self.places[0].section[:-1]
+            place = locate(places, self.places, what, data)
+        return point, place
+
+    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The point and the place that each row names."""
+        return split_names(target, bool(self.places))
+
+    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
+        """The place that each row names; the only one where it names none."""
+        only = self.places[0].name if len(self.places) == 1 else ""
+        return tuple(name or only for name in split_names(target, True)[1])
+
+    def _look(self, T: Floats, own: Floats, target: Sequence[str]) -> _View:
+        point, place = self.names(target)
+        offsets = np.zeros((len(self.points) + 1, 3))
+        for k, feature in enumerate(self.points):
+            offsets[k] = feature.at(own[3 * k : 3 * k + 3])
+        offset = offsets[point]  # The last one is the origin.
+        rest = own[3 * len(self.points) :]
+        of_place = np.zeros((len(T), 0))
+        if self.places:
+            of_place = rest.reshape(len(self.places), -1)[place]
+        p, by_offset = self._reach(T, offset)
+        touch = self.compare(p, place, of_place)
+        return _View(point, place, offset, of_place, p, by_offset, touch)
+
+    def _reach(self, T: Floats, offset: Floats) -> tuple[Floats, Floats]:
+        """Where points of the tool are, (N, 3), and the derivative by the offset."""
+        R = T[:, :3, :3]
+        return np.einsum("nij,nj->ni", R, offset) + T[:, :3, 3], R
+
+
+class Touching:
+    """What contacts share: nothing is measured but that there is no gap."""
+
+    @property
+    def width(self) -> int:
+        """Nothing."""
+        return 0
+
+    @property
+    def contact(self) -> bool:
+        """Yes."""
+        return True
+
+
+@dataclass(frozen=True)
+class _View:
+    """What rows look at.
+
+    Attributes:
+        point: Position of each row's point, the last for the origin, shape (N,).
+        place: Position of its place, shape (N,).
+        offset: The point in the tool frame, shape (N, 3) [m].
+        of_place: Parameters of the place, shape (N, k).
+        p: The point in the measuring frame, shape (N, 3) [m].
+        by_offset: Derivative of p by the offset, shape (N, 3, 3).
+        touch: What is measured of it.
+    """
+
+    point: NDArray[np.int64]
+    place: NDArray[np.int64]
+    offset: Floats
+    of_place: Floats
+    p: Floats
+    by_offset: Floats
+    touch: Touch
+
+    def by_twist(self, T: Floats) -> Floats:
+        """Derivative of p by the body twist of the tool, shape (N, 3, 6)."""
+        R = T[:, :3, :3]
+        return np.concatenate([R, -R @ skew(self.offset)], axis=2)
+
+
+@dataclass(frozen=True)
+class PlaceModel(PointModel):
+    """A point of the tool against places that are registered from rows of theirs."""
+
+    def reached(
+        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+    ) -> Reached:
+        """What the rows of one place and one point tell in closed form.
+
+        Args:
+            F: Tip poses in the measuring frame, shape (N, 4, 4).
+            data: The rows.
+            point: The point in the tip frame where it is known, shape (3,) [m].
+            place: The place, not placed yet.
+        """
+        raise NotImplementedError
+
+    def found(self, place: Feature, reached: Reached) -> Feature:
+        """The place where that has put it."""
+        raise NotImplementedError
+
+    def new(self, name: str) -> Feature:
+        """A place that nobody has given."""
+        raise NotImplementedError
+
+    def extended(self, T: Floats, data: Measurements) -> Self:
+        """With a place for each that is new, by the rows that name it."""
+        known = {place.name for place in self.places}
+        names = self.places_of(data.target)
+        new = [name for name in dict.fromkeys(names) if name not in known]
+        if not new:
+            return self
+        wider = replace(self, places=(*self.places, *map(self.new, new)))
+        identity = pin.SE3.Identity()
+        return wider.register(T, data, identity, identity)[0]
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Self, pin.SE3, pin.SE3]:
+        """Unknown points by all their places, then unknown places by all rows.
+
+        A base that is not given stays where the URDF puts it.
+        """
+        base = base or pin.SE3.Identity()
+        label, place = self.names(data.target, data)
+        F = base.homogeneous @ F
+        tip = tip_points(self.points, tool)
+        for k in np.unique(label[np.isnan(tip[label, 0])]):
+            found, sizes = [], []
+            for s in np.unique(place[label == k]):
+                rows = (label == k) & (place == s)
+                reached = self.reached(F[rows], data.rows(rows), None, self.places[s])
+                found.append(reached.point)
+                sizes.append(rows.sum())
+            # The place with most rows: a poor one would spoil an average.
+            tip[k] = found[int(np.argmax(sizes))]
+        points, tool = placed_tool(tip, self.points, tool)
+        at = tip_points(points, tool)[label]
+        # With the points in place, every row tells of its place.
+        moved = F.copy()
+        moved[:, :3, 3] += np.einsum("nij,nj->ni", F[:, :3, :3], at)
+        places = list(self.places)
+        for s, feature in enumerate(places):
+            rows = place == s
+            if not feature.placed and rows.any():
+                reached = self.reached(
+                    moved[rows], data.rows(rows), np.zeros(3), feature
+                )
+                places[s] = self.found(feature, reached)
+        return replace(self, points=points, places=tuple(places)), base, tool
+
+
+def split_names(
+    target: Sequence[str], places: bool
+) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    """The point and the place that each row names.
+
+    Args:
+        target: What the rows say.
+        places: Whether there are places; else a name is that of a point.
+
+    Example:
+        >>> split_names(["wall", "ball@wall"], True)
+        (('', 'ball'), ('wall', 'wall'))
+    """
+    if not places:
+        return tuple(target), ("",) * len(target)
+    halves = [name.rpartition(AT) for name in target]
+    return tuple(h[0] for h in halves), tuple(h[2] for h in halves)
+
+
+def named_points(
+    stated: Mapping[str, PointSetup], names: Iterable[str], kind: str
+) -> tuple[Point, ...]:
+    """The points that a setup states, or else those that rows name.
+
+    Args:
+        stated: What the setup says of points by name.
+        names: Names that rows give, empty ones among them.
+        kind: Kind of the points.
+
+    Raises:
+        OptionError: If a point is known and not given.
+    """
+    given = stated or dict.fromkeys(filter(None, names), PointSetup())
+    for name, point in given.items():
+        if point.estimate is False and point.xyz is None:
+            raise OptionError(
+                f"'{name}' is known, and its place is not given", allowed="xyz"
+            )
+    return tuple(
+        Point(
+            name,
+            kind,
+            None if point.xyz is None else np.array(point.xyz, float),
+            point.estimate is not False,
+        )
+        for name, point in given.items()
+    )
+
+
+def tip_points(points: Sequence[Point], tool: pin.SE3 | None) -> Floats:
+    """Points of the tool and, last, its origin in the tip frame, shape (J + 1, 3) [m].
+
+    NaN for what is unknown: the origin of a tool that is, and points of it.
+
+    Args:
+        points: The J points.
+        tool: The tool frame in the tip where it is known.
+    """
+    result = np.full((len(points) + 1, 3), np.nan)
+    if tool is not None:
+        result[-1] = tool.translation
+        for k, point in enumerate(points):
+            if point.xyz is not None:
+                result[k] = tool.act(point.xyz)
+    return result
+
+
+def placed_tool(
+    found: Floats, points: Sequence[Point], tool: pin.SE3 | None
+) -> tuple[tuple[Point, ...], pin.SE3]:
+    """The tool frame and its points from what the tip carries.
+
+    Args:
+        found: Points in the tip frame, that of the tool's origin last, shape (J + 1,
+            3) [m]; NaN where no row tells.
+        points: The J points.
+        tool: The tool frame in the tip where it is known.
+
+    Returns:
+        The points, all of them placed, and the tool frame.
+    """
+    told = ~np.isnan(found[:, 0])
+    if tool is None:
+        xyz = [*(point.xyz for point in points), np.zeros(3)]
+        known = [k for k, place in enumerate(xyz) if place is not None and told[k]]
+        tool = pin.SE3.Identity()
+        if known:
+            here = np.array([xyz[k] for k in known])
+            tool = fit_pose(here, found[known])
+    inside = (found - tool.translation) @ tool.rotation
+    return tuple(
+        point
+        if point.placed
+        else replace(point, xyz=inside[k] if told[k] else np.zeros(3))
+        for k, point in enumerate(points)
+    ), tool

@@ -1,0 +1,187 @@
+"""Configurations that are planned for the accuracy at stated test poses.
+
+The criterion is that of case D, the predicted variance of the position there. All
+reference points are measured at every configuration, which `calib_pin.plan` does not
+know: it gives each configuration a point of its own.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cache
+
+import numpy as np
+
+from calib_pin.measurement_models import measurement_model
+from calib_pin.planning.criteria import Prediction
+from calib_pin.planning.information import Information
+from calib_pin.planning.plan import identification
+from calib_pin.planning.prediction import TipTests
+from calib_pin.planning.rows import IdentificationRows, Pullback
+from calib_pin.planning.search import Search
+from calib_pin.planning.workspace import Workspace
+from calib_pin.problem import nominal_problem
+from calib_pin.spatial import Floats
+from studies.klimchik_arm import (
+    REACH,
+    Settings,
+    configurations,
+    measure,
+    task_poses,
+    truth,
+)
+from studies.klimchik_model import POINTS, calibrated, robot, setup_of
+
+__all__ = [
+    "DESIGN",
+    "PLANNED",
+    "RANDOM",
+    "Design",
+    "Planned",
+    "at_test_poses",
+    "plan_poses",
+]
+
+RANDOM, PLANNED = "random", "planned"
+"""The two ways to choose configurations for the test poses."""
+
+DESIGN = 2015
+"""Seed of the test poses and the plan."""
+
+STRUCTURE = 300
+"""Candidates that show what can be identified."""
+
+
+@dataclass(frozen=True)
+class AllPoints:
+    """Rows of configurations at which all reference points are measured.
+
+    Attributes:
+        one: Rows of a configuration and one of its points.
+    """
+
+    one: IdentificationRows
+
+    @property
+    def nuisances(self) -> int:
+        """Number of columns of base and tool."""
+        return self.one.nuisances
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether the rows have a derivative by the configuration."""
+        return self.one.differentiable
+
+    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
+        """Rows of configurations, shape (K, 6) -> (K, 9, m); targets do not count."""
+        return np.concatenate(
+            [self.one.rows(q, (name,) * len(q)) for name in POINTS], axis=1
+        )
+
+    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
+        """The same with their derivative."""
+        parts = [self.one.linearize(q, (name,) * len(q)) for name in POINTS]
+
+        def pullback(by_rows: Floats) -> Floats:
+            shares = np.split(by_rows, len(parts), axis=1)
+            back = [part[1](share) for part, share in zip(parts, shares, strict=True)]
+            return np.asarray(np.sum(back, axis=0))
+
+        return np.concatenate([rows for rows, _ in parts], axis=1), pullback
+
+
+@dataclass(frozen=True)
+class Design:
+    """What a set of configurations will tell about the test poses.
+
+    Attributes:
+        rows: What a configuration tells.
+        tests: Test poses, shape (T, 6) [rad].
+        criterion: Predicted error of the tool at the test poses.
+        workspace: Where configurations may be.
+        known: Information that is there before.
+    """
+
+    rows: AllPoints
+    tests: Floats
+    criterion: Prediction
+    workspace: Workspace
+    known: Floats
+
+    @staticmethod
+    @cache
+    def create(settings: Settings) -> Design:
+        """The design of the nominal robot; the test poses are the same for all."""
+        rng = np.random.default_rng(DESIGN)
+        sigma = settings.noise / np.sqrt(settings.repeats)
+        setup = replace(
+            setup_of(known=True), noise={"position": float(sigma)}, region=REACH
+        )
+        problem = nominal_problem(robot(), "position", setup)
+        workspace = Workspace.create(problem)
+        spread = workspace.candidates(STRUCTURE, rng)
+        _, one, known = identification(problem, spread)
+        pose = replace(
+            one, measurement=measurement_model("pose", setup), sigma=np.ones(6)
+        )
+        tests = task_poses(settings.tests, rng)
+        criterion = Prediction(TipTests.at(pose, tests).position)
+        return Design(AllPoints(one), tests, criterion, workspace, known)
+
+    def predicted(self, q: Floats) -> float:
+        """Root-mean-square error at the test poses that noise leaves [m]."""
+        rows = self.rows.rows(q, ())
+        U = rows.reshape(-1, rows.shape[2])
+        found = Information.of(self.known + U.T @ U, self.rows.nuisances)
+        return np.inf if found is None else self.criterion.value(found, len(q))
+
+
+def plan_poses(settings: Settings) -> Floats:
+    """Configurations with the least predicted error at the test poses, (N, 6)."""
+    design, rng = Design.create(settings), np.random.default_rng(DESIGN)
+    search = Search(
+        design.rows,
+        design.workspace,
+        design.criterion,
+        design.known,
+        design.workspace.candidates(settings.candidates, rng),
+        settings.count,
+        rng,
+        starts=settings.starts,
+    )
+    return search.run("auto").q
+
+
+@dataclass(frozen=True)
+class Planned:
+    """Accuracy at the test poses after a calibration.
+
+    Attributes:
+        predicted: Root-mean-square error that noise leaves of the nominal robot [m].
+        errors: Errors of the tool's position, shape (T,) [m].
+    """
+
+    predicted: float
+    errors: Floats
+
+
+def at_test_poses(
+    settings: Settings, planned: Floats, rng: np.random.Generator
+) -> dict[str, Planned]:
+    """Calibrate the same stiff robot at planned and at random configurations."""
+    design = Design.create(settings)
+    problem, theta = truth(rng, settings.length, settings.angle)
+    true = problem.error.poses(design.tests, problem.split(theta)[0])
+    result = {}
+    for name, q in (
+        (RANDOM, configurations(settings.count, rng)),
+        (PLANNED, planned),
+    ):
+        rows = measure(
+            problem, theta, q, rng, noise=settings.noise, repeats=settings.repeats
+        )
+        found = calibrated(rows, setup_of(known=True)).model.poses(design.tests)
+        errors = np.linalg.norm((found - true)[:, :3, 3], axis=1)
+        result[name] = Planned(design.predicted(q), errors)
+    return result

@@ -1,0 +1,365 @@
+"""Wu, Klimchik, Caro, Furet, Pashkevich: partial pose measurements, elastostatics.
+
+A tracker measures reference points on the tool of a heavy six-joint robot, positions
+only: no orientation is ever measured, and all residuals share one unit. The geometry
+is an irreducible model of 18 parameters, base and tool have six each. Joints give way
+under gravity and a known payload. Configurations are chosen for the accuracy that they
+give at stated test poses.
+
+The published robot, its errors and its tables are not available: `heavy6` has lengths
+near those of a KR 270, and all errors are drawn here, seed by seed.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.fit import Fit, fit
+from calib_pin.measurements import Measurements
+from calib_pin.parameterizations.compliance import NOTHING
+from calib_pin.problem import make_problem
+from calib_pin.result import CalibrationResult
+from calib_pin.solve import descend
+from calib_pin.solvers import Status, alternation
+from calib_pin.solvers.alternation import MEMORY
+from calib_pin.spatial import Floats, invert, so3_log
+from studies.klimchik_arm import Settings, configurations, measure, truth
+from studies.klimchik_design import Planned, at_test_poses
+from studies.klimchik_model import LOADS, POINTS, calibrated, robot, setup_of
+
+__all__ = [
+    "BOTH",
+    "GEOMETRY",
+    "MODELS",
+    "Accuracy",
+    "Compliances",
+    "Elastostatics",
+    "Seed",
+    "Turns",
+    "accuracies",
+    "elastostatics",
+    "study",
+    "take_turns",
+]
+
+GEOMETRY, BOTH = "geometry", "geometry + compliance"
+"""What is estimated of the robot in the elastostatic part."""
+
+MODELS: Mapping[str, tuple[str, ...]] = {
+    "nominal": (),
+    GEOMETRY: ("placement",),
+    BOTH: ("placement", "compliance"),
+}
+"""Errors of the robot by name of the model."""
+
+# --- two steps ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Turns:
+    """The joint solve beside the two steps that take turns.
+
+    Attributes:
+        difference: Largest difference of both solutions, in expected sizes of errors.
+        cost: Relative difference of their costs.
+        converged: Whether the two steps say that they have converged.
+        steps: Steps of the joint solve.
+        mixed: Largest difference to the joint solution before the turns and after each
+            of them, until it is small or at the limit.
+        plain: The same without acceleration.
+    """
+
+    difference: float
+    cost: float
+    converged: bool
+    steps: int
+    mixed: tuple[float, ...]
+    plain: tuple[float, ...]
+
+
+def take_turns(settings: Settings, rows: Measurements) -> Turns:
+    """Solve for base, points and robot jointly and by turns."""
+    joint, turns = (
+        fit(
+            make_problem(robot(), rows, setup_of(solver=solver)),
+            np.random.default_rng(0),
+        )
+        for solver in ("gauss-newton", "two-step")
+    )
+    return Turns(
+        difference=_apart(joint, turns.theta),
+        cost=abs(turns.result.cost / joint.result.cost - 1.0),
+        converged=turns.result.status is Status.CONVERGED,
+        steps=descend(joint.problem, joint.directions, joint.before).result.nit,
+        mixed=_differences(settings, joint, MEMORY),
+        plain=_differences(settings, joint, 0),
+    )
+
+
+def _differences(settings: Settings, joint: Fit, memory: int) -> tuple[float, ...]:
+    """Largest difference to the joint solution before and after every round."""
+    x = joint.before
+    found = [_apart(joint, x)]
+    while found[-1] > settings.near and len(found) <= settings.rounds:
+        if memory:
+            # From the start again: what is mixed is all rounds before.
+            x = _turned(joint, joint.before, len(found), memory)
+        else:
+            x = _turned(joint, x, 1, memory)
+        found.append(_apart(joint, x))
+    return tuple(found)
+
+
+def _turned(joint: Fit, start: Floats, rounds: int, memory: int) -> Floats:
+    """Where rounds of the two steps lead from a start: frames and points, robot."""
+    problem, directions = joint.problem, joint.directions
+    scales = problem.parameters.scales[:, None]
+    return alternation(
+        problem.linearize,
+        problem.cost,
+        start,
+        scales * directions.nuisances,
+        scales * directions.robot,
+        max_rounds=rounds,
+        memory=memory,
+    ).x
+
+
+def _apart(joint: Fit, x: Floats) -> float:
+    """Largest difference to the joint solution, in expected sizes of errors."""
+    scales = joint.problem.parameters.scales
+    return float(np.abs((x - joint.theta) / scales).max())
+
+
+# --- elastostatics -----------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Compliances:
+    """Compliances of the joints, shape (6,) each [rad/Nm].
+
+    Attributes:
+        value: Estimates; NaN of joints that nothing loads.
+        sigma: Their standard deviations.
+        unloaded: Standard deviations from the rows without load alone.
+    """
+
+    value: Floats
+    sigma: Floats
+    unloaded: Floats
+
+
+@dataclass(frozen=True)
+class Elastostatics:
+    """A robot that gives way, measured with and without a payload.
+
+    Attributes:
+        errors: Distances of the reference points to the true ones on the unseen
+            configurations by model and load, shape (3 K,) each [m].
+        predicted: Root mean square that noise leaves of them, by load [m].
+        rank: Rank of the geometry with the compliances.
+        compliances: The compliances.
+    """
+
+    errors: Mapping[str, Mapping[str, Floats]]
+    predicted: Mapping[str, float]
+    rank: int
+    compliances: Compliances
+
+    def mean(self, model: str, load: str) -> float:
+        """Mean error on unseen configurations [m]."""
+        return float(self.errors[model][load].mean())
+
+
+def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics:
+    """Measure a robot that gives way, and fit it with and without compliances."""
+    load = settings.load
+    problem, theta = truth(rng, settings.length, settings.angle, load)
+    rows = measure(
+        problem,
+        theta,
+        configurations(settings.count, rng),
+        rng,
+        loads=tuple(LOADS),
+        noise=settings.noise,
+        repeats=settings.repeats,
+    )
+    q = configurations(settings.unseen, rng)
+    unseen = {name: measure(problem, theta, q, rng, loads=(name,)) for name in LOADS}
+    fitted = {
+        model: calibrated(
+            rows, setup_of(names, load=load if "compliance" in names else None)
+        )
+        for model, names in MODELS.items()
+    }
+    alone = rows.rows(np.array([name == NOTHING for name in rows.payload]))
+    without = calibrated(alone, setup_of(MODELS[BOTH], load=load))
+    return Elastostatics(
+        errors={
+            model: {name: _distances(found, there) for name, there in unseen.items()}
+            for model, found in fitted.items()
+        },
+        predicted={name: _noise(fitted[BOTH], there) for name, there in unseen.items()},
+        rank=fitted[BOTH].identifiability.rank,
+        compliances=Compliances(
+            *_compliances(fitted[BOTH]), unloaded=_compliances(without)[1]
+        ),
+    )
+
+
+def _compliances(found: CalibrationResult) -> tuple[Floats, Floats]:
+    """Compliances and standard deviations, NaN where there are none."""
+    of = {p.name: p for p in found.parameters}
+    known = [of[f"{joint}.compliance.k"] for joint in robot().joints]
+    value = [np.nan if p.sigma is None else p.value for p in known]
+    sigma = [np.nan if p.sigma is None else p.sigma for p in known]
+    return np.array(value), np.array(sigma)
+
+
+def _values(found: CalibrationResult) -> Floats:
+    """Parameters about the calibration: all of base, tool and points are zero."""
+    own = np.zeros(len(found.model.measurement.parameters))
+    return np.concatenate([found.model.theta, own])
+
+
+def _distances(found: CalibrationResult, rows: Measurements) -> Floats:
+    """Distances of predicted points to exact ones, shape (N,) [m]."""
+    errors = found.model.problem(rows).errors(_values(found))
+    return np.asarray(np.linalg.norm(errors, axis=1))
+
+
+def _noise(found: CalibrationResult, rows: Measurements) -> float:
+    """Root mean square of these that the covariance of the fit predicts [m]."""
+    problem = found.model.problem(rows)
+    _, J = problem.linearize_rows(_values(found))
+    J = J * problem.sigma.reshape(-1, 1)
+    variances = np.einsum("ip,pq,iq->i", J, found.covariance, J, optimize=True)
+    return float(np.sqrt(variances.sum() / len(rows)))
+
+
+# --- number of reference points ----------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Accuracy:
+    """Errors of the tool frame on unseen configurations, root mean squares.
+
+    Attributes:
+        rank: Rank of the fit.
+        position: Error of its origin [m].
+        orientation: Error of its orientation [rad].
+        robot: Both apart from a constant motion of the tool [m, rad].
+        predicted: Position and orientation that noise leaves; NaN where a part of the
+            tool frame cannot be told.
+        predicted_robot: The same apart from a constant motion of the tool.
+    """
+
+    rank: int
+    position: float
+    orientation: float
+    robot: tuple[float, float]
+    predicted: tuple[float, float]
+    predicted_robot: tuple[float, float]
+
+
+def accuracies(settings: Settings, rng: np.random.Generator) -> dict[int, Accuracy]:
+    """Calibrate the same stiff robot with one, two and three known points."""
+    problem, theta = truth(rng, settings.length, settings.angle)
+    q = configurations(settings.count, rng)
+    rows = measure(
+        problem, theta, q, rng, noise=settings.noise, repeats=settings.repeats
+    )
+    unseen = configurations(settings.unseen, rng)
+    true = problem.error.poses(unseen, problem.split(theta)[0])
+    result = {}
+    for points in range(1, len(POINTS) + 1):
+        names = list(POINTS)[:points]
+        seen = rows.rows(np.array([target in names for target in rows.target]))
+        found = calibrated(seen, setup_of(points=points, known=True))
+        result[points] = _accuracy(found, unseen, true)
+    return result
+
+
+def _accuracy(found: CalibrationResult, q: Floats, true: Floats) -> Accuracy:
+    """Judge a calibration at configurations (K, 6) with true poses (K, 4, 4)."""
+    model = found.model
+    _, J = model.error.jacobian(q, model.theta)
+    count = J.shape[2]
+    covariance = found.covariance[:count, :count]
+
+    def predicted(J: Floats) -> tuple[float, float]:
+        variances = np.einsum("nap,pq,naq->na", J, covariance, J, optimize=True)
+        return _rms(np.sqrt(variances))
+
+    errors = _errors(model.poses(q), true)
+    whole = found.identifiability.rank == found.identifiability.parameters
+    return Accuracy(
+        found.identifiability.rank,
+        *_rms(errors),
+        # A constant motion of the tool is a constant body twist of it.
+        robot=_rms(errors - errors.mean(axis=0)),
+        predicted=predicted(J) if whole else (np.nan, np.nan),
+        predicted_robot=predicted(J - J.mean(axis=0)),
+    )
+
+
+def _errors(T: Floats, true: Floats) -> Floats:
+    """Errors of poses in the true tool frame, shape (K, 6) [m, rad]."""
+    motion = invert(true) @ T
+    return np.column_stack([motion[:, :3, 3], so3_log(motion[:, :3, :3])])
+
+
+def _rms(errors: Floats) -> tuple[float, float]:
+    """Root mean squares of position and orientation, of errors (K, 6)."""
+    squares = np.mean(errors**2, axis=0)
+    return float(np.sqrt(squares[:3].sum())), float(np.sqrt(squares[3:].sum()))
+
+
+# --- all of it ---------------------------------------------------------------------
+
+
+@dataclass(frozen=True)
+class Seed:
+    """What one seed gives.
+
+    Attributes:
+        turns: Joint solve and two steps.
+        elastostatics: With compliances and a payload.
+        accuracies: By number of reference points.
+        planned: At the test poses, by the choice of configurations.
+    """
+
+    turns: Turns
+    elastostatics: Elastostatics
+    accuracies: Mapping[int, Accuracy]
+    planned: Mapping[str, Planned]
+
+
+def study(settings: Settings, planned: Floats, seed: int) -> Seed:
+    """Draw robots and calibrate them in every way.
+
+    Args:
+        settings: What is simulated.
+        planned: Configurations for the test poses, shape (N, 6).
+        seed: Seed of the robots, the random configurations and the noise.
+    """
+    # One generator for each part, so that none depends on the others.
+    of = [np.random.default_rng([seed, part]) for part in range(4)]
+    problem, theta = truth(of[0], settings.length, settings.angle)
+    rows = measure(
+        problem,
+        theta,
+        configurations(settings.count, of[0]),
+        of[0],
+        noise=settings.noise,
+        repeats=settings.repeats,
+    )
+    return Seed(
+        turns=take_turns(settings, rows),
+        elastostatics=elastostatics(settings, of[1]),
+        accuracies=accuracies(settings, of[2]),
+        planned=at_test_poses(settings, planned, of[3]),
+    )

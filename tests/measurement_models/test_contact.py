@@ -1,0 +1,262 @@
+"""Points that touch planes and spheres."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError
+from calib_pin.fit import fit
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.contact import PlaneContact, SphereContact, directions
+from calib_pin.measurement_models.features import Plane, Sphere
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem, make_problem
+from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
+from calib_pin.spatial import Floats
+
+Simulated = Callable[..., tuple[Problem, Floats]]
+
+ARM = calib_pin.load_chain("space6")
+TIP = np.array([0.05, -0.03, 0.12])
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+TABLE = PlaneSetup((0.0, 0.1, 1.0), -0.4)
+WALL = PlaneSetup((1.0, 0.1, 0.3), -0.5)
+DOOR = PlaneSetup((0.2, 1.0, 0.1), -0.3)
+BALL = SphereSetup((0.5, 0.2, 0.4), 0.15)
+
+
+def data_of(model: str, count: int, *names: str) -> Measurements:
+    target = tuple(names[k % len(names)] for k in range(count))
+    q, values = np.zeros((count, 1)), np.zeros((count, 0))
+    return Measurements(("j",), q, model, values, target=target)
+
+
+def touching(points: Floats, point: Floats = TIP, seed: int = 0) -> Floats:
+    """Poses of a tip whose point is at places, turned at random."""
+    rng = np.random.default_rng(seed)
+    turns = [pin.exp3(rng.normal(size=3)) for _ in points]
+    return np.array(
+        [
+            pin.SE3(R, p - R @ point).homogeneous
+            for R, p in zip(turns, points, strict=True)
+        ]
+    )
+
+
+def on_plane(plane: PlaneSetup, count: int, seed: int = 1) -> Floats:
+    rng = np.random.default_rng(seed)
+    n = np.array(plane.normal)
+    p = rng.uniform(-1.0, 1.0, (count, 3))
+    return np.asarray(p - np.outer((p @ n + plane.offset) / (n @ n), n))
+
+
+def on_sphere(sphere: SphereSetup, count: int, seed: int = 2) -> Floats:
+    e = np.random.default_rng(seed).normal(size=(count, 3))
+    assert sphere.xyz is not None and sphere.radius is not None
+    e /= np.linalg.norm(e, axis=1)[:, None]
+    return np.asarray(sphere.xyz + sphere.radius * e)
+
+
+# The rows.
+
+
+def test_height_above_a_plane_by_hand() -> None:
+    plane = Plane("table", np.array([0.6, 0.0, 0.8]), -1.0)
+    model = PlaneContact(places=(plane,))
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, 3] = [[0.0, 5.0, 1.25], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
+    data = data_of(model.name, 3, "")
+    height = model.residual(T, np.zeros(3), data)
+    np.testing.assert_allclose(height[:, 0], [0.0, 0.4, -1.0], atol=1e-15)
+    # Turned and shifted as by `Plane.turned`.
+    own = np.array([0.2, -0.1, 0.3])
+    normal, offset, _ = plane.turned(own)
+    expected = T[:, :3, 3] @ normal + offset
+    np.testing.assert_allclose(model.residual(T, own, data)[:, 0], expected, atol=1e-15)
+
+
+def test_height_above_a_sphere_by_hand() -> None:
+    """The radius of a probe's ball counts to that of the sphere."""
+    model = SphereContact(places=(Sphere("s", np.array([1.0, 0.0, 0.0]), 2.0),))
+    T = np.tile(np.eye(4), (3, 1, 1))
+    T[:, :3, 3] = [[1.0, 3.0, 4.0], [1.0, 0.0, -2.0], [0.5, 0.0, 0.0]]
+    data = data_of(model.name, 3, "s")
+    height = model.residual(T, np.zeros(4), data)
+    np.testing.assert_allclose(height[:, 0], [3.0, 0.0, -1.5], atol=1e-15)
+    height = model.residual(T, np.array([0, 0, 0, 0.1]), data)
+    np.testing.assert_allclose(height[:, 0], [2.9, -0.1, -1.6], atol=1e-15)
+    height = model.residual(T, np.array([-0.5, 0, 0, 0]), data)
+    assert height[2, 0] == -2.0
+
+
+def test_directions_have_no_zero() -> None:
+    e, length = directions(np.array([[3.0, 0.0, -4.0], [0.0, 0.0, 0.0]]))
+    np.testing.assert_allclose(length, [5.0, 0.0])
+    np.testing.assert_allclose(e[0], [0.6, 0.0, -0.8])
+    assert np.isnan(e[1]).all()
+
+
+def test_rows_of_several_places_keep_their_own() -> None:
+    """Parameters of a plane move its rows and no others."""
+    model = measurement_model("plane-contact", Setup(planes={"a": TABLE, "b": WALL}))
+    T = touching(np.random.default_rng(0).normal(size=(6, 3)))
+    data = data_of("plane-contact", 6, "b", "a", "a")
+    own = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+    moved = model.residual(T, own, data) - model.residual(T, 0.0 * own, data)
+    of_a = np.array([name == "a" for name in data.target])
+    assert np.abs(moved[of_a]).min() > 1e-3 and not moved[~of_a].any()
+    by_own = model.linearize(T, own, data).by_own
+    assert not by_own[of_a][:, :, 3:].any() and not by_own[~of_a][:, :, :3].any()
+    assert [p.unit for p in model.parameters] == ["rad", "rad", "m"] * 2
+
+
+@pytest.mark.parametrize(
+    ("model", "what"), [("plane-contact", "plane"), ("sphere-contact", "sphere")]
+)
+def test_rows_of_something_unknown(model: str, what: str) -> None:
+    setup = Setup(planes={"a": TABLE, "b": WALL}, spheres={"a": BALL, "b": BALL})
+    made = measurement_model(model, setup)
+    with pytest.raises(InputError, match=f"row 1: there is no {what} 'c'"):
+        made.register(
+            touching(np.zeros((2, 3))), data_of(model, 2, "a", "c"), None, None
+        )
+
+
+# Registration.
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_planes_and_the_point_that_touches_them(known: bool) -> None:
+    names = ("table", "wall")
+    points = np.concatenate([on_plane(TABLE, 20), on_plane(WALL, 14)])
+    F = touching(points)
+    target = ("table",) * 20 + ("wall",) * 14
+    data = replace(data_of("plane-contact", 34, ""), target=target)
+    model = measurement_model("plane-contact", Setup(), names)
+    tool = pin.SE3(np.eye(3), TIP) if known else None
+    found, base, found_tool = model.register(F, data, None, tool)
+    assert base == pin.SE3.Identity()
+    np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-12)
+    for plane, stated in zip(found.features, (TABLE, WALL), strict=True):
+        size = np.linalg.norm(stated.normal)
+        normal, offset = np.array(stated.normal) / size, stated.offset / size
+        np.testing.assert_allclose(plane.normal, normal, atol=1e-12)
+        assert plane.offset == pytest.approx(offset, abs=1e-12)
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize("radius", [None, 0.15])
+def test_spheres_and_the_point_that_touches_them(
+    radius: float | None, known: bool
+) -> None:
+    F = touching(on_sphere(BALL, 30))
+    setup = Setup(spheres={"ball": SphereSetup(None, radius)})
+    model = measurement_model("sphere-contact", setup)
+    tool = pin.SE3(np.eye(3), TIP) if known else None
+    found, _, found_tool = model.register(
+        F, data_of("sphere-contact", 30, "ball"), None, tool
+    )
+    np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-11)
+    (sphere,) = found.features
+    np.testing.assert_allclose(sphere.xyz, BALL.xyz, atol=1e-11)
+    assert sphere.radius == pytest.approx(0.15, abs=1e-11)
+    # A radius that is stated is known, one that is not is estimated.
+    assert [p.free for p in found.parameters] == [True] * 3 + [radius is None]
+
+
+def test_places_that_are_given_stand() -> None:
+    F = touching(on_plane(TABLE, 20))
+    wrong = PlaneSetup((0.0, 0.0, 1.0), -0.3)
+    model = measurement_model("plane-contact", Setup(planes={"table": wrong}))
+    found, _, tool = model.register(F, data_of("plane-contact", 20, ""), None, None)
+    assert found.features == model.features
+    # The point is found all the same.
+    np.testing.assert_allclose(tool.translation, TIP, atol=1e-12)
+
+
+def test_a_base_that_is_known() -> None:
+    """Planes stand in the measuring frame."""
+    base = pin.exp6(np.array([0.5, 0.2, -0.1, 0.3, -0.2, 0.8]))
+    F = base.inverse().homogeneous @ touching(on_plane(TABLE, 20))
+    model = measurement_model("plane-contact", Setup(), ("table",))
+    found, found_base, tool = model.register(
+        F, data_of("plane-contact", 20, "table"), base, None
+    )
+    assert found_base == base
+    np.testing.assert_allclose(tool.translation, TIP, atol=1e-12)
+    size = np.linalg.norm(TABLE.normal)
+    np.testing.assert_allclose(
+        found.features[0].normal, np.array(TABLE.normal) / size, atol=1e-12
+    )
+
+
+def test_new_places_are_where_rows_put_them() -> None:
+    setup = Setup(planes={"wall": WALL})
+    model = measurement_model("plane-contact", setup)
+    T = touching(on_plane(TABLE, 9), np.zeros(3))
+    wider = model.extended(T, data_of("plane-contact", 9, "table"))
+    assert [p.name for p in wider.features] == ["wall", "table"]
+    assert wider.features[0] is model.features[0]
+    (_, table) = wider.features
+    size = np.linalg.norm(TABLE.normal)
+    np.testing.assert_allclose(table.normal, np.array(TABLE.normal) / size, atol=1e-12)
+    assert model.extended(T, data_of("plane-contact", 9, "wall")) is model
+
+
+# What can be known.
+
+
+@pytest.mark.parametrize(
+    ("model", "stated", "rank", "scaled"),
+    [
+        ("plane-contact", {"planes": {"a": TABLE}}, 23, False),
+        ("plane-contact", {"planes": {"a": replace(TABLE, estimate=False)}}, 23, True),
+        ("plane-contact", {"planes": {"a": TABLE, "b": WALL, "c": DOOR}}, 29, False),
+        ("sphere-contact", {"spheres": {"a": BALL}}, 24, True),
+        (
+            "sphere-contact",
+            {"spheres": {"a": replace(BALL, estimate_radius=True)}},
+            24,
+            False,
+        ),
+        ("sphere-contact", {"spheres": {"a": replace(BALL, estimate=False)}}, 24, True),
+    ],
+)
+def test_ranks(model: str, stated: dict[str, Any], rank: int, scaled: bool) -> None:
+    """A radius that is known is the length that a plane lacks."""
+    found = calib_pin.identify(ARM, model, Setup(tool_frame=TOOL, **stated))
+    assert found.identifiability.rank == rank
+    assert found.identifiability.gap > 1e9
+    assert found.identifiability.scale_observable == scaled
+
+
+def test_planes_from_nothing(simulated: Simulated) -> None:
+    """Planes, probe and robot without a first guess; one plane is known."""
+    planes = {"a": replace(TABLE, estimate=False), "b": WALL, "c": DOOR}
+    truth, _ = simulated(
+        "plane-contact", Setup(planes=planes, tool_frame=TOOL), 120, 1.0
+    )
+    bare = Setup(planes={"a": planes["a"], "b": WALL, "c": DOOR})
+    fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
+    assert fitted.rank == 29
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
+
+
+def test_named_points_touch_as_well(simulated: Simulated) -> None:
+    points = {
+        "long": PointSetup((0.05, 0.08, 0.12)),
+        "short": PointSetup((0.0, 0.02, 0.1)),
+    }
+    setup = Setup(planes={"a": replace(TABLE, estimate=False)}, targets=points)
+    problem, theta = simulated("plane-contact", setup, 20, 1.0)
+    assert set(problem.data.target) == {"long@a", "short@a"}
+    assert np.abs(problem.errors(theta)).max() < 1e-12
+    fitted = fit(problem, np.random.default_rng(0))
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11

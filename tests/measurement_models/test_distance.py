@@ -1,0 +1,230 @@
+"""Distances from an anchor, and from where the point of a tool has been."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError, OptionError
+from calib_pin.fit import fit
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
+from calib_pin.measurement_models.features import Anchor, Point
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.setup import AnchorSetup, FrameSetup, PointSetup, Setup
+from calib_pin.spatial import Floats, invert
+from calib_pin.training import train
+
+Simulated = Callable[..., tuple[Problem, Floats]]
+
+ARM = calib_pin.load_chain("space6")
+TIP = np.array([0.05, -0.03, 0.12])
+AT = np.array([1.5, 0.2, 0.4])
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+
+
+def tips(count: int, seed: int = 0) -> Floats:
+    return ARM.poses(ARM.random_configurations(count, np.random.default_rng(seed)))
+
+
+def data_of(model: str, values: Floats, *names: str) -> Measurements:
+    count = len(values)
+    target = tuple(names[k % len(names)] for k in range(count))
+    q = np.zeros((count, 1))
+    return Measurements(("j",), q, model, values[:, None], target=target)
+
+
+# From an anchor.
+
+
+def test_a_wire_by_hand() -> None:
+    model = PointDistance(places=(Anchor("w", np.array([1.0, 0.0, 0.0]), 0.5),))
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[:, :3, 3] = [[1.0, 3.0, 4.0], [1.0, 0.0, -2.0]]
+    reading = model.predict(T, np.zeros(4), ("w", ""))
+    np.testing.assert_allclose(reading[:, 0], [5.5, 2.5], atol=1e-15)
+    reading = model.predict(T, np.array([0.0, 3.0, 0.0, 0.1]), ("w", "w"))
+    np.testing.assert_allclose(reading[0, 0], 4.6, atol=1e-15)
+    data = data_of(model.name, np.array([5.0, 3.0]), "w")
+    # Predicted minus measured.
+    np.testing.assert_allclose(model.residual(T, np.zeros(4), data)[:, 0], [0.5, -0.5])
+
+
+@pytest.mark.parametrize("known", [False, True])
+@pytest.mark.parametrize(
+    ("bias", "estimate"), [(0.0, False), (0.02, False), (0.02, True)]
+)
+def test_anchors_and_points_are_registered(
+    bias: float, estimate: bool, known: bool
+) -> None:
+    F = tips(30)
+    points = F[:, :3, :3] @ TIP + F[:, :3, 3]
+    values = np.linalg.norm(points - AT, axis=1) + bias
+    stated = 0.0 if estimate else bias
+    setup = Setup(anchors={"w": AnchorSetup(None, stated, True, estimate)})
+    model = measurement_model("point-distance", setup)
+    tool = pin.SE3(np.eye(3), TIP) if known else None
+    found, base, found_tool = model.register(
+        F, data_of("point-distance", values, "w"), None, tool
+    )
+    assert base == pin.SE3.Identity()
+    np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-10)
+    (anchor,) = found.features
+    np.testing.assert_allclose(anchor.xyz, AT, atol=1e-10)
+    assert anchor.bias == pytest.approx(bias, abs=1e-10)
+    assert [p.free for p in found.parameters] == [True] * 3 + [estimate]
+
+
+def test_several_wires() -> None:
+    """Each is registered by its own rows, the tool by the one that has most."""
+    F, ends = tips(60), {"a": AT, "b": np.array([-0.8, 1.0, 0.5])}
+    target = tuple("aab"[k % 3] for k in range(60))
+    points = F[:, :3, :3] @ TIP + F[:, :3, 3]
+    values = np.linalg.norm(points - [ends[name] for name in target], axis=1)
+    data = replace(data_of("point-distance", values, ""), target=target)
+    model = measurement_model("point-distance", Setup(), data.target)
+    found, _, tool = model.register(F, data, None, None)
+    np.testing.assert_allclose(tool.translation, TIP, atol=1e-10)
+    for anchor in found.features:
+        np.testing.assert_allclose(anchor.xyz, ends[anchor.name], atol=1e-10)
+    with pytest.raises(InputError, match=r"row 2: there is no anchor 'c'"):
+        found.register(F, replace(data, target=("a", "b", "c") * 20), None, None)
+
+
+@pytest.mark.parametrize(
+    ("anchors", "rank"),
+    [
+        # Turns about the anchor show nothing: three less than a position.
+        ({"w": AnchorSetup(tuple(AT))}, 24),
+        ({"w": AnchorSetup(tuple(AT), 0.01, True, True)}, 25),
+        ({"w": AnchorSetup(tuple(AT), estimate=False)}, 24),
+        (
+            {
+                str(k): AnchorSetup(xyz, estimate=False)
+                for k, xyz in enumerate([tuple(AT), (0, 2, 0), (0, 0, 2), (-1, 1, -1)])
+            },
+            27,
+        ),
+    ],
+)
+def test_ranks_of_wires(anchors: dict[str, AnchorSetup], rank: int) -> None:
+    setup = Setup(anchors=anchors, tool_frame=TOOL)
+    found = calib_pin.identify(ARM, "point-distance", setup).identifiability
+    assert found.rank == rank and found.gap > 1e9 and found.scale_observable
+
+
+def test_a_wire_from_nothing(simulated: Simulated) -> None:
+    anchors = {"w": AnchorSetup(tuple(AT), 0.01, estimate_bias=True)}
+    setup = Setup(anchors=anchors, tool_frame=TOOL)
+    truth, _ = simulated("point-distance", setup, 120, 1.0)
+    bare = Setup(anchors={"w": AnchorSetup(estimate_bias=True)})
+    fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
+    assert fitted.rank == 25
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
+
+
+# From where the row starts.
+
+
+def test_a_way_by_hand() -> None:
+    """Poses are those of the tool in the tool at the start."""
+    model = RelativeDistance()
+    turned = pin.SE3(pin.exp3(np.array([0.0, 0.0, np.pi / 2])), np.array([3.0, 0, 4.0]))
+    T = np.tile(turned.homogeneous, (2, 1, 1))
+    way = model.predict(T, np.zeros(0), ("", "1"))
+    np.testing.assert_allclose(way[:, 0], 5.0)
+    # A point 1 m off the axis goes along a chord as well.
+    model = RelativeDistance((Point("p", "target", np.array([1.0, 0, 0])),))
+    T[:, :3, 3] = 0.0
+    way = model.predict(T, np.zeros(3), ("p@1", "p@2"))
+    np.testing.assert_allclose(way[:, 0], np.sqrt(2.0))
+    way = model.predict(T, np.array([1.0, 0.0, 5.0]), ("p@1", "p@2"))
+    np.testing.assert_allclose(way[:, 0], 2.0 * np.sqrt(2.0))
+
+
+def test_rows_of_a_problem_are_relative_to_their_start() -> None:
+    setup = Setup(base_frame=FrameSetup((1, 2, 3), (0.1, 0.2, 0.3)), tool_frame=TOOL)
+    problem = nominal_problem(ARM, "relative-distance", setup)
+    rng = np.random.default_rng(0)
+    q, start = (ARM.random_configurations(5, rng) for _ in range(2))
+    theta = problem.parameters.vector(
+        {"joint_2.placement.x": 1e-3, "tool.frame.y": 0.1}
+    )
+    there = problem.about(theta, q, ("a",) * 5, start)
+    ends = [
+        problem.error.poses(x, problem.split(theta)[0])[:, :3, 3] for x in (q, start)
+    ]
+    expected = np.linalg.norm(ends[0] - ends[1], axis=1)
+    np.testing.assert_allclose(there.data.values[:, 0], expected, rtol=1e-14)
+    T = invert(problem.error.poses(start, problem.split(theta)[0]))
+    T = T @ problem.error.poses(q, problem.split(theta)[0])
+    np.testing.assert_allclose(there.poses(theta), T, atol=1e-15)
+    # Where the robot stands does not matter.
+    moved = replace(
+        problem,
+        error=problem.error.with_frames(pin.exp6(np.full(6, 0.7)), problem.error.tool),
+    )
+    again = moved.about(theta, q, ("a",) * 5, start)
+    np.testing.assert_allclose(again.data.values, there.data.values, rtol=1e-12)
+    # Without starts, each row starts at the row before.
+    rolled = problem.about(theta, q, ("a",) * 5)
+    np.testing.assert_array_equal(rolled.data.start, q[[4, 0, 1, 2, 3]])
+
+
+@pytest.mark.parametrize("names", [("",), ("1", "2"), ("p@1", "r@1", "p@2")])
+def test_points_are_registered_by_their_ways(names: tuple[str, ...]) -> None:
+    T = invert(tips(60, 1)) @ tips(60, 2)
+    points = {"": TIP, "p": TIP, "r": np.array([-0.1, 0.2, 0.3])}
+    target = tuple(names[k % len(names)] for k in range(60))
+    t = np.array([points[name.rpartition("@")[0]] for name in target])
+    ends = np.einsum("nij,nj->ni", T[:, :3, :3], t) + T[:, :3, 3]
+    data = data_of("relative-distance", np.linalg.norm(ends - t, axis=1), *names)
+    model = measurement_model("relative-distance", Setup(), target)
+    found, base, tool = model.register(T, data, None, None)
+    assert base == pin.SE3.Identity()
+    if not found.features:
+        np.testing.assert_allclose(tool.translation, TIP, atol=1e-10)
+    for point in found.features:
+        np.testing.assert_allclose(point.xyz, points[point.name], atol=1e-10)
+    _, _, kept = model.register(T, data, None, pin.SE3(np.eye(3), TIP))
+    np.testing.assert_array_equal(kept.translation, TIP)
+
+
+@pytest.mark.parametrize(
+    ("targets", "rank"),
+    [
+        ({}, 21),
+        (
+            {"p": PointSetup((0.05, 0.08, 0.12)), "r": PointSetup((-0.06, 0.03, 0.1))},
+            24,
+        ),
+    ],
+)
+def test_ranks_of_ways(targets: Any, rank: int) -> None:
+    """Not where the base stands: six less than positions."""
+    setup = Setup(tool_frame=TOOL, targets=targets)
+    found = calib_pin.identify(ARM, "relative-distance", setup)
+    assert found.identifiability.rank == rank and found.identifiability.gap > 1e9
+    assert found.identifiability.scale_observable
+    base = {p.status for p in found.parameters if p.name.startswith("base.")}
+    assert base == {"fixed"}
+
+
+def test_ways_from_nothing(simulated: Simulated) -> None:
+    truth, _ = simulated("relative-distance", Setup(tool_frame=TOOL), 100, 1.0)
+    fitted = fit(make_problem(ARM, truth.data, Setup()), np.random.default_rng(0))
+    assert fitted.rank == 21
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
+
+
+def test_nothing_is_learned_from_ways(simulated: Simulated) -> None:
+    rows, _ = simulated("relative-distance", Setup(tool_frame=TOOL), 40)
+    with pytest.raises(OptionError, match="between two configurations"):
+        train(ARM, rows.data, Setup(learned="gaussian-process"), 0)

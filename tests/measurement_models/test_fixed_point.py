@@ -1,0 +1,228 @@
+"""A ball in sockets: where it is, what it shows, and what random poses would hide."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError
+from calib_pin.fit import fit, structure_at
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.spatial import Floats
+
+Simulated = Callable[..., tuple[Problem, Floats]]
+
+ARM = calib_pin.load_chain("space6")
+CENTERS = {"s/0": (0.6, 0.3, 0.4), "s/1": (0.5, -0.2, 0.6), "t/0": (0.3, 0.5, 0.5)}
+BALL = np.array([0.05, 0.08, 0.12])
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+APART = float(np.linalg.norm([0.1, 0.5, -0.2]))
+
+
+def sockets(count: int, estimate: bool = True) -> dict[str, PointSetup]:
+    names = list(CENTERS)[:count]
+    return {name: PointSetup(CENTERS[name], estimate=estimate) for name in names}
+
+
+def known_apart(value: float = APART) -> tuple[DistanceSetup, ...]:
+    return (DistanceSetup(("s/0", "s/1"), value, 1e-5),)
+
+
+def fixed_point(setup: Setup, *targets: str) -> FixedPoint:
+    model = measurement_model("fixed-point", setup, targets)
+    assert isinstance(model, FixedPoint)
+    return model
+
+
+def at_rest(
+    tool: Floats, names: tuple[str, ...], base: pin.SE3 | None = None
+) -> tuple[Floats, Measurements]:
+    """Poses of a tip whose point rests in sockets, each from many sides."""
+    rng = np.random.default_rng(0)
+    base = base or pin.SE3.Identity()
+    F = []
+    for name in names:
+        R = pin.exp3(rng.normal(size=3))
+        center = base.actInv(np.array(CENTERS[name]))
+        F.append(pin.SE3(R, center - R @ tool).homogeneous)
+    q = np.zeros((len(names), 1))
+    values = np.zeros((len(names), 0))
+    return np.array(F), Measurements(("j",), q, "fixed-point", values, target=names)
+
+
+# The rows.
+
+
+def test_the_gap_by_hand() -> None:
+    model = fixed_point(Setup(sockets=sockets(2)))
+    assert model.contact and model.width == 0 and not model.measuring_frame
+    T = np.tile(np.eye(4), (2, 1, 1))
+    T[:, :3, 3] = [[0.7, 0.3, 0.4], [0.5, -0.2, 0.4]]
+    own, target = np.zeros(6), ("s/0", "s/1")
+    data = Measurements(
+        ("j",), np.zeros((2, 1)), "fixed-point", np.zeros((2, 0)), target=target
+    )
+    # From the socket to the ball.
+    gap = model.residual(T, own, data)
+    np.testing.assert_allclose(gap, [[0.1, 0, 0], [0, 0, -0.2]], atol=1e-15)
+    own[3:] = [0.0, 0.0, -0.2]
+    gap = model.residual(T, own, data)
+    np.testing.assert_allclose(gap, [[0.1, 0, 0], [0, 0, 0]], atol=1e-15)
+    # Nothing is measured, so that there is nothing to predict or disturb.
+    assert model.predict(T, own, target).shape == (2, 0)
+    assert model.disturb(data.values, np.ones((2, 3))).shape == (2, 0)
+
+
+def test_what_rows_can_name() -> None:
+    two = {"red": PointSetup((0, 0, 0.1)), "blue": PointSetup((0, 0.1, 0))}
+    setup = Setup(sockets=sockets(2), targets=two)
+    assert fixed_point(setup).targets == (
+        *("red@s/0", "blue@s/0"),
+        *("red@s/1", "blue@s/1"),
+    )
+    assert fixed_point(setup, "s/0").targets == ("s/0", "s/1")
+    model = fixed_point(Setup(), "red@s/0", "blue@s/9")
+    assert [(p.name, p.kind) for p in (*model.points, *model.places)] == [
+        ("red", "target"),
+        ("blue", "target"),
+        ("s/0", "socket"),
+        ("s/9", "socket"),
+    ]
+    _, data = at_rest(BALL, ("s/0", "s/1"))
+    stated = fixed_point(setup, *data.target)
+    with pytest.raises(InputError, match=r"row 1: there is no socket 's/11'"):
+        stated.names(("s/0", "s/11"), data)
+    with pytest.raises(InputError, match="row 0: the row names no socket"):
+        stated.names(("", "s/1"), data)
+
+
+# Registration.
+
+
+@pytest.mark.parametrize("base", [None, pin.exp6(np.full(6, 0.3))])
+@pytest.mark.parametrize("known", [(), ("s/0",), ("s/0", "s/1")])
+@pytest.mark.parametrize("ball", [False, True])
+def test_registration(ball: bool, known: tuple[str, ...], base: pin.SE3 | None) -> None:
+    F, data = at_rest(BALL, ("s/0", "s/1") * 5, base)
+    setup = Setup(
+        sockets={
+            name: PointSetup(CENTERS[name] if name in known else None)
+            for name in ("s/0", "s/1")
+        }
+    )
+    tool = pin.SE3(np.eye(3), BALL) if ball else None
+    model, found_base, found_tool = fixed_point(setup, *data.target).register(
+        F, data, base, tool
+    )
+    np.testing.assert_allclose(found_tool.translation, BALL, atol=1e-12)
+    assert found_base == (base or pin.SE3.Identity())
+    centers = [s.xyz for s in model.places if isinstance(s, Point)]
+    np.testing.assert_allclose(centers, list(CENTERS.values())[:2], atol=1e-12)
+    T = found_base.homogeneous @ F @ found_tool.homogeneous
+    gap = model.residual(T, np.zeros(6), data)
+    np.testing.assert_allclose(gap, 0.0, atol=1e-12)
+
+
+def test_two_balls_on_one_tool() -> None:
+    other = np.array([-0.1, 0.02, 0.05])
+    F_a, a = at_rest(BALL, ("s/0", "t/0") * 4)
+    F_b, b = at_rest(other, ("s/0", "s/1") * 4)
+    names = tuple(f"{x}@{y}" for x, d in (("a", a), ("b", b)) for y in d.target)
+    F = np.concatenate([F_a, F_b])
+    data = replace(a.rows(np.zeros(16, int)), target=names)
+    model, _, tool = fixed_point(Setup(), *names).register(F, data, None, None)
+    assert tool == pin.SE3.Identity() and not model.sees_tool
+    points = [point.xyz for point in model.points]
+    np.testing.assert_allclose(points, [BALL, other], atol=1e-12)
+    gap = model.residual(F, np.zeros(len(model.parameters)), data)
+    np.testing.assert_allclose(gap, 0.0, atol=1e-12)
+
+
+def test_new_sockets_are_where_the_ball_is_on_average() -> None:
+    F, data = at_rest(BALL, ("s/0", "s/1", "t/0") * 6)
+    known = Point("s/0", "socket", np.array([0.61, 0.3, 0.4]))
+    model = FixedPoint(places=(known,))
+    T = F @ pin.SE3(np.eye(3), BALL).homogeneous
+    T[1, 0, 3] += 0.006
+    found = model.extended(T, data)
+    assert [place.name for place in found.places] == ["s/0", "s/1", "t/0"]
+    assert found.places[0] is known
+    off, right = (place.xyz for place in found.places[1:])
+    np.testing.assert_allclose(off, np.add(CENTERS["s/1"], [0.001, 0, 0]), atol=1e-12)
+    np.testing.assert_allclose(right, CENTERS["t/0"], atol=1e-12)
+    assert model.extended(T[::3], data.rows(np.arange(0, 18, 3))) is model
+
+
+# What can be known.
+
+
+@pytest.mark.parametrize(
+    ("places", "distances", "rank", "scaled"),
+    [
+        # 18 of the robot, 3 of the ball, 3 of the socket, but not the scale.
+        (sockets(1), (), 23, False),
+        (sockets(2), (), 26, False),
+        (sockets(3), (), 29, False),
+        (sockets(2), known_apart(), 27, True),
+        (sockets(3), known_apart(), 30, True),
+        # The base stands where it stands: how far a known socket is, is a length.
+        (sockets(1, estimate=False), (), 23, True),
+        (sockets(2, estimate=False), (), 26, True),
+    ],
+)
+def test_ranks(
+    places: dict[str, PointSetup],
+    distances: tuple[DistanceSetup, ...],
+    rank: int,
+    scaled: bool,
+) -> None:
+    setup = Setup(sockets=places, tool_frame=TOOL, distances=distances)
+    found = calib_pin.identify(ARM, "fixed-point", setup).identifiability
+    assert found.rank == found.structural_rank == rank
+    assert found.gap > 1e9
+    assert found.scale_observable == scaled
+
+
+@pytest.mark.parametrize(("count", "rank"), [(1, 23), (2, 26)])
+def test_random_configurations_would_hide_the_scale(count: int, rank: int) -> None:
+    """Away from the sockets the gap grows with the robot, and turns with its base.
+
+    In the sockets neither can be told: four directions less.
+    """
+    setup = Setup(sockets=sockets(count), tool_frame=TOOL)
+    problem = nominal_problem(ARM, "fixed-point", setup)
+    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
+    q = ARM.random_configurations(100, rng)
+    target = tuple(problem.measurement.targets)
+    anywhere, _ = structure_at(problem, zero, q, (target * 100)[:100])
+    assert anywhere.rank == rank + 4 and anywhere.scaled
+    gap = problem.about(zero, q, (target * 100)[:100]).errors(zero)
+    assert np.linalg.norm(gap, axis=1).min() > 1e-3
+
+
+def test_sockets_from_nothing(simulated: Simulated) -> None:
+    """A distance and rows; ball and sockets are found without a first guess."""
+    setup = Setup(sockets=sockets(2), tool_frame=TOOL, distances=known_apart())
+    truth, _ = simulated("fixed-point", setup, 50, size=1.0)
+    bare = Setup(distances=known_apart())
+    fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
+    assert fitted.rank == 27 and fitted.structure.scaled
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
+    a, b = fitted.problem.measurement.about(
+        fitted.problem.split(fitted.theta)[1]
+    ).places
+    assert np.linalg.norm(a.xyz - b.xyz) == pytest.approx(APART, abs=1e-10)
+    # With a wrong distance all rows fit as well, and the robot has another size.
+    bare = Setup(distances=known_apart(1.01 * APART))
+    larger = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
+    assert np.abs(larger.problem.errors(larger.theta)).max() < 1e-11

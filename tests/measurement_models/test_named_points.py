@@ -1,0 +1,235 @@
+"""Positions of several named points on the tool (Wu et al., partial poses)."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError
+from calib_pin.fit import fit
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.tool_point import split_names
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem, make_problem
+from calib_pin.setup import FrameSetup, PointSetup, Setup
+from calib_pin.spatial import Floats
+
+Simulated = Callable[..., tuple[Problem, Floats]]
+
+ARM = calib_pin.load_chain("space6")
+BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
+TOOL = pin.exp6(np.array([0.02, -0.05, 0.12, 0.4, -0.3, 0.2]))
+XYZ = {"a": (0.05, 0.08, 0.12), "b": (-0.06, 0.03, 0.1), "c": (0.02, -0.07, 0.15)}
+STATED = {name: PointSetup(xyz) for name, xyz in XYZ.items()}
+
+
+def position(setup: Setup, *targets: str) -> Position:
+    model = measurement_model("position", setup, targets)
+    assert isinstance(model, Position)
+    return model
+
+
+def seen(
+    names: tuple[str, ...], count: int = 24, tool: pin.SE3 = TOOL
+) -> tuple[Floats, Measurements]:
+    """Tip poses and exact rows that look at points in turn; empty for the origin."""
+    F = ARM.poses(ARM.random_configurations(count, np.random.default_rng(0)))
+    target = tuple(names[k % len(names)] for k in range(count))
+    points = np.array([XYZ.get(name, (0.0, 0.0, 0.0)) for name in target])
+    T = BASE.homogeneous @ F @ tool.homogeneous
+    values = np.einsum("nij,nj->ni", T[:, :3, :3], points) + T[:, :3, 3]
+    q = np.zeros((count, 1))
+    return F, Measurements(("j",), q, "position", values, target=target)
+
+
+def placed(model: Position) -> Floats:
+    return np.array([point.xyz for point in model.points])
+
+
+# The rows.
+
+
+def test_points_by_hand() -> None:
+    model = position(Setup(targets=STATED))
+    T = np.tile(
+        pin.exp6(np.array([1.0, 2.0, 3.0, 0, 0, np.pi / 2])).homogeneous, (2, 1, 1)
+    )
+    origin = T[0, :3, 3]
+    values = model.predict(T, np.zeros(9), ("a", "c"))
+    # A quarter of a turn about z: x becomes y.
+    expected = np.array([[-0.08, 0.05, 0.12], [0.07, 0.02, 0.15]]) + origin
+    np.testing.assert_allclose(values, expected, atol=1e-15)
+    own = np.array([0, 0, 0, 0, 0, 0, 0.1, 0.2, 0.3])
+    moved = model.predict(T, own, ("a", "c")) - values
+    np.testing.assert_allclose(moved, [[0, 0, 0], [-0.2, 0.1, 0.3]], atol=1e-15)
+    names = [p.name for p in model.parameters]
+    assert names[:4] == ["a.target.x", "a.target.y", "a.target.z", "b.target.x"]
+
+
+def test_which_points_there_are() -> None:
+    setup = Setup(targets=STATED)
+    assert position(setup).targets == ("a", "b", "c")
+    # Only those that rows name, and the origin where one names none.
+    assert position(setup, "c", "a").targets == ("c", "a")
+    assert position(setup, "b", "").targets == ("", "b")
+    assert position(setup, "").targets == () and position(Setup()).targets == ()
+    # Nobody has stated these.
+    free = position(Setup(), "left", "right")
+    assert [point.name for point in free.points] == ["left", "right"]
+    assert free.missing == "give its 'targets' in a setup file (--setup)"
+    some = position(Setup(targets={**STATED, "b": PointSetup()}))
+    assert some.missing == "give 'b' of its 'targets' in a setup file (--setup)"
+
+
+@pytest.mark.parametrize(
+    ("targets", "sees"),
+    [
+        ({}, True),
+        (STATED, False),
+        ({"a": PointSetup(XYZ["a"], estimate=False)}, True),
+        ({"a": PointSetup(XYZ["a"], estimate=False), "b": STATED["b"]}, False),
+    ],
+)
+def test_unknown_points_hide_the_tool(
+    targets: dict[str, PointSetup], sees: bool
+) -> None:
+    """Where the tool frame is means nothing where no point is known in it."""
+    setup = Setup(targets=targets)
+    assert position(setup).sees_tool == sees
+    _, data = seen(tuple(targets) or ("",), 3)
+    data = replace(data, joints=ARM.joints, q=np.zeros((3, 6)))
+    parameters = make_problem(ARM, data, setup).parameters
+    tool = [name.startswith("tool.frame.") for name in parameters.names]
+    assert set(parameters.free[tool]) == {sees}
+
+
+def test_rows_of_an_unknown_point() -> None:
+    _, data = seen(("a", "b"), 4)
+    model = position(Setup(targets=STATED), *data.target)
+    wrong = replace(data, target=("a", "b", "bb", "a"), lines=np.arange(2, 6))
+    with pytest.raises(InputError) as caught:
+        model.names(wrong.target, replace(wrong, files=("m.csv",) * 4))
+    assert str(caught.value) == (
+        "m.csv:4: there is no target 'bb' (did you mean 'b'?) (column 'target'); "
+        "allowed: a, b"
+    )
+    with pytest.raises(InputError, match="row 1: the row names no target, others do"):
+        model.names(("a", "", "a", "a"), data)
+
+
+def test_names_of_points_and_places() -> None:
+    assert split_names(["", "a", "b@c", "a@b@c"], True) == (
+        ("", "", "b", "a@b"),
+        ("", "a", "c", "c"),
+    )
+    assert split_names(["", "a", "b@c"], False)[0] == ("", "a", "b@c")
+
+
+# Registration.
+
+
+@pytest.mark.parametrize("base", [None, BASE])
+def test_unknown_points_are_registered_in_the_tip(base: pin.SE3 | None) -> None:
+    F, data = seen(("a", "b", "c"))
+    model = position(Setup(), *data.target)
+    found, found_base, tool = model.register(F, data, base, None)
+    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-12)
+    assert tool == pin.SE3.Identity()
+    expected = [TOOL.act(np.array(xyz)) for xyz in XYZ.values()]
+    np.testing.assert_allclose(placed(found), expected, atol=1e-12)
+
+
+@pytest.mark.parametrize("names", [("a", "b", "c"), ("", "a", "b")])
+@pytest.mark.parametrize("base", [None, BASE])
+def test_known_points_show_the_tool(
+    base: pin.SE3 | None, names: tuple[str, ...]
+) -> None:
+    F, data = seen(names)
+    known = {name: PointSetup(XYZ[name], estimate=False) for name in names if name}
+    model = position(Setup(targets=known), *data.target)
+    found, found_base, tool = model.register(F, data, base, None)
+    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
+    np.testing.assert_allclose(tool.homogeneous, TOOL.homogeneous, atol=1e-8)
+    np.testing.assert_array_equal(placed(found), placed(model))
+
+
+@pytest.mark.parametrize("base", [None, BASE])
+def test_some_points_are_known(base: pin.SE3 | None) -> None:
+    """With the tool given, they help to find the base and the others."""
+    F, data = seen(("a", "b", "c"), 9)
+    some = Setup(targets={**STATED, "b": PointSetup(), "c": PointSetup()})
+    model = position(some, *data.target)
+    found, found_base, tool = model.register(F, data, base, TOOL)
+    assert tool == TOOL
+    np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-12)
+    np.testing.assert_allclose(placed(found), list(XYZ.values()), atol=1e-12)
+
+
+def test_one_known_point_does_not_turn_the_tool() -> None:
+    F, data = seen(("a",))
+    known = Setup(targets={"a": PointSetup(XYZ["a"], estimate=False)})
+    _, base, tool = position(known, "a").register(F, data, None, None)
+    np.testing.assert_allclose(base.homogeneous, BASE.homogeneous, atol=1e-12)
+    np.testing.assert_allclose(tool.rotation, np.eye(3), atol=1e-12)
+    a = np.array(XYZ["a"])
+    np.testing.assert_allclose(tool.act(a), TOOL.act(a), atol=1e-12)
+
+
+def test_a_point_that_no_row_looks_at_stays_at_the_origin() -> None:
+    F, data = seen(("a", "b"))
+    model = Position(tuple(Point(name, "target") for name in "abc"), origin=False)
+    found, _, _ = model.register(F, data, None, None)
+    assert found.missing == ""
+    np.testing.assert_array_equal(placed(found)[2], 0.0)
+
+
+# What can be known.
+
+
+@pytest.mark.parametrize(
+    ("count", "known", "rank"),
+    [
+        (1, False, 27),
+        # Each unknown point more has three coordinates more.
+        (2, False, 30),
+        (3, False, 33),
+        (1, True, 27),
+        # All of the tool frame but a turn about the line through both of them.
+        (2, True, 29),
+        # As good as poses.
+        (3, True, 30),
+    ],
+)
+def test_ranks(count: int, known: bool, rank: int) -> None:
+    points = {name: PointSetup(XYZ[name], estimate=not known) for name in "abc"[:count]}
+    setup = Setup(
+        targets=points,
+        base_frame=FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
+    )
+    found = calib_pin.identify(ARM, "position", setup).identifiability
+    assert found.rank == found.structural_rank == rank
+    assert found.gap > 1e9 and found.scale_observable
+
+
+def test_unknown_points_from_nothing(simulated: Simulated) -> None:
+    """Base, points and robot are found without a first guess."""
+    setup = Setup(targets=STATED, base_frame=FrameSetup((1.5, -0.4, 0.3), (1, 2, 3)))
+    truth, theta = simulated("position", setup, 60, size=1.0)
+    bare = make_problem(ARM, truth.data, Setup())
+    assert bare.measurement.targets == ("a", "b", "c")
+    fitted = fit(bare, np.random.default_rng(0))
+    assert fitted.rank == 33
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-12
+    q = ARM.random_configurations(9, np.random.default_rng(1))
+    there = [
+        p.about(t, q, ("a", "b", "c") * 3).data.values
+        for p, t in ((truth, theta), (fitted.problem, fitted.theta))
+    ]
+    np.testing.assert_allclose(there[1], there[0], atol=1e-12)

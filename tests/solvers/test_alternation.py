@@ -1,0 +1,143 @@
+"""Two halves by turns reach what both together reach."""
+
+from __future__ import annotations
+
+from itertools import pairwise
+
+import numpy as np
+import pytest
+
+from calib_pin.solvers import Status, alternation, gauss_newton
+from calib_pin.spatial import Floats
+
+
+class Bent:
+    """A residual of four unknowns, two by two, that explain nearly the same.
+
+    Args:
+        alike: How much the halves are, 0 for not at all, 1 for entirely.
+        rest: Size of what cannot be explained.
+    """
+
+    def __init__(self, alike: float, rest: float = 0.1, seed: int = 0) -> None:
+        rng = np.random.default_rng(seed)
+        A = np.linalg.qr(rng.normal(size=(12, 6)))[0]
+        angle = np.sqrt(1.0 - alike**2)
+        self.A = np.column_stack([A[:, :2], alike * A[:, :2] + angle * A[:, 2:4]])
+        self.b = self.A @ np.sinh([0.4, -0.3, 0.2, 0.5]) + rest * A[:, 4]
+
+    def residual(self, x: Floats) -> Floats:
+        return np.asarray(self.A @ np.sinh(x) - self.b)
+
+    def linearize(self, x: Floats) -> tuple[Floats, Floats]:
+        return self.residual(x), self.A * np.cosh(x)
+
+    def cost(self, x: Floats) -> float:
+        r = self.residual(x)
+        return 0.5 * float(r @ r)
+
+
+START = np.full(4, 0.1)
+FIRST, SECOND = np.eye(4)[:, :2], np.eye(4)[:, 2:]
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.5, 0.99])
+def test_the_joint_optimum(alike: float) -> None:
+    curve = Bent(alike)
+    joint = gauss_newton(curve.linearize, curve.cost, START, np.eye(4))
+    found = alternation(curve.linearize, curve.cost, START, FIRST, SECOND)
+    assert found.status is joint.status is Status.CONVERGED
+    assert found.cost == pytest.approx(joint.cost, rel=1e-10)
+    np.testing.assert_allclose(found.x, joint.x, rtol=0, atol=1e-5)
+    np.testing.assert_array_equal(found.fun, curve.residual(found.x))
+    np.testing.assert_array_equal(found.jac, curve.linearize(found.x)[1])
+    assert found.nfev > found.nit > 0
+
+
+@pytest.mark.parametrize("alike", [0.0, 0.9])
+def test_exact_data(alike: float) -> None:
+    curve = Bent(alike, rest=0.0)
+    found = alternation(curve.linearize, curve.cost, START, FIRST, SECOND)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.x, [0.4, -0.3, 0.2, 0.5], rtol=0, atol=1e-9)
+
+
+def test_mixing_saves_rounds() -> None:
+    """Plain turns get there as well where there are enough of them."""
+    curve = Bent(0.95)
+    mixed, plain = (
+        alternation(curve.linearize, curve.cost, START, FIRST, SECOND, memory=memory)
+        for memory in (10, 0)
+    )
+    assert plain.status is mixed.status is Status.CONVERGED
+    assert plain.cost == pytest.approx(mixed.cost, rel=1e-9)
+    assert mixed.nit < 20 < 60 < plain.nit
+
+
+def test_plain_turns_converge_as_slowly_as_the_halves_are_alike() -> None:
+    curve = Bent(0.999)
+    plain = alternation(
+        curve.linearize, curve.cost, START, FIRST, SECOND, memory=0, max_rounds=30
+    )
+    assert plain.status is Status.ITERATIONS and plain.nit == 30
+    best = gauss_newton(curve.linearize, curve.cost, START, np.eye(4)).cost
+    assert plain.cost > best * (1.0 + 1e-6)
+    # What is returned belongs to where it stopped.
+    np.testing.assert_array_equal(plain.fun, curve.residual(plain.x))
+    assert plain.cost == curve.cost(plain.x)
+
+
+def test_a_mixture_that_is_worse_is_not_taken() -> None:
+    """The cost never rises from round to round."""
+    curve = Bent(0.99)
+    costs = [
+        alternation(
+            curve.linearize, curve.cost, START, FIRST, SECOND, max_rounds=rounds
+        ).cost
+        for rounds in range(1, 12)
+    ]
+    assert all(b <= a for a, b in pairwise(costs))
+
+
+@pytest.mark.parametrize("which", [0, 1])
+def test_one_half_alone(which: int) -> None:
+    """Where the other has nothing to move, this is what a single solve finds."""
+    curve, empty = Bent(0.5), np.zeros((4, 0))
+    halves = [empty, empty]
+    halves[which] = FIRST
+    found = alternation(curve.linearize, curve.cost, START, *halves)
+    alone = gauss_newton(curve.linearize, curve.cost, START, FIRST)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.x, alone.x, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(found.x[2:], START[2:])
+
+
+def test_nothing_to_move() -> None:
+    curve, empty = Bent(0.5), np.zeros((4, 0))
+    found = alternation(curve.linearize, curve.cost, START, empty, empty)
+    assert found.status is Status.CONVERGED
+    np.testing.assert_array_equal(found.x, START)
+    assert found.cost == curve.cost(START)
+
+
+@pytest.mark.parametrize("value", [np.nan, np.inf])
+def test_a_start_that_is_not_finite(value: float) -> None:
+    curve = Bent(0.5)
+
+    def linearize(x: Floats) -> tuple[Floats, Floats]:
+        r, J = curve.linearize(x)
+        return np.full_like(r, value), J
+
+    found = alternation(linearize, lambda x: value, START, FIRST, SECOND)
+    assert found.status is Status.NOT_FINITE
+    np.testing.assert_array_equal(found.x, START)
+
+
+def test_directions_need_not_be_axes() -> None:
+    """Base and tool, then the robot: any two sets of directions in the unknowns."""
+    curve = Bent(0.7)
+    turn = np.linalg.qr(np.random.default_rng(3).normal(size=(4, 4)))[0]
+    found = alternation(curve.linearize, curve.cost, START, turn[:, :1], turn[:, 1:])
+    joint = gauss_newton(curve.linearize, curve.cost, START, np.eye(4))
+    assert found.status is Status.CONVERGED
+    np.testing.assert_allclose(found.x, joint.x, rtol=0, atol=1e-5)

@@ -1,0 +1,147 @@
+"""Distances that are known count as measurements of what they lie between."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.fit import fit
+from calib_pin.known_distances import KnownDistances
+from calib_pin.measurement_models.features import Anchor, Feature, Plane, Point, Sphere
+from calib_pin.problem import make_problem, nominal_problem
+from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
+from calib_pin.spatial import Floats
+
+FEATURES: tuple[Feature, ...] = (
+    Point("probe", "target", np.array([0.0, 0.0, 0.1])),
+    Plane("table", np.array([0.0, 0.0, 1.0])),
+    Point("left", "socket", np.array([1.0, 0.0, 0.0])),
+    Sphere("ball", np.array([1.0, 3.0, 4.0]), 0.1),
+    Anchor("wire", np.array([1.0, 0.0, -2.0])),
+    Point("right", "socket", np.array([3.0, 0.0, 0.0])),
+)
+DISTANCES = (
+    DistanceSetup(("left", "ball"), 4.9, 0.1),
+    DistanceSetup(("wire", "right"), 2.0, 1e-3),
+    DistanceSetup(("left", "nowhere"), 1.0, 1e-3),
+    DistanceSetup(("table", "left"), 1.0, 1e-3),
+)
+
+
+def known(own: Floats | None = None) -> tuple[KnownDistances, Floats]:
+    count = sum(len(feature.parameters) for feature in FEATURES)
+    return KnownDistances.of(DISTANCES, FEATURES), np.zeros(
+        count
+    ) if own is None else own
+
+
+def test_those_whose_ends_are_known() -> None:
+    """A plane has no place, and what is not there has none either."""
+    found, zero = known()
+    assert found.stated == DISTANCES[:2] and len(found) == 2
+    np.testing.assert_allclose(found.lengths(zero), [5.0, np.sqrt(8.0)])
+    # Probe 3, table 3, left 3, ball 4, wire 4, right 3.
+    assert found.columns.tolist() == [
+        [[6, 7, 8], [9, 10, 11]],
+        [[13, 14, 15], [17, 18, 19]],
+    ]
+    residual = found.residual(zero)
+    np.testing.assert_allclose(residual, [1.0, (np.sqrt(8.0) - 2.0) / 1e-3])
+
+
+def test_none() -> None:
+    found = KnownDistances.of((), FEATURES)
+    assert len(found) == 0
+    zero = known()[1]
+    assert found.residual(zero).shape == found.lengths(zero).shape == (0,)
+    assert found.jacobian(zero).shape == (0, len(zero))
+
+
+def test_jacobian_agrees_with_central_differences() -> None:
+    found, zero = known()
+    own = 0.1 * np.random.default_rng(0).normal(size=len(zero))
+    J, step = found.jacobian(own), 1e-6
+    for k in range(len(own)):
+        shift = step * np.eye(len(own))[k]
+        change = found.residual(own + shift) - found.residual(own - shift)
+        np.testing.assert_allclose(J[:, k], change / (2.0 * step), rtol=1e-6, atol=1e-5)
+
+
+def test_a_socket_goes_before_a_point_of_the_tool() -> None:
+    features = (
+        Point("a", "target", np.zeros(3)),
+        Point("a", "socket", np.array([1.0, 0.0, 0.0])),
+        Point("b", "target", np.array([0.0, 2.0, 0.0])),
+        Point("b", "socket", np.array([1.0, 0.5, 0.0])),
+        Point("c", "target", np.array([0.0, 0.0, 7.0])),
+    )
+    for order in (features, features[::-1]):
+        found = KnownDistances.of((DistanceSetup(("a", "b"), 1.0),), order)
+        assert found.lengths(np.zeros(15)) == pytest.approx([0.5])
+    # Two points of the tool, where no place has their names.
+    found = KnownDistances.of((DistanceSetup(("a", "c"), 1.0),), features[::4])
+    assert found.lengths(np.zeros(6)) == pytest.approx([7.0])
+
+
+# In a problem.
+
+ARM = calib_pin.load_chain("space6")
+SOCKETS = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))}
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+
+
+def test_rows_of_a_problem() -> None:
+    distances = (DistanceSetup(("s/0", "s/1"), 0.5, 1e-5),)
+    prior = {"joint_1.placement.x": 1e-3}
+    setup = Setup(sockets=SOCKETS, tool_frame=TOOL, distances=distances, prior=prior)
+    problem = nominal_problem(ARM, "fixed-point", setup)
+    plain = replace(problem, setup=replace(setup, distances=()))
+    theta = 1e-3 * np.random.default_rng(0).normal(size=len(problem.parameters))
+    # Behind the rows, before the priors.
+    r, J = problem.linearize(theta)
+    assert problem.count == plain.count + 1 == len(r)
+    assert problem.distinct_values == plain.distinct_values + 1
+    np.testing.assert_allclose(r, problem.residual(theta), rtol=1e-12, atol=1e-9)
+    bare = plain.linearize(theta)
+    np.testing.assert_array_equal(np.delete(r, -2), bare[0])
+    np.testing.assert_array_equal(np.delete(J, -2, axis=0), bare[1])
+    between = np.subtract(SOCKETS["s/1"].xyz, SOCKETS["s/0"].xyz)
+    between = between + theta[-3:] - theta[-6:-3]
+    assert r[-2] == pytest.approx((np.linalg.norm(between) - 0.5) / 1e-5)
+    assert np.flatnonzero(J[-2]).tolist() == list(range(len(theta) - 6, len(theta)))
+
+
+@pytest.mark.parametrize(("sigma", "left"), [(1e-6, 1e-6), (1.0, 1e-3)])
+def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
+    """Rows with known lengths find another distance; the smaller sigma wins."""
+    setup = Setup(sockets=SOCKETS, tool_frame=TOOL, parameters=("joint-offset",))
+    problem = nominal_problem(ARM, "fixed-point", setup)
+    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
+    rows = calib_pin.simulate(problem, zero, rng, count=40, noise=1e-4)
+    apart = float(np.linalg.norm([0.1, 0.5, -0.2]))
+    wrong = (DistanceSetup(("s/0", "s/1"), apart + 1e-3, sigma),)
+    told = replace(setup, distances=wrong)
+    fitted = fit(make_problem(ARM, rows, told), rng)
+    places = fitted.problem.measurement.about(
+        fitted.problem.split(fitted.theta)[1]
+    ).places
+    found = float(np.linalg.norm(places[0].xyz - places[1].xyz))
+    assert abs(found - apart - 1e-3) <= 1.1 * left
+    assert (abs(found - apart) < 2e-4) == (sigma == 1.0)
+
+
+def test_between_points_of_the_tool() -> None:
+    """A gauge on the flange sets the scale of nothing, but its points are tied."""
+    points = {"a": PointSetup((0.05, 0.08, 0.12)), "b": PointSetup((-0.06, 0.03, 0.1))}
+    gauge = (DistanceSetup(("a", "b"), 0.12, 1e-6),)
+    setup = Setup(targets=points, base_frame=FrameSetup((1, 2, 3), estimate=True))
+    plain, tied = (
+        calib_pin.identify(ARM, "position", replace(setup, distances=d))
+        for d in ((), gauge)
+    )
+    assert plain.identifiability.rank == tied.identifiability.rank == 30
+    problem = nominal_problem(ARM, "position", replace(setup, distances=gauge))
+    assert problem.count == nominal_problem(ARM, "position", setup).count + 1

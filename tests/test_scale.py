@@ -1,0 +1,147 @@
+"""Whether measurements tell how large a robot is."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+)
+
+ARM = calib_pin.load_chain("space6")
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+FAR = FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True)
+POINTS = {
+    "a": PointSetup((0.05, 0.08, 0.12)),
+    "b": PointSetup((-0.06, 0.03, 0.1)),
+    "c": PointSetup((0.02, -0.07, 0.15)),
+    "d": PointSetup((0.1, 0.1, -0.05)),
+}
+SOCKETS = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))}
+TABLE = PlaneSetup((0, 0.1, 1), -0.4)
+DOORS = {"a": TABLE, "b": PlaneSetup((1, 0.1, 0.3), -0.5)}
+BALL = SphereSetup((0.5, 0.2, 0.4), 0.15)
+CAMERA = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
+TIED = (DistanceSetup(("s/0", "s/1"), 0.5, 1e-5),)
+IN_SOCKETS: dict[str, Any] = {"sockets": SOCKETS, "tool_frame": TOOL}
+
+
+def scaled(model: str, **stated: Any) -> bool:
+    found = calib_pin.identify(ARM, model, Setup(**stated))
+    return found.identifiability.scale_observable
+
+
+@pytest.mark.parametrize(
+    ("model", "stated", "expected"),
+    [
+        ("pose", {"base_frame": BASE, "tool_frame": TOOL}, True),
+        ("position", {"base_frame": BASE, "tool_frame": TOOL}, True),
+        ("position", {"base_frame": BASE, "targets": POINTS}, True),
+        ("plane-distance", {"planes": {"a": PlaneSetup((0, 1, 4.6), -0.69)}}, True),
+        ("point-distance", {"anchors": {"w": AnchorSetup((1.5, 0.2, 0.4))}}, True),
+        ("relative-distance", {"tool_frame": TOOL}, True),
+        ("fixed-point", IN_SOCKETS, False),
+        ("plane-contact", {"planes": DOORS, "tool_frame": TOOL}, False),
+        (
+            "sphere-contact",
+            {
+                "spheres": {"s": replace(BALL, estimate_radius=True)},
+                "tool_frame": TOOL,
+            },
+            False,
+        ),
+        # Its radius is a length.
+        ("sphere-contact", {"spheres": {"s": BALL}, "tool_frame": TOOL}, True),
+        # So is what lies between points that are known.
+        (
+            "camera",
+            {
+                "camera": CAMERA,
+                "targets": POINTS,
+                "base_frame": FAR,
+                "tool_frame": TOOL,
+            },
+            True,
+        ),
+        (
+            "camera",
+            {
+                "camera": CAMERA,
+                "targets": {k: replace(p, estimate=True) for k, p in POINTS.items()},
+                "base_frame": FAR,
+            },
+            False,
+        ),
+    ],
+)
+def test_models(model: str, stated: dict[str, Any], expected: bool) -> None:
+    assert scaled(model, **stated) == expected
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        {"distances": TIED},
+        # A robot of which one length is known cannot grow.
+        {"fixed": ("joint_3.placement.x",)},
+        {"sockets": {name: replace(s, estimate=False) for name, s in SOCKETS.items()}},
+        {"parameters": ("joint-offset",), "tool_frame": replace(TOOL, estimate=False)},
+        {"prior": {"joint_3.placement.x": 1e-3}},
+    ],
+    ids=["distance", "held length", "known sockets", "joint offsets", "prior"],
+)
+def test_what_gives_sockets_their_scale(stated: dict[str, Any]) -> None:
+    assert scaled("fixed-point", **{**IN_SOCKETS, **stated})
+
+
+@pytest.mark.parametrize(
+    "stated",
+    [
+        # The ends of the distance are not both there.
+        {"distances": (DistanceSetup(("s/0", "t/0"), 0.5, 1e-5),)},
+        # Angles are no lengths.
+        {"fixed": ("*.placement.r?",)},
+        # Where joint 1 stands is told by the sockets, which are free.
+        {"fixed": ("joint_1.placement.*",)},
+        {"prior": {"joint_1.placement.*": 1e-3}},
+        {"parameters": ("placement", "transmission")},
+    ],
+    ids=["other sockets", "held angles", "held base", "prior of the base", "gears"],
+)
+def test_what_does_not(stated: dict[str, Any]) -> None:
+    assert not scaled("fixed-point", **{**IN_SOCKETS, **stated})
+
+
+def test_a_robot_that_is_known() -> None:
+    """Nothing of it is estimated, and nothing of it can be too large."""
+    known = replace(TOOL, estimate=False)
+    assert scaled(
+        "fixed-point", sockets=SOCKETS, tool_frame=known, fixed=("*.placement.*",)
+    )
+
+
+@pytest.mark.parametrize("robot", ["space7", "pa10"])
+def test_other_robots(robot: str) -> None:
+    chain = calib_pin.load_chain(robot)
+    q = chain.random_configurations(2, np.random.default_rng(0))
+    places = chain.poses(q)[:, :3, 3]
+    sockets = {f"s/{k}": PointSetup(tuple(p)) for k, p in enumerate(places)}
+    setup = Setup(sockets=sockets, tool_frame=TOOL)
+    for distances, expected in (((), False), (TIED, True)):
+        found = calib_pin.identify(
+            chain, "fixed-point", replace(setup, distances=distances)
+        )
+        assert found.identifiability.scale_observable == expected

@@ -45,10 +45,21 @@ WEAK_PART = 0.1
 
 SCALE = (
     "the scale is unobservable: with all lengths longer by one factor the robot fits "
-    "these rows as well; state a known distance, between two sockets say ('distances' "
-    "in the setup file), or hold a length that is known ('fixed')"
+    "these rows as well"
 )
 """Why a robot of unknown size must not be trusted."""
+
+MISSING = (
+    "state a known distance, between two sockets say ('distances' in the setup file), "
+    "or hold a length that is known ('fixed')"
+)
+"""What to do about it where no distance is stated."""
+
+STATED = (
+    "the known distances that are stated are too uncertain, or not between what these "
+    "rows name, some of which may be set aside"
+)
+"""What to do about it where there are distances."""
 
 CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
@@ -104,10 +115,11 @@ def verdict(
             f"{rows} measured values for {fitted.rank} estimated parameters leave "
             "nothing to check the fit with; measure more configurations"
         )
+    if not fitted.structure.scaled:
+        stated = bool(fitted.problem.setup.distances)
+        return "untrusted", f"{SCALE}; {STATED if stated else MISSING}"
     if not fitted.result.status.success:
         return "untrusted", fitted.result.status.advice
-    if not fitted.structure.scaled:
-        return "untrusted", SCALE
     if reason := unexplained(fitted, errors):
         return "untrusted", f"{reason}; {advice}"
     for quantity in errors:

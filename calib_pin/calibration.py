@@ -127,6 +127,7 @@ def calibrate(
             progress(stage, share + (1.0 - share) * part)
 
     checks: tuple[Unseen, ...] = ()
+    spoiled: tuple[str, ...] = ()
     if not validate:
         method = "none"
     elif unseen is not None:
@@ -140,6 +141,10 @@ def calibrate(
                 cross_validate(chain, training, setup, masks, seed, checking)
             )
         method = validation_name(training, setup, masks[: len(checks)])
+        # A part without which nothing fits tells nothing of the robot.
+        spoiled = tuple(check.reason for check in checks if check.reason)
+        checks = tuple(check for check in checks if not check.reason)
+        method = method if checks else "none"
     fitted = trained.fit
     errors = tuple(_quantity_errors(trained, checks))
     advice = CHECK
@@ -192,6 +197,8 @@ def calibrate(
         silent=trained.silent,
         distances=trained.distances
         + tuple(distance for check in checks for distance in check.distances),
+        placed=tuple(dict.fromkeys(name for check in checks for name in check.placed)),
+        spoiled=spoiled,
     )
 
 
@@ -232,11 +239,13 @@ def evaluate(
     if len(measurements) == 0:
         raise InputError("there are no rows to evaluate")
     reason = ""
+    known = {feature.name for feature in problem.measurement.features}
     if registration:
+        if isinstance(robot, CalibratedModel):
+            problem, theta = problem.extended(theta, measurements)
         problem, result = register(problem, theta)
         theta = result.x
         reason = registration_reason(problem, result)
-    known = {feature.name for feature in problem.measurement.features}
     problem, theta = placed(problem, theta, measurements)
     residual = problem.shown(theta)
     return Evaluation(
@@ -246,6 +255,11 @@ def evaluate(
             if len(sizes := quantity.errors(residual))
         ),
         rows=len(measurements),
+        counts=tuple(
+            len(sizes)
+            for quantity in problem.measurement.quantities
+            if len(sizes := quantity.errors(residual))
+        ),
         registered=registration,
         verdict="untrusted" if reason else "good",
         reason=reason,

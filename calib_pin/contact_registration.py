@@ -100,7 +100,7 @@ def register_touched_plane(F: Floats, point: Floats | None) -> Reached:
     if point is None and len(F) >= 12:
         center = p.mean(axis=0)
         A = np.column_stack([p - center, R.reshape(-1, 9), np.ones(len(F))])
-        v = np.linalg.svd(A)[2][-1]
+        v = np.linalg.svd(A, full_matrices=len(A) < A.shape[1])[2][-1]
         if (length := float(v[:3] @ v[:3])) > 1e-12:
             candidates.append(v[3:12].reshape(3, 3).T @ v[:3] / length)
     return _best(F, candidates, _plane_through)

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.configurations import observable_configurations
+from calib_pin.configurations import contact_rows, observable_configurations
 from calib_pin.directions import (
     Directions,
     appearing,
@@ -122,7 +122,11 @@ def _fit(
     r, J = before.fun, before.jac
     if problem.held_at:
         r, J = problem.linearize(nominal)
-    found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
+    about = np.zeros(len(parameters))
+    if contact_rows(problem.measurement, problem.data.target).any():
+        # What is touched must be where the tool can touch it.
+        about = np.where(parameters.nuisance, nominal, 0.0)
+    found, visible = analyze_structure(problem, about, rng)
     stages = _Stages(problem, solver, nominal)
 
     def choose(sigma0: float | None) -> Directions:

@@ -33,7 +33,7 @@ class KnownDistances:
         stated: The distances.
         ends: Places of both ends about the references, shape (D, 2, 3) [m].
         columns: Where the coordinates of both ends stand among the model's own
-            parameters, shape (D, 2, 3).
+            parameters, shape (D, 2, 3); -1 where they are no parameters.
     """
 
     stated: tuple[DistanceSetup, ...]
@@ -50,20 +50,23 @@ class KnownDistances:
             distances: What is known.
             features: The features of a measurement model, in their order.
         """
-        found: dict[str, tuple[Floats, int]] = {}
+        found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
         # A point of the tool yields its name to a place of the same name.
         for feature, part in zip(features, slices(features), strict=True):
             xyz = feature.xyz if isinstance(feature, Point | Sphere | Anchor) else None
             hidden = feature.section == "targets" and feature.name in found
             if xyz is not None and not hidden:
-                found[feature.name] = xyz, part.start
+                # The known points of a camera have no parameters.
+                some = part.stop > part.start
+                columns = part.start + np.arange(3) if some else np.full(3, -1)
+                found[feature.name] = xyz, columns
         known = tuple(d for d in distances if all(name in found for name in d.between))
         ends = [[found[name][0] for name in d.between] for d in known]
-        starts = [[found[name][1] for name in d.between] for d in known]
+        columns = [[found[name][1] for name in d.between] for d in known]
         return KnownDistances(
             known,
             np.array(ends).reshape(-1, 2, 3),
-            np.array(starts, np.int64).reshape(-1, 2, 1) + np.arange(3),
+            np.array(columns, np.int64).reshape(-1, 2, 3),
         )
 
     def __len__(self) -> int:
@@ -89,11 +92,14 @@ class KnownDistances:
         vectors = self._vectors(own)
         result = np.zeros((len(self), len(own)))
         for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
-            direction = vector / np.linalg.norm(vector) / self.stated[k].sigma
-            result[k, columns[0]] = -direction
-            result[k, columns[1]] = direction
+            length = float(np.linalg.norm(vector))
+            # Points in one place have no direction to part in.
+            direction = vector / (length or np.inf) / self.stated[k].sigma
+            for end, sign in zip(columns, (-1.0, 1.0), strict=True):
+                if end[0] >= 0:
+                    result[k, end] = sign * direction
         return result
 
     def _vectors(self, own: Floats) -> Floats:
-        ends = self.ends + own[self.columns]
+        ends = self.ends + np.append(own, 0.0)[self.columns]
         return np.asarray(ends[:, 1] - ends[:, 0])

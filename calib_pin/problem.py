@@ -20,7 +20,7 @@ from calib_pin.measurement_models import (
     Mixed,
     measurement_model,
 )
-from calib_pin.measurement_models.features import slices
+from calib_pin.measurement_models.features import Frame, slices
 from calib_pin.measurements import Measurements
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameters import ParameterSet
@@ -136,11 +136,12 @@ class Problem:
     def _repeated(self) -> NDArray[np.int64]:
         """Label of the rows that show one thing in one configuration, shape (N,)."""
         labels = self.data.groups()
-        names = {name: k for k, name in enumerate(dict.fromkeys(self.data.target))}
-        if len(names) == 1:
-            return labels
-        index = np.array([names[name] for name in self.data.target], np.int64)
-        return labels * len(names) + index
+        for names in (self.data.target, self.data.payload):
+            number = {name: k for k, name in enumerate(dict.fromkeys(names))}
+            if len(number) > 1:
+                index = np.array([number[name] for name in names], np.int64)
+                labels = labels * len(number) + index
+        return labels
 
     @cached_property
     def _prior(self) -> NDArray[np.bool_]:
@@ -375,8 +376,8 @@ class Problem:
             held = free & ~self.parameters.free[own]
             if held.any() or np.isfinite([lower, upper, priors]).any():
                 raise OptionError(
-                    "fixed, bounds or prior on a part of an unknown instrument: "
-                    f"{self.measurement.missing}",
+                    "fixed, bounds or prior on a part of an unknown instrument: give "
+                    f"its '{feature.section}' in a setup file (--setup)",
                     file=self.setup.file or None,
                 )
 
@@ -548,7 +549,18 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
     if missing:
         raise OptionError(f"a {model} study without measurements: {missing}")
     frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
-    return replace(problem, error=problem.error.with_frames(*frames))
+    # A camera among other instruments is placed by rows; here it stands with them.
+    features = [
+        replace(feature, pose=pin.SE3.Identity())
+        if isinstance(feature, Frame) and not feature.placed
+        else feature
+        for feature in problem.measurement.features
+    ]
+    return replace(
+        problem,
+        error=problem.error.with_frames(*frames),
+        measurement=problem.measurement.with_features(features),
+    )
 
 
 def _require_payloads(data: Measurements, setup: Setup) -> None:

@@ -135,7 +135,8 @@ def register_plane(points: Floats) -> tuple[Floats, float]:
         Unit normal n (3,) and offset f <= 0 [m] of `n . p + f = 0`.
     """
     center = points.mean(axis=0)
-    normal = np.linalg.svd(points - center)[2][2]
+    # Of many points the left vectors would not fit into memory.
+    normal = np.linalg.svd(points - center, full_matrices=len(points) < 3)[2][2]
     offset = -float(normal @ center)
     return (normal, offset) if offset <= 0.0 else (-normal, -offset)
 

@@ -373,6 +373,10 @@ class CalibrationResult(Identification):
         urdf: The geometry alone, where the model is more than that.
         silent: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
+        placed: Names of places that only the rows of the validation name: they stand
+            where these rows put them.
+        spoiled: Why parts of a cross-validation were left out: what was fitted without
+            them says nothing of the robot.
     """
 
     model: CalibratedModel
@@ -402,6 +406,8 @@ class CalibrationResult(Identification):
     urdf: UrdfResult | None = None
     silent: str = ""
     distances: tuple[FoundDistance, ...] = ()
+    placed: tuple[str, ...] = ()
+    spoiled: tuple[str, ...] = ()
 
     @property
     def geometry(self) -> CalibratedModel | None:
@@ -420,6 +426,7 @@ class Evaluation:
     Attributes:
         errors: Accuracy by quantity name and unit.
         rows: Number of rows.
+        counts: Number of rows that have each quantity.
         registered: Whether what is unknown of base, tool and instrument was fitted to
             these rows.
         verdict: `good` or `untrusted`.
@@ -436,3 +443,4 @@ class Evaluation:
     reason: str = ""
     outside: int = 0
     placed: tuple[str, ...] = ()
+    counts: tuple[int, ...] = ()

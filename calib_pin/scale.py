@@ -9,46 +9,68 @@ from __future__ import annotations
 import numpy as np
 
 from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
+from calib_pin.spatial import Floats, adjoint, invert
 
-__all__ = ["scale_observable"]
+__all__ = ["scale_deviation", "scale_observable"]
 
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
 
+UNKNOWN = 0.01
+"""Standard deviation of the scale from which it counts as unobservable.
+
+The tip of an arm of a meter is then off by a centimeter.
+"""
+
 
 def scale_observable(problem: Problem, theta: Floats) -> bool:
-    """Whether some row of a problem changes when the robot grows.
+    """Whether rows and priors tell how large the robot is; see `scale_deviation`."""
+    return scale_deviation(problem, theta) < UNKNOWN
 
-    It does not if some change of the parameters moves the tool as if all lengths grew
-    by one factor, and yet changes no row. A robot whose lengths are not all estimated
-    cannot grow; its scale is known.
+
+def scale_deviation(problem: Problem, theta: Floats) -> float:
+    """Standard deviation of the logarithm of a robot's size.
+
+    Of all changes of the parameters that move the tool as if every length grew by one
+    factor, up to a fixed displacement of base and tool, the one is taken that the rows
+    (with known distances and priors) notice least. A robot whose lengths are not all
+    estimated cannot grow; its scale is known.
 
     Args:
         problem: The problem at configurations that its instrument can measure.
         theta: Parameter values with the robot at nominal, shape (P,).
+
+    Returns:
+        The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
     of_robot, _ = problem.split(theta)
-    free = problem.parameters.free
+    free, data = problem.parameters.free, problem.data
     _, J = problem.linearize_rows(theta)
-    data = problem.data
     factors = problem.error.factors(data.q, data.payload)
     poses = problem.error.linearize(data.q, of_robot, factors)
-    twists = poses.derivative(np.tile(np.eye(6), (len(poses.T), 1, 1)))
-    by_parameters: Floats = np.zeros((twists[:, :, 0].size, len(theta)))
-    by_parameters[:, : len(of_robot)] = twists.reshape(-1, len(of_robot))
-    # In the base link: where that stands in a measuring frame is no length of it.
-    names = problem.parameters.names
-    by_parameters[:, [name.startswith("base.frame.") for name in names]] = 0.0
-    grown = np.zeros((len(poses.T), 6))
+    count = len(poses.T)
+    twists = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
+    by_parameters: Floats = np.zeros((6 * count, len(theta)))
+    by_parameters[:, : len(of_robot)] = twists.reshape(6 * count, -1)
+    scales = problem.parameters.scales
+    at_base = adjoint(invert(poses.to_base)).reshape(6 * count, 6)
+    at_tool = np.tile(np.eye(6), (count, 1))
+    moved = np.column_stack([(by_parameters * scales)[:, free], at_base, at_tool])
+    rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), 12))])
+    grown = np.zeros((count, 6))
     R, p = poses.to_base[:, :3, :3], poses.to_base[:, :3, 3]
     grown[:, :3] = np.einsum("nji,nj->ni", R, p)
-    scales = problem.parameters.scales
-    rows = (J * scales)[:, free]
-    moved = (by_parameters * scales)[:, free]
-    size = np.linalg.norm(rows) / max(float(np.linalg.norm(moved)), 1e-300)
-    A = np.concatenate([rows / (size or 1.0), moved])
-    b = np.concatenate([np.zeros(len(rows)), grown.reshape(-1)])
-    z = np.linalg.lstsq(A, b, rcond=1e-13)[0]
-    left = float(np.linalg.norm(A @ z - b))
-    return left > EXPLAINED * float(np.linalg.norm(b))
+    b = grown.reshape(-1)
+    _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
+    rank = int((s > 1e-11 * s[0]).sum())
+    # Minimum-norm growth, and all that changes without moving the tool.
+    z = Vt[:rank].T @ ((Vt[:rank] @ (moved.T @ b)) / s[:rank] ** 2)
+    if np.linalg.norm(moved @ z - b) > EXPLAINED * np.linalg.norm(b):
+        return 0.0
+    still = rows @ Vt[rank:].T
+    noticed = rows @ z
+    noticed = noticed - still @ np.linalg.lstsq(still, noticed, rcond=1e-11)[0]
+    size = float(np.linalg.norm(noticed))
+    # What rounding leaves of large terms is nothing noticed.
+    least = EXPLAINED * float(np.linalg.norm(rows * z))
+    return 1.0 / size if size > least else np.inf

@@ -159,8 +159,8 @@ def simulate(
 
 
 def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
-    """Names of the starts of successive rows, behind the points that these look at."""
-    points = [name.rpartition(AT)[0] for name in target]
+    """Names of the starts of successive rows, behind the point that these look at."""
+    points = [target[k // size].rpartition(AT)[0] for k in range(len(target))]
     return tuple(
         f"{point}{AT}{k // size + 1}" if point else str(k // size + 1)
         for k, point in enumerate(points)
@@ -177,9 +177,12 @@ def _relative(
     Raises:
         InputError: If a name has nothing but its start.
     """
-    first = {name: target.index(name) for name in dict.fromkeys(target)}
+    first: dict[str, int] = {}
+    for k, name in enumerate(target):
+        first.setdefault(name, k)
     rows = [k for k, name in enumerate(target) if first[name] != k]
-    alone = [name for name, k in first.items() if target.count(name) == 1]
+    several = {target[k] for k in rows}
+    alone = [name for name in first if name not in several]
     if alone:
         raise InputError(
             f"the relative distances of '{alone[0]}' have a start and no end",

@@ -15,10 +15,10 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import Fit, fit
 from calib_pin.known_distances import KnownDistances
-from calib_pin.measurements import AT, Measurements
+from calib_pin.measurements import AT, PART, Measurements
 from calib_pin.parameters import matching
 from calib_pin.problem import Problem, make_problem
 from calib_pin.residual_models import (
@@ -117,7 +117,15 @@ class Trained:
             before.shown(at),
             after.shown(theta),
             found_distances((before, at), (after, theta), known),
+            tuple(f.name for f in after.measurement.features if f.name not in known),
+            self._reason,
         )
+
+    @property
+    def _reason(self) -> str:
+        if not self.fit.structure.scaled:
+            return "the scale is unobservable"
+        return "" if self.fit.result.status.success else "it did not converge"
 
     @property
     def distances(self) -> tuple[FoundDistance, ...]:
@@ -135,12 +143,17 @@ class Unseen:
         before: Errors of the nominal robot, shape (N, d).
         after: Errors of the trained model, shape (N, d).
         distances: Known distances between places that were not fitted.
+        placed: Names of these places, which stand where the rows put them.
+        reason: Why the fit that they check says little of the robot; empty where it
+            is a good one.
     """
 
     positions: NDArray[np.intp]
     before: Floats
     after: Floats
     distances: tuple[FoundDistance, ...] = ()
+    placed: tuple[str, ...] = ()
+    reason: str = ""
 
 
 def found_distances(
@@ -187,6 +200,9 @@ def placed(
 
     Returns:
         The problem of these rows, and its parameter values.
+
+    Raises:
+        InputError: If a new place uses up all that its rows say.
     """
     known = set(problem.parameters.names)
     problem, theta = problem.extended(theta, rows)
@@ -194,8 +210,34 @@ def placed(
     if not new:
         return problem, theta
     plain = replace(problem, setup=replace(problem.setup, distances=()))
+    _require_check(plain, theta, new)
     basis = np.diag(problem.parameters.scales)[:, new]
     return problem, least_squares(plain, theta, basis).x
+
+
+def _require_check(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
+    """Refuse rows that have nothing left to say once their place is found.
+
+    Raises:
+        InputError: If there are such; their errors would all be zero.
+    """
+    count, size = len(problem.data), problem.components
+    _, J = problem.linearize_rows(theta)
+    J = J[: count * size].reshape(count, size, -1)
+    owners: dict[str, list[int]] = {}
+    for k in new:
+        owners.setdefault(problem.parameters.names[k].rsplit(".", 2)[0], []).append(k)
+    for name, columns in owners.items():
+        rows = np.flatnonzero(J[:, :, columns].any(axis=(1, 2)))
+        A = J[rows][:, :, columns].reshape(-1, len(columns))
+        values = replace(problem, data=problem.data.rows(rows)).distinct_values
+        if values <= np.linalg.matrix_rank(A):
+            place = problem.data.place(int(rows[0])) if len(rows) else "rows"
+            raise InputError(
+                f"{place}: the rows of '{name}', which was not fitted, say no more "
+                "than where it is; measure it in more configurations",
+                column="target",
+            )
 
 
 def train(
@@ -389,13 +431,21 @@ def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
     targets = np.array(rows.target)
+    # Only what is estimated must be seen in every part.
+    features = fitted.problem.measurement.features
+    free = {f.name for f in features if any(p.free for p in f.parameters)}
+    sought = {
+        name
+        for name in set(targets[place < 0])
+        if free.intersection(name.rpartition(PART)[2].split(AT))
+    }
     masks = []
     for k in range(count):
         mask = fold[labels] == k
         rest = replace(fitted.problem, data=rows.rows(~mask))
         if rest.distinct_values <= fitted.structure.rank or any(
             rows.rows(~mask & (targets == name)).configurations < FEWEST
-            for name in set(targets[place < 0])
+            for name in sought
         ):
             return []
         masks.append(mask)

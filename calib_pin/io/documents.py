@@ -201,6 +201,7 @@ def calibration_document(
             "targets": list(model.measurement.targets),
             "training": result.training,
             "validation": result.validated,
+            "placed_by_validation": list(result.placed),
         },
         **identification_document(result),
         "errors": {e.name: _errors(e, result.validation) for e in result.errors},

@@ -126,12 +126,10 @@ def _points(
         origin = "" in points if targets else not found
         given: tuple[Feature, ...] = ()
         if places is not None:
-            given = tuple(
-                place
-                for place in places(setup, names)
+            given = places(setup, names)
+            if targets and {place.name for place in given}.issuperset(names):
                 # What nobody has placed and no row names cannot be found.
-                if place.placed or not targets or place.name in names
-            )
+                given = tuple(p for p in given if p.placed or p.name in names)
         return kind(points=found, places=given, origin=origin)
 
     return make

@@ -21,6 +21,7 @@ from calib_pin.measurement_models.tool_point import (
     tip_points,
 )
 from calib_pin.measurements import Measurements
+from calib_pin.registration import register_points
 from calib_pin.spatial import Floats
 
 __all__ = ["FixedPoint"]
@@ -74,18 +75,23 @@ class FixedPoint(Touching, PointModel):
     ) -> tuple[FixedPoint, pin.SE3, pin.SE3]:
         """Ball and sockets by linear least squares.
 
-        A base that is not given stays where the URDF puts it.
+        A base that is not given is found where all sockets are known, else it stays
+        where the URDF puts it.
         """
-        base = base or pin.SE3.Identity()
         label, socket = self.names(data.target, data)
-        centers = [
-            np.full(3, np.nan) if s.xyz is None else base.actInv(s.xyz)
+        tip = tip_points(self.points, tool)
+        given = [
+            np.full(3, np.nan) if s.xyz is None else s.xyz
             for s in self.places
             if isinstance(s, Point)
         ]
-        tip, found = register_sockets(
-            F, tip_points(self.points, tool), label, np.array(centers), socket
-        )
+        if base is None and len(given) >= 3 and not np.isnan(given).any():
+            seen = np.array(given)[socket]
+            R, b, _ = register_points(F, seen, tool=tip, label=label)
+            base = pin.SE3(R, b)
+        base = base or pin.SE3.Identity()
+        centers = (np.array(given) - base.translation) @ base.rotation
+        tip, found = register_sockets(F, tip, label, centers, socket)
         points, tool = placed_tool(tip, self.points, tool)
         found = np.nan_to_num(found) @ base.rotation.T + base.translation
         places = tuple(

@@ -94,7 +94,7 @@ class PointModel(Featured):
     @property
     def sees_tool(self) -> bool:
         """Where it looks at the origin, or at points known in the tool frame."""
-        return self.origin or not any(point.estimate for point in self.points)
+        return self.origin or not all(point.estimate for point in self.points)
 
     @property
     def missing(self) -> str:

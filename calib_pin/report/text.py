@@ -45,6 +45,9 @@ __all__ = [
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
 """What residual models are called in sentences."""
 
+UNSEEN_ROWS = ("set", "file", "holdout", "none")
+"""Ways to check a calibration that are no cross-validation."""
+
 LISTED_OWNERS = 3
 """Members of one kind, such as sockets, that are named before they are counted."""
 
@@ -108,7 +111,7 @@ def identification_report(found: Identification, *, fitted: bool) -> RenderableT
         parts.append(
             Text(
                 f"{hidden} more sums begin with the place of a socket, sphere or "
-                "anchor; --json and calibration.json have them.",
+                "anchor; they are in calibration.json or with `identify --json`.",
                 style="dim",
             )
         )
@@ -135,10 +138,10 @@ def _of_place(group: CoupledGroup) -> bool:
 def evaluation_report(evaluation: Evaluation) -> RenderableType:
     """Accuracy on rows that were not fitted."""
     accuracies = table("Accuracy", ("rows", "mean", "rms", "max", "unit"))
-    for name, unit, accuracy in evaluation.errors:
-        accuracies.add_row(
-            name, str(evaluation.rows), *_sizes(accuracy, unit), DISPLAY[unit][0]
-        )
+    counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
+    for (name, unit, accuracy), count in zip(evaluation.errors, counts, strict=True):
+        cells = (*_sizes(accuracy, unit), DISPLAY[unit][0])
+        accuracies.add_row(name, str(count), *cells)
     how = (
         "What is unknown of base, tool and instrument was registered on these rows."
         if evaluation.registered
@@ -244,7 +247,7 @@ def _accuracy(result: CalibrationResult) -> Iterator[RenderableType]:
                 accuracies.add_row(name, rows, robot, *cells)
                 name = rows = ""
     yield accuracies
-    if result.ladder is not None and result.validation.endswith("-fold"):
+    if result.ladder is not None and result.validation not in UNSEEN_ROWS:
         yield Text(
             "The same parts have chosen the model; rows of their own (--validation) "
             "are the stricter check.",
@@ -339,7 +342,18 @@ def _registered(result: CalibrationResult) -> str:
         else ", ".join(f"{name} {kind}" for name in names)
         for kind, names in owners.items()
     ]
-    return f"Fitted in either case: {', '.join(told)}."
+    said = f"Fitted in either case: {', '.join(told)}."
+    if result.placed:
+        names = ", ".join(result.placed)
+        if len(result.placed) > 2 * LISTED_OWNERS:
+            names = f"{len(result.placed)} of them"
+        said += f" Placed by the unseen rows that name them: {names}."
+    if result.spoiled:
+        reasons = " and ".join(dict.fromkeys(result.spoiled))
+        count = len(result.spoiled)
+        parts = "part of the check is" if count == 1 else "parts of the check are"
+        said += f" {count} {parts} left out, for in the fit without: {reasons}."
+    return said
 
 
 def _ranks(ranks: Identifiability, fitted: bool) -> Iterator[RenderableType]:

@@ -94,7 +94,7 @@ def test_which_points_there_are() -> None:
         ({}, True),
         (STATED, False),
         ({"a": PointSetup(XYZ["a"], estimate=False)}, True),
-        ({"a": PointSetup(XYZ["a"], estimate=False), "b": STATED["b"]}, False),
+        ({"a": PointSetup(XYZ["a"], estimate=False), "b": STATED["b"]}, True),
     ],
 )
 def test_unknown_points_hide_the_tool(

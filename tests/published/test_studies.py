@@ -208,7 +208,8 @@ def test_rows_of_the_matrix_against_central_differences() -> None:
     [
         (
             ["lieu"],
-            "reproduce: unknown study 'lieu'; there is aoyagi2010, klimchik, liu2012, liu2022",
+            "reproduce: unknown study 'lieu'; there is "
+            "aoyagi2010, klimchik, liu2012, liu2022",
         ),
         (
             [],

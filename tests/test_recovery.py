@@ -21,10 +21,10 @@ from calib_pin.spatial import Floats
 
 CORRECTED = ("placement", "transmission", "compliance")
 RUNS = {
-    "pose": 200,
-    "position": 200,
-    "plane-distance": 200,
-    "joint corrections": 80,  # Of 71 parameters each: their mean is known to 2 % too.
+    "pose": 60,
+    "position": 60,
+    "plane-distance": 60,
+    "joint corrections": 20,
     "named points": 10,
     "fixed-point": 4,
     "plane-contact": 4,

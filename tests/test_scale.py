@@ -9,6 +9,9 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.configurations import observable_configurations
+from calib_pin.problem import nominal_problem
+from calib_pin.scale import scale_deviation
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -131,6 +134,44 @@ def test_a_robot_that_is_known() -> None:
     assert scaled(
         "fixed-point", sockets=SOCKETS, tool_frame=known, fixed=("*.placement.*",)
     )
+
+
+def deviation(**stated: Any) -> float:
+    """Standard deviation of the logarithm of the size of a robot in two sockets."""
+    setup = Setup(**{**IN_SOCKETS, **stated})
+    problem = nominal_problem(ARM, "fixed-point", setup)
+    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
+    q, target = observable_configurations(problem, zero, 80, rng)
+    return scale_deviation(problem.about(zero, q, target), zero)
+
+
+@pytest.mark.parametrize("sigma", [1e-6, 1e-3, 0.1])
+def test_a_distance_is_as_good_as_its_sigma(sigma: float) -> None:
+    """And no better than what the rows know of the sockets."""
+    apart = float(np.linalg.norm([0.1, 0.5, -0.2]))
+    known = (DistanceSetup(("s/0", "s/1"), apart, sigma),)
+    # Forty rows in each socket tell its center to 0.1 mm / 6.3 in every direction.
+    ends = np.sqrt(2.0 / 40.0) * 1e-4
+    expected = np.hypot(sigma, ends) / apart
+    assert deviation(distances=known) == pytest.approx(expected, rel=0.1)
+    # A tenth of a meter in half of one is no scale.
+    assert scaled("fixed-point", **IN_SOCKETS, distances=known) == (sigma < 0.01)
+
+
+def test_a_prior_is_as_good_as_its_deviation() -> None:
+    priors = (1e-4, 1e-3, 1e-2)
+    found = [deviation(prior={"joint_3.placement.x": sigma}) for sigma in priors]
+    ratios = np.array(found) / priors
+    np.testing.assert_allclose(ratios, ratios[0], rtol=1e-3)
+
+
+def test_nothing_to_grow_and_nothing_to_tell() -> None:
+    known = {
+        "parameters": ("joint-offset",),
+        "tool_frame": replace(TOOL, estimate=False),
+    }
+    assert deviation(**known) == 0.0
+    assert deviation() > 1e3
 
 
 @pytest.mark.parametrize("robot", ["space7", "pa10"])

@@ -11,7 +11,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.fit import fit
+from calib_pin.fit import fit, register
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
@@ -222,9 +222,9 @@ def test_stated_sigmas_are_those_of_their_rows(simulated: Simulated) -> None:
 
 def rows_of_all(simulated: Simulated, setup: Setup, **models: int) -> Measurements:
     """Rows of several models on one robot."""
-    parts, size = [], 0.0
+    parts = []
     for model, count in models.items():
-        problem, _ = simulated(model.replace("_", "-"), setup, count, size)
+        problem, _ = simulated(model.replace("_", "-"), setup, count)
         parts.append(problem.data)
     return Measurements.concatenate(parts)
 
@@ -248,6 +248,21 @@ def test_frames_come_first_and_places_after(simulated: Simulated, order: int) ->
     np.testing.assert_allclose(placed["table"].normal, normal, atol=1e-9)
     np.testing.assert_allclose(found.error.base.translation, BASE.xyz, atol=1e-9)
     np.testing.assert_allclose(found.error.tool.translation, TOOL.xyz, atol=1e-9)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_unknown_points_leave_the_tool_to_others(
+    simulated: Simulated, order: int
+) -> None:
+    """They say nothing of its frame, which poses show."""
+    points = {"a": PointSetup((0.05, 0.08, 0.12)), "b": PointSetup((-0.06, 0.03, 0.1))}
+    setup = Setup(base_frame=BASE, tool_frame=TOOL, targets=points)
+    counts = {"position": 12, "pose": 9}
+    data = rows_of_all(simulated, setup, **dict(list(counts.items())[::order]))
+    problem = make_problem(ARM, data, Setup())
+    found, result = register(problem, np.zeros(len(problem.parameters)))
+    np.testing.assert_allclose(found.error.tool.translation, TOOL.xyz, atol=1e-9)
+    assert np.abs(found.errors(result.x)).max() < 1e-12
 
 
 def test_a_camera_beside_a_tracker(equipped_problem: Equipped) -> None:

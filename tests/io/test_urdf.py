@@ -417,7 +417,7 @@ lengths = st.floats(-100, 100)
 triples = st.tuples(lengths, lengths, lengths)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(xyz=triples, rpy=st.tuples(angles, angles, angles), seed=st.integers(0, 2**32))
 def test_any_origin_and_correction(
     xyz: tuple[float, ...], rpy: tuple[float, ...], seed: int

@@ -216,9 +216,11 @@ class Mixed(Featured):
         """
         mixed = self
 
-        def turn(name: str) -> tuple[bool, bool]:
+        def turn(name: str) -> tuple[bool, bool, bool]:
             part = self.parts[name]
-            return isinstance(part, Mounted), not part.measuring_frame
+            # Points are placed about a tool that others may tell more of.
+            mounted = isinstance(part, Mounted)
+            return mounted, not part.measuring_frame, not part.sees_tool
 
         for name in sorted(self.parts, key=turn):
             rows = self.rows_of(name, data.target)

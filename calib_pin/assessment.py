@@ -24,6 +24,7 @@ from calib_pin.result import (
 )
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.spatial import Floats
+from calib_pin.units import DISPLAY
 
 __all__ = [
     "Estimated",
@@ -67,9 +68,6 @@ CHECK = (
 )
 """What to do about rows that nothing explains."""
 
-LARGE = {"m": ("mm", 1e3), "rad": ("deg", 180.0 / np.pi), "px": ("px", 1.0)}
-"""Unit and factor in which errors are shown that nothing explains."""
-
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
@@ -86,7 +84,7 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
         return "the errors are so large that the rows tell nothing of the robot"
     for quantity in errors:
         if quantity.after.rms > UNEXPLAINED * expected_size(quantity.unit):
-            shown, factor = LARGE[quantity.unit]
+            shown, factor = DISPLAY[quantity.unit]
             return (
                 f"{quantity.name} errors of {factor * quantity.after.rms:.3g} {shown} "
                 "rms remain, far more than a robot's geometry explains"

@@ -25,10 +25,10 @@ from calib_pin.assessment import (
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.fit import analyze_structure, register
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
-from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.result import (
     Accuracy,
     CalibratedModel,
@@ -39,20 +39,17 @@ from calib_pin.result import (
     UrdfResult,
 )
 from calib_pin.setup import Setup
+from calib_pin.splits import FOLDS, folds, shuffled_groups, validation_name
 from calib_pin.training import (
-    FOLDS,
     Stages,
     Trained,
     Unseen,
     cross_validate,
-    folds,
     geometry_alone,
     named,
     placed,
     portion,
-    shuffled_groups,
     train,
-    validation_name,
 )
 
 __all__ = ["calibrate", "evaluate", "identify"]
@@ -248,18 +245,16 @@ def evaluate(
         reason = registration_reason(problem, result)
     problem, theta = placed(problem, theta, measurements)
     residual = problem.shown(theta)
+    found = [(q, q.errors(residual)) for q in problem.measurement.quantities]
+    # Of mixed measurements, these may all be of another model.
+    found = [(quantity, sizes) for quantity, sizes in found if len(sizes)]
     return Evaluation(
         errors=tuple(
             (quantity.name, quantity.unit, Accuracy.of(sizes))
-            for quantity in problem.measurement.quantities
-            if len(sizes := quantity.errors(residual))
+            for quantity, sizes in found
         ),
         rows=len(measurements),
-        counts=tuple(
-            len(sizes)
-            for quantity in problem.measurement.quantities
-            if len(sizes := quantity.errors(residual))
-        ),
+        counts=tuple(len(sizes) for _, sizes in found),
         registered=registration,
         verdict="untrusted" if reason else "good",
         reason=reason,

@@ -12,11 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.measurement_models import MeasurementModel
-from calib_pin.problem import Problem, rows_where
+from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 
-__all__ = ["brought_to_contact", "contact_rows", "observable_configurations"]
+__all__ = ["brought_to_contact", "observable_configurations"]
 
 DRAWS = 50
 """Times that configurations are drawn anew."""
@@ -101,13 +101,6 @@ def observable_configurations(
             f"({measurement.name})"
         )
     return q_found, tuple(target)
-
-
-def contact_rows(
-    measurement: MeasurementModel, target: Sequence[str]
-) -> NDArray[np.bool_]:
-    """The rows at which the tool touches something, shape (N,)."""
-    return rows_where(measurement, target, lambda part: part.contact)
 
 
 def brought_to_contact(

@@ -7,7 +7,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.configurations import contact_rows, observable_configurations
+from calib_pin.configurations import observable_configurations
 from calib_pin.directions import (
     Directions,
     appearing,
@@ -17,6 +17,7 @@ from calib_pin.directions import (
     visible_directions,
 )
 from calib_pin.identifiability import Structure, structure
+from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.scale import scale_observable

@@ -25,14 +25,13 @@ from calib_pin.result import Ladder, Rung
 from calib_pin.setup import Setup
 from calib_pin.solve import Progress
 from calib_pin.spatial import Floats
+from calib_pin.splits import FOLDS, folds
 from calib_pin.training import (
     BEYOND,
-    FOLDS,
     Stages,
     Trained,
     Unseen,
     cross_validate,
-    folds,
     named,
     parameter_names,
     portion,

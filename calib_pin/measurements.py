@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 
-__all__ = ["AT", "LAYOUT", "PART", "PLUS", "Measurements"]
+__all__ = ["AT", "LAYOUT", "PART", "PLUS", "Measurements", "rows_by_part"]
 
 Floats = NDArray[np.float64]
 
@@ -150,14 +150,45 @@ class Measurements:
         ]
         return Measurements.concatenate([*empty, self])
 
+    @cached_property
+    def by_part(self) -> Mapping[str, tuple[NDArray[np.intp], Measurements]]:
+        """Of each model that has rows: these, and they in its own columns.
+
+        Their targets are plain.
+        """
+        if len(self.parts) == 1:
+            return {self.model: (np.arange(len(self)), self)} if len(self) else {}
+        rows = rows_by_part(self.target)
+        result, a, b = {}, 0, 0
+        for model in self.parts:
+            width, components = LAYOUT[model]
+            if model in rows:
+                own, sigma = self.rows(rows[model]), None
+                if own.sigma is not None:
+                    sigma = own.sigma[:, b : b + components]
+                result[model] = (
+                    rows[model],
+                    replace(
+                        own,
+                        model=model,
+                        values=own.values[:, a : a + width],
+                        sigma=None if sigma is None or np.isnan(sigma).any() else sigma,
+                        target=tuple(name[len(model) + 1 :] for name in own.target),
+                    ),
+                )
+            a, b = a + width, b + components
+        return result
+
     def of(self, model: str) -> tuple[str, ...]:
         """The plain target of each row of one model; empty in the other rows."""
         if self.model == model:
             return self.target
-        start = model + PART
-        return tuple(
-            t[len(start) :] if t.startswith(start) else "" for t in self.target
-        )
+        result = [""] * len(self)
+        if model in self.by_part:
+            rows, own = self.by_part[model]
+            for row, name in zip(rows.tolist(), own.target, strict=True):
+                result[row] = name
+        return tuple(result)
 
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
@@ -287,6 +318,18 @@ class Measurements:
         )
 
 
+def rows_by_part(target: Sequence[str]) -> dict[str, NDArray[np.intp]]:
+    """The rows of each model in mixed measurements, by the model that targets name.
+
+    Args:
+        target: Target of each row.
+    """
+    found: dict[str, list[int]] = {}
+    for row, name in enumerate(target):
+        found.setdefault(name.partition(PART)[0], []).append(row)
+    return {model: np.array(rows, np.intp) for model, rows in found.items()}
+
+
 def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
     """Measurements of different models in the columns of all of them.
 
@@ -301,27 +344,15 @@ def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
     for part in parts:
         values = np.zeros((len(part), widths[-1][0]))
         sigma = np.full((len(part), widths[-1][1]), np.inf)
-        several = len(part.parts) > 1
-        start = np.zeros(2, int)
-        for name in part.parts:
-            end = start + LAYOUT[name]
-            rows = np.array(
-                [t.startswith(name + PART) or not several for t in part.target], bool
-            )
-            start, before = end, start
-            if not rows.any():
-                continue
+        for name, (rows, own) in part.by_part.items():
             (a, b), (c, d) = at[name]
-            values[rows, a:c] = part.values[rows, before[0] : end[0]]
-            found = np.full((int(rows.sum()), LAYOUT[name][1]), np.nan)
-            if part.sigma is not None:
-                found = part.sigma[rows, before[1] : end[1]]
-            told = not bool(np.isnan(found).any())
+            values[rows, a:c] = own.values
+            sigma[rows, b:d] = np.nan if own.sigma is None else own.sigma
+            told = own.sigma is not None
             if stated.setdefault(name, told) != told:
                 raise _unlike(part)
-            sigma[rows, b:d] = found
         target = part.target
-        if not several:
+        if len(part.parts) == 1:
             target = tuple(f"{part.model}{PART}{name}" for name in target)
         result.append(
             replace(

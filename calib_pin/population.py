@@ -35,7 +35,7 @@ class PopulationCost:
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.problem import nominal_problem
+        >>> from calib_pin.formulation import nominal_problem
         >>> from calib_pin.setup import Setup
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import TYPE_CHECKING
@@ -11,18 +11,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import OptionError
 from calib_pin.known_distances import KnownDistances
-from calib_pin.measurement_models import (
-    MeasurementModel,
-    Mixed,
-    measurement_model,
-)
-from calib_pin.measurement_models.features import Frame, slices
+from calib_pin.measurement_models import MeasurementModel
+from calib_pin.measurement_models.features import slices
+from calib_pin.measurement_models.rows import absent, assumed_sigma, relative_rows
 from calib_pin.measurements import Measurements
-from calib_pin.parameterizations import NOTHING
+from calib_pin.parameterizations import frame_pose
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats, adjoint, invert
@@ -30,15 +26,7 @@ from calib_pin.spatial import Floats, adjoint, invert
 if TYPE_CHECKING:
     from calib_pin.many_rows import ManyRows
 
-__all__ = [
-    "Problem",
-    "assumed_sigma",
-    "frame_pose",
-    "make_problem",
-    "nominal_problem",
-    "relative_rows",
-    "rows_where",
-]
+__all__ = ["Problem"]
 
 SAMPLE = 10_000
 """Rows that a closed-form start is made from; more do not help it."""
@@ -169,8 +157,7 @@ class Problem:
         of_robot, own = self.split(theta)
         if self._many is not None:
             return self._many.errors(of_robot, own)
-        T = self._poses(self.data.q, of_robot, self._factors, self._begun)
-        return self.measurement.residual(T, own, self.data)
+        return self.measurement.residual(self.poses(theta), own, self.data)
 
     def shown(self, theta: Floats) -> Floats:
         """Residuals as `errors`, with NaN for what a row does not have, shape (N, d).
@@ -187,14 +174,17 @@ class Problem:
         Those of relative measurements in the tool at the row's start.
         """
         of_robot, _ = self.split(theta)
-        return self._poses(self.data.q, of_robot, self._factors, self._begun)
+        T, begun = self.error.poses(self.data.q, of_robot, self._factors), self._begun
+        if begun.any():
+            start = self.data.start[begun]
+            T_0 = self.error.poses(start, of_robot, self._start_factors)
+            T[begun] = invert(T_0) @ T[begun]
+        return T
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (M,): rows, known distances, then the priors."""
         rows = (self.errors(theta) / self.sigma).reshape(-1)
-        own = self.split(theta)[1]
-        distances = self._distances.residual(own)
-        return np.concatenate([rows, distances, self.prior_rows(theta)])
+        return np.concatenate([rows, self.further_rows(theta[None])[0]])
 
     def further_rows(self, theta: Floats) -> Floats:
         """Whitened rows that are no rows of the data, (S, P) -> (S, p)."""
@@ -284,21 +274,6 @@ class Problem:
             return np.zeros(len(self.data), bool)
         return np.asarray(np.isfinite(self.data.start[:, 0]))
 
-    def _poses(
-        self,
-        q: Floats,
-        of_robot: Floats,
-        factors: Floats | None,
-        begun: NDArray[np.bool_],
-    ) -> Floats:
-        """Poses of rows with the starts of the data."""
-        T = self.error.poses(q, of_robot, factors)
-        if begun.any():
-            start = self.data.start[begun]
-            T_0 = self.error.poses(start, of_robot, self._start_factors)
-            T[begun] = invert(T_0) @ T[begun]
-        return T
-
     @cached_property
     def _distances(self) -> KnownDistances:
         """Known distances between points that the instrument knows."""
@@ -326,7 +301,7 @@ class Problem:
         distances[:, len(theta) - len(own) :] = by_own
         prior = np.diag(1.0 / self.parameters.priors)[self._prior]
         return (
-            np.concatenate([r, self._distances.residual(own), prior @ theta]),
+            np.concatenate([r, self.further_rows(theta[None])[0]]),
             np.concatenate([J, distances, prior]),
         )
 
@@ -501,149 +476,6 @@ class Problem:
         return theta[..., :count], theta[..., count:]
 
 
-def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
-    """Error model, measurement model and data of a setup put together.
-
-    A measuring frame of its own exists for positions and poses. A ranger measures
-    against a plane given in the base, which is known unless the setup frees it.
-
-    Raises:
-        OptionError: If a name in the setup does not exist.
-    """
-    model = measurement_model(data.model, setup, data.target)
-    _require_payloads(data, setup)
-    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
-    try:
-        error = ErrorModel.create(
-            chain,
-            setup.parameters,
-            setup=setup,
-            estimate_base=model.measuring_frame if base is None else base,
-            estimate_tool=model.sees_tool if tool is None else tool,
-        )
-    except OptionError as mistake:
-        raise mistake.within(setup.file) from None
-    return Problem(error, model, data, setup)
-
-
-def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
-    """A problem without rows, about the frames and instrument that the setup gives.
-
-    Raises:
-        OptionError: If the instrument needs a reference that the setup lacks.
-    """
-    measurement = measurement_model(model, setup)
-    targets = tuple(measurement.targets) or ("",)
-    payloads = tuple(setup.payloads) or ("",)
-    count = len(targets) * len(payloads)
-    data = Measurements(
-        joints=chain.joints,
-        q=np.zeros((count, len(chain.joints))),
-        model=model,
-        values=np.zeros((count, measurement.width)),
-        target=targets * len(payloads),
-        payload=tuple(name for name in payloads for _ in targets),
-    )
-    problem = make_problem(chain, data, setup)
-    missing = problem.measurement.missing
-    if missing:
-        raise OptionError(f"a {model} study without measurements: {missing}")
-    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
-    # A camera among other instruments is placed by rows; here it stands with them.
-    features = [
-        replace(feature, pose=pin.SE3.Identity())
-        if isinstance(feature, Frame) and not feature.placed
-        else feature
-        for feature in problem.measurement.features
-    ]
-    return replace(
-        problem,
-        error=problem.error.with_frames(*frames),
-        measurement=problem.measurement.with_features(features),
-    )
-
-
-def _require_payloads(data: Measurements, setup: Setup) -> None:
-    """Refuse rows that carry something of which nothing is known.
-
-    Raises:
-        InputError: If there are such rows, and what they carry matters.
-    """
-    if not setup.payloads and "compliance" not in setup.parameters:
-        return
-    known = ("", NOTHING, *setup.payloads)
-    row = next((k for k, name in enumerate(data.payload) if name not in known), None)
-    if row is not None:
-        name = data.payload[row]
-        raise InputError(
-            f"{data.place(row)}: there is no payload '{name}'"
-            f"{nearest(name, setup.payloads)}",
-            column="payload",
-            allowed=", ".join(known[1:]),
-        )
-    if len(setup.payloads) > 1 and "" in data.payload:
-        row = data.payload.index("")
-        raise InputError(
-            f"{data.place(row)}: there are several payloads, and the row names none",
-            column="payload",
-            allowed=", ".join(known[1:]),
-        )
-
-
 def _joined(blocks: list[Floats], axis: int) -> Floats:
     """Blocks side by side; a single one without a copy."""
     return blocks[0] if len(blocks) == 1 else np.concatenate(blocks, axis=axis)
-
-
-def frame_pose(frame: FrameSetup) -> pin.SE3:
-    """The pose that a setup states, the identity for what it leaves out."""
-    rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
-    return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
-
-
-def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:
-    """Standard deviation of the residual components where rows state none, (d,)."""
-    return np.concatenate(
-        [
-            np.full(
-                quantity.columns.stop - quantity.columns.start,
-                noise.get(quantity.noise or quantity.name, quantity.sigma),
-            )
-            for quantity in measurement.quantities
-        ]
-    )
-
-
-def absent(measurement: MeasurementModel, target: Sequence[str]) -> Floats | None:
-    """Standard deviations of mixed rows that state none, see `Measurements.sigma`."""
-    if not isinstance(measurement, Mixed):
-        return None
-    return measurement.unstated(target)
-
-
-def relative_rows(
-    measurement: MeasurementModel, target: Sequence[str]
-) -> NDArray[np.bool_]:
-    """The rows that are measured relative to a start, shape (N,)."""
-    return rows_where(measurement, target, lambda part: part.relative)
-
-
-def rows_where(
-    measurement: MeasurementModel,
-    target: Sequence[str],
-    holds: Callable[[MeasurementModel], bool],
-) -> NDArray[np.bool_]:
-    """The rows of whose measurement model something holds, shape (N,).
-
-    Args:
-        measurement: The measurement model.
-        target: Target of each row.
-        holds: Whether it does of a model, a part of a mixed one.
-    """
-    if not isinstance(measurement, Mixed):
-        return np.full(len(target), holds(measurement))
-    rows = np.zeros(len(target), bool)
-    for name, part in measurement.parts.items():
-        if holds(part):
-            rows |= measurement.rows_of(name, target)
-    return rows

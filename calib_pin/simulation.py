@@ -7,15 +7,12 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.configurations import (
-    brought_to_contact,
-    contact_rows,
-    observable_configurations,
-)
+from calib_pin.configurations import brought_to_contact, observable_configurations
 from calib_pin.errors import InputError, OptionError
+from calib_pin.measurement_models.rows import assumed_sigma, contact_rows
 from calib_pin.measurements import AT, Measurements
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem, assumed_sigma
+from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 
 __all__ = ["draw_errors", "simulate"]
@@ -90,7 +87,7 @@ def simulate(
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.problem import nominal_problem
+        >>> from calib_pin.formulation import nominal_problem
         >>> chain = calib_pin.load_chain("pa10")
         >>> problem = nominal_problem(chain, "position", calib_pin.Setup())
         >>> rng = np.random.default_rng(1)

@@ -17,10 +17,11 @@ from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import Fit, fit
+from calib_pin.formulation import make_problem
 from calib_pin.known_distances import KnownDistances
-from calib_pin.measurements import AT, PART, Measurements
+from calib_pin.measurements import Measurements
 from calib_pin.parameters import matching
-from calib_pin.problem import Problem, make_problem
+from calib_pin.problem import Problem
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
     LearnedCorrection,
@@ -35,33 +36,19 @@ from calib_pin.spatial import Floats
 
 __all__ = [
     "BEYOND",
-    "FOLDS",
     "Stages",
     "Trained",
     "Unseen",
     "cross_validate",
-    "folds",
     "geometry_alone",
     "named",
     "parameter_names",
-    "places",
     "portion",
     "shifts",
-    "shuffled_groups",
     "train",
     "training_rows",
-    "validation_name",
     "with_parameters",
 ]
-
-FOLDS = 5
-"""Parts of a cross-validation."""
-
-FEWEST = 4
-"""Configurations of every target without which there is no cross-validation."""
-
-FEWEST_PLACES = 3
-"""Places without which rows are set aside one by one, and not place by place."""
 
 BEYOND = ("transmission", "compliance")
 """Parameterizations of what a URDF cannot hold."""
@@ -403,101 +390,6 @@ def shifts(fitted: Fit) -> Floats:
     basis = np.column_stack([frames, fitted.directions.robot])
     basis = (parameters.scales[:, None] * basis)[: len(fitted.problem.error.screws)]
     return basis[:, basis.any(axis=0)]
-
-
-def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
-    """Masks of the parts of a cross-validation; none where the rows do not suffice.
-
-    Repetitions of a configuration stay together, and so do all sockets of one place if
-    there are places enough: those that are left out are at their own. What is fitted
-    without a part must still determine the robot and every plane.
-
-    Args:
-        rows: The N rows.
-        fitted: The fit of all of them.
-        seed: Seed of the split.
-
-    Returns:
-        One mask of shape (N,) for each part.
-    """
-    setup = fitted.problem.setup
-    labels, order = shuffled_groups(rows, setup, seed)
-    place = places(rows, setup)
-    count = FOLDS
-    if (place >= 0).any():
-        count = min(FOLDS, len(order))
-    if len(order) < count:
-        return []
-    fold = np.empty(len(order), np.int64)
-    fold[order] = np.arange(len(order)) % count
-    targets = np.array(rows.target)
-    # Only what is estimated must be seen in every part.
-    features = fitted.problem.measurement.features
-    free = {f.name for f in features if any(p.free for p in f.parameters)}
-    sought = {
-        name
-        for name in set(targets[place < 0])
-        if free.intersection(name.rpartition(PART)[2].split(AT))
-    }
-    masks = []
-    for k in range(count):
-        mask = fold[labels] == k
-        rest = replace(fitted.problem, data=rows.rows(~mask))
-        if rest.distinct_values <= fitted.structure.rank or any(
-            rows.rows(~mask & (targets == name)).configurations < FEWEST
-            for name in sought
-        ):
-            return []
-        masks.append(mask)
-    return masks
-
-
-def validation_name(
-    rows: Measurements, setup: Setup, masks: Sequence[NDArray[np.bool_]]
-) -> str:
-    """What a cross-validation with these parts is called."""
-    if not masks:
-        return "none"
-    place = places(rows, setup)
-    if (place < 0).all():
-        return f"{len(masks)}-fold"
-    if (place >= 0).all() and len(masks) == len(set(place)):
-        return "leave-one-place-out"
-    return f"{len(masks)}-fold by place"
-
-
-def shuffled_groups(
-    rows: Measurements, setup: Setup, seed: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label of what each row must stay together with, and the labels in random order.
-
-    Rows of one configuration are repetitions. All rows of a place are one measurement
-    of it, where there are several places.
-    """
-    place = places(rows, setup)
-    labels = np.where(place >= 0, place, place.max(initial=-1) + 1 + rows.groups())
-    labels = np.unique(labels, return_inverse=True)[1].reshape(-1)
-    order = np.random.default_rng(seed).permutation(int(labels.max(initial=-1)) + 1)
-    return labels, order
-
-
-def places(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
-    """Label of the place at which each row has its ball in a socket, shape (N,).
-
-    Sockets belong to one place that share what stands before the last slash of their
-    names, or a known distance. -1 for other rows, and for all where there are fewer
-    than three places.
-    """
-    sockets = rows.of("fixed-point")
-    names = [name.rpartition(AT)[2] for name in sockets]
-    home = {name: name.rpartition("/")[0] or name for name in names}
-    for distance in setup.distances:
-        first, second = (home.get(name, name) for name in distance.between)
-        home = {k: first if v == second else v for k, v in home.items()}
-    of = {name: k for k, name in enumerate(dict.fromkeys(filter(None, home.values())))}
-    if len(of) < FEWEST_PLACES:
-        return np.full(len(rows), -1)
-    return np.array([of[home[name]] if name else -1 for name in names], np.int64)
 
 
 def cross_validate(

@@ -21,14 +21,13 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.chain import Chain
-from calib_pin.configurations import contact_rows, observable_configurations
+from calib_pin.configurations import observable_configurations
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain, parse_robot
 from calib_pin.measurement_models.features import Frame
-from calib_pin.problem import (
-    Problem,
-    frame_pose,
-    nominal_problem,
-)
+from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.parameterizations import frame_pose
+from calib_pin.problem import Problem
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,

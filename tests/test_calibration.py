@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.problem import nominal_problem
+from calib_pin.formulation import nominal_problem
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 

@@ -10,9 +10,9 @@ import pytest
 
 import calib_pin
 from calib_pin.compensation import JUMP, compensate, follow
+from calib_pin.formulation import nominal_problem
 from calib_pin.inverse_kinematics import Joints
 from calib_pin.io.urdf import load_chain
-from calib_pin.problem import nominal_problem
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats, invert

@@ -9,7 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.fit import Fit, fit
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.formulation import nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
 

@@ -12,6 +12,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
 from calib_pin.inverse_kinematics import (
     Joints,
     Kinematics,
@@ -23,7 +24,6 @@ from calib_pin.inverse_kinematics import (
 )
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain
-from calib_pin.problem import nominal_problem
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats, so3_log

@@ -11,9 +11,9 @@ import pytest
 
 import calib_pin
 from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
 from calib_pin.joint_readings import Reading, Suggestion, suggest_readings
 from calib_pin.measurements import Measurements
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 from calib_pin.spatial import Floats
 

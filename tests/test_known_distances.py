@@ -9,9 +9,9 @@ import pytest
 
 import calib_pin
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.known_distances import KnownDistances
 from calib_pin.measurement_models.features import Anchor, Feature, Plane, Point, Sphere
-from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.spatial import Floats
 

@@ -13,14 +13,15 @@ import pytest
 import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError
+from calib_pin.formulation import nominal_problem
 from calib_pin.ladder import Climbed, climb
 from calib_pin.measurements import Measurements
-from calib_pin.problem import nominal_problem
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.result import Rung
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.spatial import Floats
-from calib_pin.training import FOLDS, cross_validate
+from calib_pin.splits import FOLDS
+from calib_pin.training import cross_validate
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))

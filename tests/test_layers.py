@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 # Modules and families by layer; a new one is added here.
 LAYERS = (
-    ("errors", "parameters", "setup", "spatial"),
+    ("errors", "parameters", "setup", "spatial", "units"),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "kernels"),
         *("measurements", "registration", "row_kernels", "threads"),
@@ -21,20 +21,14 @@ LAYERS = (
         *("known_distances", "many_rows"),
     ),
     (
-        *("problem", "configurations", "population", "directions", "identifiability"),
+        *("problem", "configurations", "formulation", "population"),
+        *("directions", "identifiability"),
         *("residual_models", "scale", "solvers"),
     ),
     (
         *("assessment", "calibration", "compensation", "fit"),
-        *(
-            "inverse_kinematics",
-            "joint_readings",
-            "ladder",
-            "planning",
-            "result",
-            "simulation",
-        ),
-        *("solve", "training", "trajectory"),
+        *("inverse_kinematics", "joint_readings", "ladder", "planning", "result"),
+        *("simulation", "solve", "splits", "training", "trajectory"),
     ),
     ("io", "report"),
     ("cli",),
@@ -56,6 +50,7 @@ SIDEWAYS = {
     ("error_model", "parameterizations"),
     ("identifiability", "directions"),
     ("configurations", "problem"),
+    ("formulation", "problem"),
     ("known_distances", "measurement_models"),
     ("many_rows", "measurement_models"),
     ("population", "problem"),

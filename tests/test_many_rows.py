@@ -11,11 +11,12 @@ import pytest
 import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.fit import Fit, fit
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kernels import BLOCK
 from calib_pin.many_rows import ManyRows
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.solve import least_squares
 from calib_pin.solvers import Status

@@ -11,12 +11,13 @@ import numpy as np
 import pytest
 
 from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kernels import BLOCK
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
 from calib_pin.spatial import Floats
 

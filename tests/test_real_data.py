@@ -14,7 +14,7 @@ import pytest
 
 import calib_pin
 from calib_pin.fit import fit
-from calib_pin.problem import make_problem
+from calib_pin.formulation import make_problem
 from calib_pin.setup import DistanceSetup
 
 DATA = Path(

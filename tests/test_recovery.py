@@ -14,7 +14,8 @@ import pytest
 import calib_pin
 from benchmarks.recovery import CASES, FRAMES, Study, Trials
 from calib_pin.fit import analyze_structure, fit
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.formulation import nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import Payload
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats

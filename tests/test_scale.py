@@ -10,7 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.configurations import observable_configurations
-from calib_pin.problem import nominal_problem
+from calib_pin.formulation import nominal_problem
 from calib_pin.scale import scale_deviation
 from calib_pin.setup import (
     AnchorSetup,

@@ -9,8 +9,9 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
+from calib_pin.formulation import nominal_problem
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import (
     FrameSetup,
     Payload,

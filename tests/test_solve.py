@@ -12,8 +12,9 @@ from benchmarks.recovery import CASES, Study
 from calib_pin.assessment import estimates, fitted_ranks
 from calib_pin.errors import OptionError
 from calib_pin.fit import Fit, fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import Setup, SolverSetup
 from calib_pin.solvers import Status
 

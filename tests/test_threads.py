@@ -16,7 +16,7 @@ from calib_pin.threads import Threads
 FIT = """
 import numpy as np
 import calib_pin
-from calib_pin.problem import nominal_problem
+from calib_pin.formulation import nominal_problem
 from calib_pin.fit import fit
 from calib_pin.setup import Setup, SolverSetup
 from calib_pin.threads import Threads

@@ -132,6 +132,7 @@ def simulate(
     import numpy as np
 
     from calib_pin.errors import OptionError
+    from calib_pin.formulation import nominal_problem
     from calib_pin.io.measurements import (
         read_configurations,
         read_names,
@@ -139,7 +140,6 @@ def simulate(
     )
     from calib_pin.io.results import write_urdf
     from calib_pin.io.true_errors import read_true_errors
-    from calib_pin.problem import nominal_problem
     from calib_pin.result import CalibratedModel
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run

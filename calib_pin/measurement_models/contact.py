@@ -14,7 +14,7 @@ from calib_pin.contact_registration import (
     register_touched_plane,
 )
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.measurement_models.features import Feature, Plane, Sphere
+from calib_pin.measurement_models.features import Anchor, Feature, Plane, Sphere
 from calib_pin.measurement_models.tool_point import (
     Bend,
     PlaceModel,
@@ -24,7 +24,7 @@ from calib_pin.measurement_models.tool_point import (
 from calib_pin.measurements import Measurements
 from calib_pin.spatial import Floats
 
-__all__ = ["PlaneContact", "SphereContact", "directions"]
+__all__ = ["PlaneContact", "SphereContact", "directions", "rays", "round_bend"]
 
 
 @dataclass(frozen=True)
@@ -101,7 +101,7 @@ class SphereContact(Contact):
 
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """The height."""
-        e, distance = self._rays(p, place, own)
+        e, distance = rays(p, self.places, place, own)
         spheres = [s for s in self.places if isinstance(s, Sphere)]
         radius = np.array([sphere.radius for sphere in spheres], float)[place]
         height = distance - radius - own[:, 3]
@@ -110,7 +110,7 @@ class SphereContact(Contact):
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """As round as the point is far from the center."""
-        e, distance = self._rays(p, place, own)
+        e, distance = rays(p, self.places, place, own)
         return round_bend(e, distance)
 
     def reached(
@@ -132,12 +132,20 @@ class SphereContact(Contact):
         """A sphere that nobody has given."""
         return Sphere(name)
 
-    def _rays(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
-    ) -> tuple[Floats, Floats]:
-        spheres = [s for s in self.places if isinstance(s, Sphere)]
-        centers = np.array([sphere.xyz for sphere in spheres])[place]
-        return directions(p - centers - own[:, :3])
+
+def rays(
+    p: Floats, places: Sequence[Feature], place: NDArray[np.int64], own: Floats
+) -> tuple[Floats, Floats]:
+    """Directions and lengths from the centers of spheres or anchors to points.
+
+    Args:
+        p: Points in the measuring frame, shape (N, 3) [m].
+        places: The spheres or anchors.
+        place: Position of each row's, shape (N,).
+        own: Its parameters, the coordinates first, shape (N, k).
+    """
+    centers = [s.xyz for s in places if isinstance(s, Sphere | Anchor)]
+    return directions(p - np.array(centers)[place] - own[:, :3])
 
 
 def directions(x: Floats) -> tuple[Floats, Floats]:

@@ -15,7 +15,7 @@ from calib_pin.contact_registration import (
     register_relative_distances,
 )
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.measurement_models.contact import directions, round_bend
+from calib_pin.measurement_models.contact import directions, rays, round_bend
 from calib_pin.measurement_models.features import Anchor, Feature
 from calib_pin.measurement_models.tool_point import (
     Bend,
@@ -50,7 +50,7 @@ class PointDistance(PlaceModel):
 
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """The reading."""
-        e, distance = self._rays(p, place, own)
+        e, distance = rays(p, self.places, place, own)
         anchors = [a for a in self.places if isinstance(a, Anchor)]
         bias = np.array([anchor.bias for anchor in anchors])[place]
         by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
@@ -59,7 +59,7 @@ class PointDistance(PlaceModel):
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """As round as the point is far from the anchor."""
-        return round_bend(*self._rays(p, place, own))
+        return round_bend(*rays(p, self.places, place, own))
 
     def reached(
         self, F: Floats, data: Measurements, point: Floats | None, place: Feature
@@ -77,13 +77,6 @@ class PointDistance(PlaceModel):
     def new(self, name: str) -> Anchor:
         """An anchor that nobody has given."""
         return Anchor(name)
-
-    def _rays(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
-    ) -> tuple[Floats, Floats]:
-        anchors = [a for a in self.places if isinstance(a, Anchor)]
-        centers = np.array([anchor.xyz for anchor in anchors])[place]
-        return directions(p - centers - own[:, :3])
 
 
 @dataclass(frozen=True)

@@ -407,18 +407,19 @@ def locate(
     known = {feature.name: k for k, feature in enumerate(features)}
     if alone and len(known) == 1:
         known[""] = 0
-    wrong = next((k for k, name in enumerate(names) if name not in known), None)
-    if wrong is not None:
-        place = "" if data is None else f"{data.place(wrong)}: "
-        name = names[wrong]
-        raise InputError(
-            f"{place}there is no {what} '{name}'{nearest(name, known)}"
-            if name
-            else f"{place}the row names no {what}",
-            column="target",
-            allowed=", ".join(feature.name for feature in features),
-        )
-    return np.array([known[name] for name in names], np.int64)
+    try:
+        # Rows are many, and this is done at every evaluation.
+        return np.fromiter(map(known.__getitem__, names), np.int64, len(names))
+    except KeyError as error:
+        name = str(error.args[0])
+    place = "" if data is None else f"{data.place(list(names).index(name))}: "
+    raise InputError(
+        f"{place}there is no {what} '{name}'{nearest(name, known)}"
+        if name
+        else f"{place}the row names no {what}",
+        column="target",
+        allowed=", ".join(feature.name for feature in features),
+    )
 
 
 def _triple(values: Floats | None) -> Triple | None:

@@ -55,20 +55,9 @@ class FixedPoint(Touching, PointModel):
         flat = np.zeros((len(p), 3, 3, 3))
         return Bend(flat, flat)
 
-    def extended(self, T: Floats, data: Measurements) -> FixedPoint:
-        """With a socket where the ball is on average, for each that is new."""
-        known = {socket.name for socket in self.places}
-        names = self.places_of(data.target)
-        new = [name for name in dict.fromkeys(names) if name not in known]
-        if not new:
-            return self
-        added = [Point(name, "socket", np.zeros(3)) for name in new]
-        wider = replace(self, places=(*self.places, *added))
-        own = np.zeros(len(wider.parameters))
-        p = wider.residual(T, own, data)  # New sockets stand at the origin so far.
-        of = np.array(names)
-        placed = [replace(s, xyz=p[of == s.name].mean(axis=0)) for s in added]
-        return replace(self, places=(*self.places, *placed))
+    def new(self, name: str) -> Point:
+        """A socket that nobody has given."""
+        return Point(name, "socket")
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

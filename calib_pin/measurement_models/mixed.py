@@ -27,7 +27,7 @@ from calib_pin.measurement_models.base import (
 )
 from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurement_models.mount import Mounted
-from calib_pin.measurements import PART, PLUS, Measurements
+from calib_pin.measurements import PART, PLUS, Measurements, rows_by_part
 from calib_pin.spatial import Floats
 
 __all__ = ["Mixed", "qualified"]
@@ -68,9 +68,8 @@ class Mixed(Featured):
         """Those of all parts; what two of them have is named with the part."""
         names = [q.name for part in self.parts.values() for q in part.quantities]
         result = []
-        for (name, part), (_, columns) in zip(
-            self.parts.items(), self._layout, strict=True
-        ):
+        for name, part in self.parts.items():
+            columns = self._layout[name][1]
             for quantity in part.quantities:
                 shared = names.count(quantity.name) > 1
                 start, stop = quantity.columns.start, quantity.columns.stop
@@ -147,8 +146,8 @@ class Mixed(Featured):
     def extended(self, T: Floats, data: Measurements) -> Mixed:
         """Every part extended by its rows, with what the parts before have placed."""
         mixed = self
-        for name, rows, _ in self._split(data.target):
-            part = mixed.parts[name].extended(T[rows], self.of_part(name, data))
+        for name, (rows, own) in data.by_part.items():
+            part = mixed.parts[name].extended(T[rows], own)
             mixed = Mixed({**mixed.parts, name: part})
         return mixed
 
@@ -156,9 +155,8 @@ class Mixed(Featured):
         """Values of all parts side by side, shape (N, D)."""
         result = np.zeros((len(T), self.width))
         for name, rows, names in self._split(target):
-            part, columns = self.parts[name], self._columns(name)[0]
-            found = part.predict(T[rows], own[self._own[name]], names)
-            result[rows, columns] = found
+            part, columns = self.parts[name], self._layout[name][0]
+            result[rows, columns] = part.predict(T[rows], own[self._own[name]], names)
         return result
 
     def observable(
@@ -175,31 +173,28 @@ class Mixed(Featured):
         """Every part's own values with its own noise."""
         result = np.array(values)
         for name, part in self.parts.items():
-            columns, components = self._columns(name)
+            columns, components = self._layout[name]
             result[:, columns] = part.disturb(values[:, columns], noise[:, components])
         return result
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Residuals of all parts side by side, shape (N, d)."""
-        result = np.zeros((len(T), self._layout[-1][1].stop))
-        for name, rows, _ in self._split(data.target):
-            part = self.parts[name]
-            result[rows, self._columns(name)[1]] = part.residual(
-                T[rows], own[self._own[name]], self.of_part(name, data)
+        result = np.zeros((len(T), self._components))
+        for name, (rows, seen) in data.by_part.items():
+            part, components = self.parts[name], self._layout[name][1]
+            result[rows, components] = part.residual(
+                T[rows], own[self._own[name]], seen
             )
         return result
 
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """Linearizations of all parts side by side."""
-        shape = (len(T), self._layout[-1][1].stop)
+        shape = (len(T), self._components)
         residual, by_twist = np.zeros(shape), np.zeros((*shape, 6))
         by_own = np.zeros((*shape, len(own)))
-        for name, rows, _ in self._split(data.target):
-            index = self._own[name]
-            found = self.parts[name].linearize(
-                T[rows], own[index], self.of_part(name, data)
-            )
-            components = self._columns(name)[1]
+        for name, (rows, seen) in data.by_part.items():
+            index, components = self._own[name], self._layout[name][1]
+            found = self.parts[name].linearize(T[rows], own[index], seen)
             residual[rows, components] = found.residual
             by_twist[rows, components] = found.by_twist
             block = np.zeros((*found.residual.shape, len(own)))
@@ -222,14 +217,9 @@ class Mixed(Featured):
             mounted = isinstance(part, Mounted)
             return mounted, not part.measuring_frame, not part.sees_tool
 
-        for name in sorted(self.parts, key=turn):
-            rows = self.rows_of(name, data.target)
-            if not rows.any():
-                continue
-            part = mixed.parts[name]
-            found, new_base, new_tool = part.register(
-                F[rows], self.of_part(name, data), base, tool
-            )
+        for name in sorted(data.by_part, key=turn):
+            (rows, own), part = data.by_part[name], mixed.parts[name]
+            found, new_base, new_tool = part.register(F[rows], own, base, tool)
             # A part that sees no base or tool frame has nothing to say of it.
             if part.measuring_frame or not self.measuring_frame:
                 base = base or new_base
@@ -241,45 +231,27 @@ class Mixed(Featured):
             )
         return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
 
-    def rows_of(self, name: str, target: Sequence[str]) -> NDArray[np.bool_]:
-        """The rows of one part, shape (N,)."""
-        start = name + PART
-        return np.array([t.startswith(start) for t in target], bool)
-
     def unstated(self, target: Sequence[str]) -> Floats:
         """Standard deviations of rows that state none, shape (N, d)."""
-        result = np.full((len(target), self._layout[-1][1].stop), np.inf)
-        for name, rows, _ in self._split(target):
-            result[rows, self._columns(name)[1]] = np.nan
+        result = np.full((len(target), self._components), np.inf)
+        for name, rows in rows_by_part(target).items():
+            result[rows, self._layout[name][1]] = np.nan
         return result
 
-    def of_part(self, name: str, data: Measurements) -> Measurements:
-        """The rows of one part with its own columns and targets."""
-        rows = data.rows(self.rows_of(name, data.target))
-        columns, components = self._columns(name)
-        sigma = None if rows.sigma is None else rows.sigma[:, components]
-        if sigma is not None and np.isnan(sigma).any():
-            sigma = None
-        return replace(
-            rows,
-            model=name,
-            values=rows.values[:, columns],
-            sigma=sigma,
-            target=tuple(target[len(name) + 1 :] for target in rows.target),
-        )
-
     @cached_property
-    def _layout(self) -> tuple[tuple[slice, slice], ...]:
+    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
         """Columns of the values and components of the residual of every part."""
-        result, a, b = [], 0, 0
-        for part in self.parts.values():
+        result, a, b = {}, 0, 0
+        for name, part in self.parts.items():
             c, d = a + part.width, b + part.quantities[-1].columns.stop
-            result.append((slice(a, c), slice(b, d)))
+            result[name] = slice(a, c), slice(b, d)
             a, b = c, d
-        return tuple(result)
+        return result
 
-    def _columns(self, name: str) -> tuple[slice, slice]:
-        return self._layout[list(self.parts).index(name)]
+    @property
+    def _components(self) -> int:
+        """Components of the residual."""
+        return int(self.quantities[-1].columns.stop)
 
     @cached_property
     def _own(self) -> Mapping[str, NDArray[np.intp]]:
@@ -300,17 +272,11 @@ class Mixed(Featured):
 
     def _split(
         self, target: Sequence[str]
-    ) -> Iterator[tuple[str, NDArray[np.bool_], tuple[str, ...]]]:
+    ) -> Iterator[tuple[str, NDArray[np.intp], tuple[str, ...]]]:
         """Name, rows and plain targets of every part that has rows."""
-        for name in self.parts:
-            rows = self.rows_of(name, target)
-            if rows.any():
-                start = len(name) + 1
-                yield (
-                    name,
-                    rows,
-                    tuple(target[int(k)][start:] for k in np.flatnonzero(rows)),
-                )
+        for name, rows in rows_by_part(target).items():
+            start = len(name) + 1
+            yield name, rows, tuple(target[k][start:] for k in rows.tolist())
 
 
 def qualified(

@@ -212,6 +212,29 @@ class PointModel(Featured):
         """How that changes with the points; arguments as for `compare`."""
         raise NotImplementedError
 
+    def new(self, name: str) -> Feature:
+        """A place that nobody has given."""
+        raise NotImplementedError
+
+    def extended(self, T: Floats, data: Measurements) -> Self:
+        """With a place for each that is new, by the rows that name it."""
+        if not self.places:
+            return self
+        known = {place.name for place in self.places}
+        names = dict.fromkeys(self.places_of(data.target))
+        new = [name for name in names if name not in known]
+        if not new:
+            return self
+        wider = replace(self, places=(*self.places, *map(self.new, new)))
+        identity = pin.SE3.Identity()
+        return wider.register(T, data, identity, identity)[0]
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Self, pin.SE3, pin.SE3]:
+        """Closed-form references, see `MeasurementModel`."""
+        raise NotImplementedError
+
     def names(
         self, target: Sequence[str], data: Measurements | None = None
     ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
@@ -220,13 +243,19 @@ class PointModel(Featured):
         Raises:
             InputError: If a row names what is not there; data tell where.
         """
+        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
+        if data is None and len(number) < len(target):
+            # Rows are many and their names few.
+            point, place = self.names(tuple(number))
+            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
+            return point[rows], place[rows]
         points, places = self.split(target)
         point = np.full(len(target), len(self.points))
         if self.points and any(points):
             of = np.flatnonzero([bool(name) for name in points])
-            rows = None if data is None else data.rows(of)
+            about = None if data is None else data.rows(of)
             named = [points[k] for k in of]
-            point[of] = locate(named, self.points, "target", rows, alone=False)
+            point[of] = locate(named, self.points, "target", about, alone=False)
         unnamed = point == len(self.points)
         if self.points and not self.origin and unnamed.any():
             row = int(np.argmax(unnamed))
@@ -334,21 +363,6 @@ class PlaceModel(PointModel):
     def found(self, place: Feature, reached: Reached) -> Feature:
         """The place where that has put it."""
         raise NotImplementedError
-
-    def new(self, name: str) -> Feature:
-        """A place that nobody has given."""
-        raise NotImplementedError
-
-    def extended(self, T: Floats, data: Measurements) -> Self:
-        """With a place for each that is new, by the rows that name it."""
-        known = {place.name for place in self.places}
-        names = self.places_of(data.target)
-        new = [name for name in dict.fromkeys(names) if name not in known]
-        if not new:
-            return self
-        wider = replace(self, places=(*self.places, *map(self.new, new)))
-        identity = pin.SE3.Identity()
-        return wider.register(T, data, identity, identity)[0]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -5,11 +5,13 @@ from __future__ import annotations
 from collections.abc import Sequence
 
 import numpy as np
+import pinocchio as pin
 
 from calib_pin.parameterizations.base import COMPONENTS, Screw
 from calib_pin.parameters import Parameter
+from calib_pin.setup import FrameSetup
 
-__all__ = ["frame_screws"]
+__all__ = ["frame_pose", "frame_screws"]
 
 
 def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
@@ -36,3 +38,9 @@ def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
         )
         for k, component in enumerate(COMPONENTS)
     ]
+
+
+def frame_pose(frame: FrameSetup) -> pin.SE3:
+    """The pose that a setup states, the identity for what it leaves out."""
+    rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
+    return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))

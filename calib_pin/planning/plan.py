@@ -15,10 +15,13 @@ from calib_pin.collision import Collisions
 from calib_pin.directions import visible_directions, visible_nuisances
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import register, structure_at
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.identifiability import Structure
 from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.measurements import PLUS, Measurements
+from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.prediction import Predicted, TipTests, predict
@@ -26,13 +29,7 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
 from calib_pin.planning.workspace import Candidates, Workspace
-from calib_pin.problem import (
-    Problem,
-    assumed_sigma,
-    frame_pose,
-    make_problem,
-    nominal_problem,
-)
+from calib_pin.problem import Problem
 from calib_pin.result import CoupledGroup, ParameterEstimate
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status

@@ -12,8 +12,9 @@ from rich.text import Text
 
 from calib_pin.chain import Chain
 from calib_pin.compensation import Compensation
-from calib_pin.report.tables import DISPLAY, number, table
+from calib_pin.report.tables import number, table
 from calib_pin.spatial import Floats
+from calib_pin.units import DISPLAY
 
 __all__ = ["accuracy_lines", "compensation_report", "line_list"]
 

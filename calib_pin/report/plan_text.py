@@ -8,15 +8,9 @@ from rich.console import Group, RenderableType
 from rich.text import Text
 
 from calib_pin.planning.plan import Plan, Step
-from calib_pin.report.tables import (
-    DISPLAY,
-    group_table,
-    listed,
-    number,
-    parameter_table,
-    table,
-)
+from calib_pin.report.tables import group_table, listed, number, parameter_table, table
 from calib_pin.solvers import Status
+from calib_pin.units import DISPLAY
 
 __all__ = ["plan_report"]
 

@@ -12,9 +12,9 @@ from rich.table import Table
 from rich.text import Text
 
 from calib_pin.result import CoupledGroup, ParameterEstimate
+from calib_pin.units import DISPLAY
 
 __all__ = [
-    "DISPLAY",
     "ESTIMATE",
     "WIDTH",
     "group_table",
@@ -27,17 +27,6 @@ __all__ = [
 
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
-
-DISPLAY = {
-    "m": ("mm", 1e3),
-    "rad": ("deg", 180.0 / math.pi),
-    "m/m": ("%", 100.0),
-    "rad/rad": ("%", 100.0),
-    "px": ("px", 1.0),
-    "m/N": ("um/N", 1e6),
-    "rad/Nm": ("urad/Nm", 1e6),
-}
-"""Unit and factor that people read, by SI unit."""
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""

@@ -13,7 +13,6 @@ from rich.text import Text
 
 from calib_pin.assessment import chi2_interval
 from calib_pin.report.tables import (
-    DISPLAY,
     ESTIMATE,
     group_table,
     listed,
@@ -33,6 +32,7 @@ from calib_pin.result import (
 )
 from calib_pin.solvers import Status
 from calib_pin.training import BEYOND
+from calib_pin.units import DISPLAY
 
 __all__ = [
     "evaluation_report",

@@ -15,7 +15,8 @@ from scipy.optimize import least_squares
 import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.fit import fit
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 
 __all__ = ["commands", "fit_talos", "jacobian"]

@@ -9,8 +9,9 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.inverse_kinematics import commands
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, Setup

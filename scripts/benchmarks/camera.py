@@ -17,8 +17,9 @@ import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.chain import Chain
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.spatial import Floats
 

@@ -24,9 +24,10 @@ from scipy import optimize
 
 import calib_pin
 from benchmarks.ranger import Ranger
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.solvers import (
     DifferentialEvolution,
     differential_evolution,

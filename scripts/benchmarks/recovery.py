@@ -17,7 +17,8 @@ import numpy as np
 import calib_pin
 from calib_pin.configurations import observable_configurations
 from calib_pin.fit import Fit, analyze_structure, fit
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.formulation import nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,

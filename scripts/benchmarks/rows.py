@@ -29,9 +29,10 @@ from numba import config
 import calib_pin
 from benchmarks.timing import best
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.many_rows import ManyRows
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 

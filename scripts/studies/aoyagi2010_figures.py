@@ -47,10 +47,8 @@ def draw(folder: Path, settings: Settings, seeds: Sequence[Cases]) -> tuple[str,
     Returns:
         Names of the files.
     """
-    drawn = {"points.png": _points, "verification.png": _verification}
-    for name, draw_one in drawn.items():
-        draw_one(folder / name, settings, seeds)
-    return tuple(drawn)
+    figures = {"points.png": _points, "verification.png": _verification}
+    return shared.draw(folder, figures, settings, seeds)
 
 
 def _points(path: Path, settings: Settings, seeds: Sequence[Cases]) -> None:

@@ -13,6 +13,7 @@ from functools import cache
 
 import numpy as np
 
+from calib_pin.formulation import nominal_problem
 from calib_pin.measurement_models import measurement_model
 from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.information import Information
@@ -21,7 +22,6 @@ from calib_pin.planning.prediction import TipTests
 from calib_pin.planning.rows import IdentificationRows, Pullback
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
-from calib_pin.problem import nominal_problem
 from calib_pin.spatial import Floats
 from studies.klimchik_arm import (
     REACH,

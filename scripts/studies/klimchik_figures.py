@@ -39,14 +39,12 @@ def draw(folder: Path, settings: Settings, seeds: Sequence[Seed]) -> tuple[str, 
     Returns:
         Names of the files.
     """
-    drawn = {
+    figures = {
         "turns.png": _turns,
         "elastostatics.png": _elastostatics,
         "accuracy.png": _accuracy,
     }
-    for name, draw_one in drawn.items():
-        draw_one(folder / name, settings, seeds)
-    return tuple(drawn)
+    return shared.draw(folder, figures, settings, seeds)
 
 
 def _turns(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:

@@ -18,9 +18,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.fit import Fit, fit
+from calib_pin.formulation import make_problem
 from calib_pin.measurements import Measurements
 from calib_pin.parameterizations.compliance import NOTHING
-from calib_pin.problem import make_problem
 from calib_pin.result import CalibrationResult
 from calib_pin.solve import descend
 from calib_pin.solvers import Status, alternation

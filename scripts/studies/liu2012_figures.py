@@ -46,14 +46,12 @@ def draw(folder: Path, settings: Settings, seeds: Sequence[Seed]) -> tuple[str, 
     Returns:
         Names of the files.
     """
-    drawn = {
+    figures = {
         "convergence.png": _convergence,
         "distances.png": _distances,
         "validation.png": _validation,
     }
-    for name, draw_one in drawn.items():
-        draw_one(folder / name, settings, seeds)
-    return tuple(drawn)
+    return shared.draw(folder, figures, settings, seeds)
 
 
 def median_history(seeds: Sequence[Seed], count: int, mutation: str) -> Floats:

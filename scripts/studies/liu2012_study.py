@@ -20,9 +20,10 @@ import numpy as np
 
 import calib_pin
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import (
     DifferentialEvolution,

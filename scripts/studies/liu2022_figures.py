@@ -41,10 +41,8 @@ def draw(folder: Path, settings: Settings, study: Study) -> tuple[str, ...]:
     Returns:
         Names of the files.
     """
-    drawn = {"search.png": _search, "trajectory.png": _trajectory}
-    for name, draw_one in drawn.items():
-        draw_one(folder / name, settings, study)
-    return tuple(drawn)
+    figures = {"search.png": _search, "trajectory.png": _trajectory}
+    return shared.draw(folder, figures, settings, study)
 
 
 def _search(path: Path, settings: Settings, study: Study) -> None:

@@ -203,6 +203,24 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     write_atomically(path, stream.getvalue(), force=True)
 
 
+def draw(
+    folder: Path, figures: Mapping[str, Callable[..., None]], *about: object
+) -> tuple[str, ...]:
+    """Write figures.
+
+    Args:
+        folder: Where to.
+        figures: What draws each into a path, by the name of its file.
+        about: What else it is given.
+
+    Returns:
+        Names of the files.
+    """
+    for name, draw_one in figures.items():
+        draw_one(folder / name, *about)
+    return tuple(figures)
+
+
 def log_axis(axes: Axes) -> None:
     """A logarithmic y axis with plain numbers."""
     axes.set_yscale("log")

@@ -13,6 +13,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.residual_model import (
     FILE_NAME,
@@ -21,7 +22,6 @@ from calib_pin.io.residual_model import (
     reference,
 )
 from calib_pin.io.results import read_calibration
-from calib_pin.problem import nominal_problem
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.result import CalibratedModel, CalibrationResult
 from calib_pin.setup import FrameSetup, Setup

@@ -15,6 +15,7 @@ import pytest
 from calib_pin.calibration import calibrate, evaluate
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.results import read_accuracy, read_calibration, write_urdf
 from calib_pin.io.setup import setup_document, setup_of
@@ -22,13 +23,8 @@ from calib_pin.io.urdf import load_robot
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurements import Measurements
-from calib_pin.problem import (
-    Problem,
-    absent,
-    frame_pose,
-    make_problem,
-    nominal_problem,
-)
+from calib_pin.parameterizations import frame_pose
+from calib_pin.problem import Problem, absent
 from calib_pin.result import CalibratedModel, CalibrationResult
 from calib_pin.setup import (
     AnchorSetup,

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.formulation import nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 

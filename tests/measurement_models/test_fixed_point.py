@@ -12,11 +12,12 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.fit import fit, structure_at
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.spatial import Floats
 

@@ -12,13 +12,14 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.fit import fit, register
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurement_models.mount import Mounted
 from calib_pin.measurements import Measurements
 from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import (
     CameraSetup,
     DistanceSetup,
@@ -143,10 +144,9 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
     linear, start, seen = model.linearize(T, own, data), 0, 0
     names = [p.name for p in model.parameters]
     for name, part in model.parts.items():
-        rows = model.rows_of(name, data.target)
-        of_part = model.of_part(name, data)
+        rows, of_part = data.by_part[name]
         assert of_part.model == name and of_part.values.shape[1] == part.width
-        assert len(of_part) == rows.sum() > 0
+        assert len(of_part) == len(rows) > 0
         columns = [names.index(p.name) for p in part.parameters]
         alone = part.linearize(T[rows], own[columns], of_part)
         size = alone.residual.shape[1]

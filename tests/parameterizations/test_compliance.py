@@ -15,8 +15,8 @@ from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError, OptionError
 from calib_pin.fit import fit
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.parameterizations.compliance import DEFLECTION, LEAST, Compliance
-from calib_pin.problem import make_problem, nominal_problem
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.spatial import Floats
 

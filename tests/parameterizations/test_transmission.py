@@ -12,12 +12,12 @@ import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError
+from calib_pin.formulation import nominal_problem
 from calib_pin.parameterizations.transmission import (
     AMPLITUDE_SCALES,
     GAIN_SCALE,
     Transmission,
 )
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 

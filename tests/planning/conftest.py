@@ -10,8 +10,8 @@ import pytest
 
 import calib_pin
 from calib_pin.collision import Collisions
+from calib_pin.formulation import nominal_problem
 from calib_pin.planning.workspace import Workspace
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import Setup
 
 

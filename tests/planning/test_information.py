@@ -8,10 +8,10 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.formulation import nominal_problem
 from calib_pin.planning.information import Information, Trials, whiten
 from calib_pin.planning.plan import identification
 from calib_pin.planning.workspace import Workspace
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.spatial import Floats
 

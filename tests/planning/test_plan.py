@@ -13,11 +13,12 @@ import pytest
 import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError
+from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.identifiability import observability
 from calib_pin.measurements import Measurements
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
-from calib_pin.problem import Problem, make_problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats

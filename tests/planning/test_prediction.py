@@ -9,8 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.fit import Fit, fit
+from calib_pin.formulation import nominal_problem
 from calib_pin.planning.plan import Plan
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 
 FRAMES = {

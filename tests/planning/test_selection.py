@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.formulation import nominal_problem
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.information import Information
 from calib_pin.planning.plan import identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.selection import DeterminantSelection, Selection
 from calib_pin.planning.workspace import Workspace
-from calib_pin.problem import nominal_problem
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status, exchange, greedy
 from calib_pin.spatial import Floats

@@ -17,8 +17,9 @@ import pytest
 import calib_pin
 from calib_pin.chain import Chain
 from calib_pin.fit import fit
+from calib_pin.formulation import nominal_problem
 from calib_pin.planning.plan import Plan
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 

@@ -12,9 +12,10 @@ import pytest
 
 import calib_pin
 from calib_pin.fit import analyze_structure, fit
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.true_errors import read_true_errors
-from calib_pin.problem import Problem, nominal_problem
+from calib_pin.problem import Problem
 from calib_pin.spatial import adjoint, invert
 
 COMBINATIONS = """

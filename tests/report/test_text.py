@@ -12,8 +12,8 @@ from rich.console import Console
 
 from calib_pin.calibration import calibrate, evaluate, identify
 from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot, parse_robot
-from calib_pin.problem import nominal_problem
 from calib_pin.report.tables import plain_text
 from calib_pin.report.text import (
     evaluation_report,

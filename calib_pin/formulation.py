@@ -1,0 +1,109 @@
+"""The problem that a setup and rows, or a setup alone, amount to."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.chain import Chain
+from calib_pin.error_model import ErrorModel
+from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.features import Frame
+from calib_pin.measurements import Measurements
+from calib_pin.parameterizations import NOTHING, frame_pose
+from calib_pin.problem import Problem
+from calib_pin.setup import Setup
+
+__all__ = ["make_problem", "nominal_problem"]
+
+
+def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
+    """Error model, measurement model and data of a setup put together.
+
+    A measuring frame of its own exists for positions and poses. A ranger measures
+    against a plane given in the base, which is known unless the setup frees it.
+
+    Raises:
+        OptionError: If a name in the setup does not exist.
+    """
+    model = measurement_model(data.model, setup, data.target)
+    _require_payloads(data, setup)
+    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
+    try:
+        error = ErrorModel.create(
+            chain,
+            setup.parameters,
+            setup=setup,
+            estimate_base=model.measuring_frame if base is None else base,
+            estimate_tool=model.sees_tool if tool is None else tool,
+        )
+    except OptionError as mistake:
+        raise mistake.within(setup.file) from None
+    return Problem(error, model, data, setup)
+
+
+def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
+    """A problem without rows, about the frames and instrument that the setup gives.
+
+    Raises:
+        OptionError: If the instrument needs a reference that the setup lacks.
+    """
+    measurement = measurement_model(model, setup)
+    targets = tuple(measurement.targets) or ("",)
+    payloads = tuple(setup.payloads) or ("",)
+    count = len(targets) * len(payloads)
+    data = Measurements(
+        joints=chain.joints,
+        q=np.zeros((count, len(chain.joints))),
+        model=model,
+        values=np.zeros((count, measurement.width)),
+        target=targets * len(payloads),
+        payload=tuple(name for name in payloads for _ in targets),
+    )
+    problem = make_problem(chain, data, setup)
+    missing = problem.measurement.missing
+    if missing:
+        raise OptionError(f"a {model} study without measurements: {missing}")
+    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
+    # A camera among other instruments is placed by rows; here it stands with them.
+    features = [
+        replace(feature, pose=pin.SE3.Identity())
+        if isinstance(feature, Frame) and not feature.placed
+        else feature
+        for feature in problem.measurement.features
+    ]
+    return replace(
+        problem,
+        error=problem.error.with_frames(*frames),
+        measurement=problem.measurement.with_features(features),
+    )
+
+
+def _require_payloads(data: Measurements, setup: Setup) -> None:
+    """Refuse rows that carry something of which nothing is known.
+
+    Raises:
+        InputError: If there are such rows, and what they carry matters.
+    """
+    if not setup.payloads and "compliance" not in setup.parameters:
+        return
+    known = ("", NOTHING, *setup.payloads)
+    row = next((k for k, name in enumerate(data.payload) if name not in known), None)
+    if row is not None:
+        name = data.payload[row]
+        raise InputError(
+            f"{data.place(row)}: there is no payload '{name}'"
+            f"{nearest(name, setup.payloads)}",
+            column="payload",
+            allowed=", ".join(known[1:]),
+        )
+    if len(setup.payloads) > 1 and "" in data.payload:
+        row = data.payload.index("")
+        raise InputError(
+            f"{data.place(row)}: there are several payloads, and the row names none",
+            column="payload",
+            allowed=", ".join(known[1:]),
+        )

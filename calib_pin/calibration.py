@@ -38,8 +38,10 @@ from calib_pin.result import (
     QuantityErrors,
     UrdfResult,
 )
+from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.splits import FOLDS, folds, shuffled_groups, validation_name
+from calib_pin.tip_accuracy import tip_accuracy
 from calib_pin.training import (
     Stages,
     Trained,
@@ -143,7 +145,8 @@ def calibrate(
         checks = tuple(check for check in checks if not check.reason)
         method = method if checks else "none"
     fitted = trained.fit
-    errors = tuple(_quantity_errors(trained, checks))
+    known = trained.unseen(training)
+    errors = tuple(_quantity_errors(trained, known, checks))
     advice = CHECK
     if unexplained(fitted, errors):
         tell = named(progress, "joint readings")
@@ -168,7 +171,7 @@ def calibrate(
         dof=fitted.dof,
         sigma0=fitted.sigma0,
         stated_sigma=training.stated,
-        outliers=outliers(fitted, trained.errors(training)[1]),
+        outliers=outliers(fitted, known.after),
         solver=fitted.solver,
         evaluator=fitted.evaluator,
         history=tuple(
@@ -182,6 +185,11 @@ def calibrate(
         evaluations=fitted.result.nfev,
         seed=seed,
         covariance=fitted.covariance,
+        fitted=_row_errors(trained, training, [known]),
+        unseen=_row_errors(trained, training if unseen is None else unseen, checks)
+        if checks
+        else None,
+        tip=tip_accuracy(fitted, trained.problem, trained.theta, seed),
         files=tuple(
             name
             for name in dict.fromkeys(
@@ -386,18 +394,33 @@ def _urdf(
     else:
         masks = folds(rows, geometry.fit, seed)
         checks = list(cross_validate(chain, rows, setup, masks, seed))
-    errors = tuple(_quantity_errors(geometry, checks))
+    errors = tuple(_quantity_errors(geometry, geometry.unseen(rows), checks))
     _, reason = verdict(geometry.fit, errors)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta), errors, reason
     )
 
 
+def _row_errors(
+    trained: Trained, rows: Measurements, checks: Sequence[Unseen]
+) -> RowErrors:
+    """Errors of rows that were looked at in one or several parts."""
+    positions = np.concatenate([check.positions for check in checks])
+    # In the order of their files.
+    order = np.argsort(positions, kind="stable")
+    before, after = (
+        np.concatenate([getattr(check, stage) for check in checks])[order]
+        for stage in ("before", "after")
+    )
+    rows = rows.rows(positions[order])
+    return RowErrors.of(trained.problem, trained.theta, rows, before, after)
+
+
 def _quantity_errors(
-    trained: Trained, unseen: Sequence[Unseen]
+    trained: Trained, known: Unseen, unseen: Sequence[Unseen]
 ) -> Iterator[QuantityErrors]:
     """Accuracy before and after, on the fitted and on the unseen rows."""
-    stages = trained.errors(trained.fit.problem.data)
+    stages = known.before, known.after
     parts = []
     if unseen:
         parts = [

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,10 +15,11 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurements import Measurements
 from calib_pin.parameterizations import NOTHING, frame_pose
+from calib_pin.parameters import matching
 from calib_pin.problem import Problem
 from calib_pin.setup import Setup
 
-__all__ = ["make_problem", "nominal_problem"]
+__all__ = ["make_problem", "nominal_problem", "restricted"]
 
 
 def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
@@ -79,6 +81,25 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
         problem,
         error=problem.error.with_frames(*frames),
         measurement=problem.measurement.with_features(features),
+    )
+
+
+def restricted(setup: Setup, names: Sequence[str]) -> Setup:
+    """The setup without what it says of parameters that are not there.
+
+    Args:
+        setup: The setup.
+        names: Names of the parameters that are.
+    """
+
+    def known(pattern: str) -> bool:
+        return bool(matching(pattern, names))
+
+    return replace(
+        setup,
+        fixed=tuple(filter(known, setup.fixed)),
+        bounds={key: value for key, value in setup.bounds.items() if known(key)},
+        prior={key: value for key, value in setup.prior.items() if known(key)},
     )
 
 

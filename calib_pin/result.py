@@ -14,9 +14,11 @@ from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
 from calib_pin.residual_models import LearnedCorrection
+from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
+from calib_pin.tip_accuracy import TipAccuracy
 
 __all__ = [
     "Accuracy",
@@ -38,10 +40,18 @@ __all__ = [
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Size of the errors of one quantity over rows, in the quantity's unit."""
+    """Size of the errors of one quantity over rows, in the quantity's unit.
+
+    Attributes:
+        mean: Mean size.
+        rms: Root-mean-square.
+        p95: What 95 % of the rows stay below.
+        max: Largest size.
+    """
 
     mean: float
     rms: float
+    p95: float
     max: float
 
     @staticmethod
@@ -50,6 +60,8 @@ class Accuracy:
         return Accuracy(
             float(sizes.mean()),
             float(np.sqrt(np.mean(sizes**2))),
+            # No interpolation: where a row cannot be predicted its size is infinite.
+            float(np.quantile(sizes, 0.95, method="inverted_cdf")),
             float(sizes.max()),
         )
 
@@ -142,10 +154,14 @@ class Identifiability:
         parameters: Number of free parameters.
         rank: Practical rank used by the fit; the structural one without measurements.
         structural_rank: Rank of the robot and the way it is measured.
+        robot_rank: Number of independent errors of the robot in that; the rest are
+            errors of base, tool and instrument.
         gap: Ratio of the last structural singular value kept to the first dropped.
         everett: Everett's count 4 R + 2 P + 6.
         condition: s_1 / s_r of the robot's directions, nuisances projected out.
         singular_values: Of the whitened, scaled Jacobian of those directions.
+        structural_values: All singular values of the scaled structural Jacobian,
+            descending; those from `structural_rank` on are rounding.
         observability: O1 to O5 of these singular values.
         weak: Number of structural directions that these rows cannot tell.
         revealed: Number of directions that nominal geometry hides, estimated because
@@ -157,10 +173,12 @@ class Identifiability:
     parameters: int
     rank: int
     structural_rank: int
+    robot_rank: int
     gap: float
     everett: int
     condition: float
     singular_values: tuple[float, ...]
+    structural_values: tuple[float, ...]
     observability: dict[str, float]
     weak: int
     revealed: int
@@ -368,6 +386,9 @@ class CalibrationResult(Identification):
         evaluations: Evaluations of the cost; an evolution counts its members.
         seed: Seed of configurations and splits.
         covariance: Of the parameters, shape (P, P).
+        fitted: Errors of the fitted rows.
+        unseen: Errors of the rows of the validation; None without one.
+        tip: How well the fit knows where the tip is; None where it has no redundancy.
         files: Measurement files.
         ladder: The model ladder, if one was climbed.
         urdf: The geometry alone, where the model is more than that.
@@ -401,6 +422,9 @@ class CalibrationResult(Identification):
     evaluations: int
     seed: int
     covariance: Floats = field(repr=False)
+    fitted: RowErrors = field(repr=False)
+    unseen: RowErrors | None = field(repr=False)
+    tip: TipAccuracy | None = field(repr=False)
     files: tuple[str, ...] = ()
     ladder: Ladder | None = None
     urdf: UrdfResult | None = None

@@ -17,10 +17,9 @@ from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import Fit, fit
-from calib_pin.formulation import make_problem
+from calib_pin.formulation import make_problem, restricted
 from calib_pin.known_distances import KnownDistances
 from calib_pin.measurements import Measurements
-from calib_pin.parameters import matching
 from calib_pin.problem import Problem
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
@@ -307,17 +306,7 @@ def with_parameters(
     It says nothing of parameters that these do not have.
     """
     names = parameter_names(chain, rows, setup, parameters)
-
-    def known(pattern: str) -> bool:
-        return bool(matching(pattern, names))
-
-    return replace(
-        setup,
-        parameters=parameters,
-        fixed=tuple(filter(known, setup.fixed)),
-        bounds={key: value for key, value in setup.bounds.items() if known(key)},
-        prior={key: value for key, value in setup.prior.items() if known(key)},
-    )
+    return restricted(replace(setup, parameters=parameters), names)
 
 
 def parameter_names(

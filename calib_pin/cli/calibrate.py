@@ -127,6 +127,7 @@ def calibrate(
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.measurements import AT
+    from calib_pin.remedies import remedies
     from calib_pin.report.text import report
 
     stated = open_setup(
@@ -171,12 +172,14 @@ def calibrate(
             progress=bar,
         )
     seconds = time.perf_counter() - start
+    tool = result.model.tool
+    better = remedies(chain, rows.model, stated, result, tool=tool, seed=seed)
     written = []
     if files is not None:
         words = ("calib-pin", *context.obj)
         written = _write(result, files, words, seconds, force)
     if not quiet:
-        show(report(result))
+        show(report(result, better))
         for path in written:
             typer.echo(f"wrote {path}")
     elif result.verdict != "good":

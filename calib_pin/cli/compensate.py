@@ -101,12 +101,12 @@ def compensate(
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.targets import command_columns, read_target_file, write_commands
     from calib_pin.parameterizations import NOTHING
+    from calib_pin.report.accuracy import untrusted
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
         line_list,
     )
-    from calib_pin.report.text import untrusted
     from calib_pin.setup import Setup
 
     require_known("frame", frame or FRAMES[0], FRAMES)
@@ -188,16 +188,13 @@ def compensate(
         typer.echo(encode(document).decode(), nl=False)
     elif not quiet:
         if doubts:
-            show(untrusted(doubts[0]))
+            show([untrusted(doubts[0])])
             typer.echo()
         lines = asked.lines.tolist()
-        show(
-            compensation_report(
-                found, model.chain, motion=motion, file=str(targets), lines=lines
-            )
+        said = compensation_report(
+            found, model.chain, motion=motion, file=str(targets), lines=lines
         )
-        for line in accuracy_lines(accuracy):
-            show(line)
+        show([*said, *accuracy_lines(accuracy)])
         typer.echo(f"wrote {output}" if written else "wrote nothing")
     elif doubts:
         notice(f"untrusted: {doubts[0]}")

@@ -65,7 +65,7 @@ def evaluate(
     from calib_pin.errors import OptionError
     from calib_pin.io.documents import encode
     from calib_pin.io.results import read_calibration
-    from calib_pin.report.text import evaluation_report
+    from calib_pin.report.accuracy import evaluated
     from calib_pin.result import CalibratedModel
     from calib_pin.setup import Setup
 
@@ -111,5 +111,5 @@ def evaluate(
         }
         typer.echo(encode(document).decode(), nl=False)
     else:
-        show(evaluation_report(evaluation))
+        show(evaluated(evaluation))
     return 0 if evaluation.verdict == "good" else 2

@@ -53,12 +53,12 @@ def identify(
     """
     from dataclasses import replace
 
-    from rich.console import Group
-
     from calib_pin.calibration import calibrate as run
     from calib_pin.calibration import identify as structural
     from calib_pin.io.documents import encode, identification_document
-    from calib_pin.report.text import identification_report, untrusted
+    from calib_pin.remedies import remedies
+    from calib_pin.report.accuracy import untrusted
+    from calib_pin.report.identification import identified
     from calib_pin.result import Identification
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
@@ -70,6 +70,7 @@ def identify(
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
         result = run(chain, rows, stated, validate=False, seed=seed)
+        stated = replace(stated, model=rows.model)
         found, verdict, reason = result, result.verdict, result.reason
     else:
         found = structural(chain, require_model(stated), stated, seed=seed)
@@ -79,7 +80,8 @@ def identify(
         document["verdict"] = {"status": verdict, "reason": reason}
         typer.echo(encode(document).decode(), nl=False)
     else:
-        if verdict != "good":
-            show(Group(untrusted(reason), ""))
-        show(identification_report(found, fitted=bool(measurements)))
+        better = remedies(chain, require_model(stated), stated, found, seed=seed)
+        doubts = [] if verdict == "good" else [untrusted(reason)]
+        fitted = bool(measurements)
+        show([*doubts, *identified(found, fitted=fitted, remedies=better)])
     return 0 if verdict == "good" else 2

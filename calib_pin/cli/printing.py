@@ -3,32 +3,32 @@
 from __future__ import annotations
 
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from typing import TYPE_CHECKING
 
 import typer
 
 if TYPE_CHECKING:
-    from rich.console import RenderableType
+    from calib_pin.report.blocks import Block
 
 __all__ = ["notice", "progress_bar", "show"]
 
 
-def show(content: RenderableType) -> None:
+def show(blocks: Iterable[Block]) -> None:
     """Print to standard output: colored on a terminal, plain 80 columns elsewhere."""
     from rich.console import Console
 
-    from calib_pin.report.tables import WIDTH, plain_text
+    from calib_pin.report.terminal import WIDTH, laid_out, plain_text
 
     if sys.stdout.isatty():
         # Names are what they are: no markup and no emoji codes in them.
         console = Console(highlight=False, markup=False, emoji=False)
         # A narrower terminal wraps lines; rich would cut numbers off.
         console.width = max(console.width, WIDTH)
-        console.print(content)
+        console.print(laid_out(blocks))
     else:
-        typer.echo(plain_text(content), nl=False)
+        typer.echo(plain_text(blocks), nl=False)
 
 
 def notice(message: str) -> None:

@@ -117,6 +117,7 @@ def identification_document(found: Identification) -> Json:
             "parameters": ranks.parameters,
             "rank": ranks.rank,
             "structural_rank": ranks.structural_rank,
+            "robot_rank": ranks.robot_rank,
             "structural_gap": ranks.gap,
             "everett": ranks.everett,
             "weak": ranks.weak,
@@ -124,6 +125,7 @@ def identification_document(found: Identification) -> Json:
             "scale_observable": ranks.scale_observable,
             "condition": ranks.condition,
             "singular_values": list(ranks.singular_values),
+            "structural_singular_values": list(ranks.structural_values),
             "observability": ranks.observability,
             "coupled": [_group(group) for group in found.groups],
             "correlated": [
@@ -205,6 +207,7 @@ def calibration_document(
         },
         **identification_document(result),
         "errors": {e.name: _errors(e, result.validation) for e in result.errors},
+        "predicted": _predicted(result),
         "statistics": {
             "chi2": result.chi2,
             "dof": result.dof,
@@ -249,6 +252,13 @@ def calibration_document(
             "created": provenance.created,
         },
     }
+
+
+def _predicted(result: CalibrationResult) -> Json | None:
+    """The error of the tip over the workspace that the noise leaves, by the fit."""
+    if result.tip is None:
+        return None
+    return {"position": result.tip.rms[0], "orientation": result.tip.rms[1]}
 
 
 def _urdf(urdf: UrdfResult, method: str) -> Json:

@@ -32,7 +32,7 @@ from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_mo
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurements import AT, PART, PLUS
-from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import (
     AnchorSetup,
@@ -377,11 +377,7 @@ def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:
 
 
 def _known_frame(pose: pin.SE3, estimated: bool) -> FrameSetup:
-    if estimated:
-        return FrameSetup(estimate=True)
-    x, y, z = map(float, pose.translation)
-    roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(pose.rotation))
-    return FrameSetup((x, y, z), (roll, pitch, yaw), estimate=False)
+    return FrameSetup(estimate=True) if estimated else frame_setup(pose, known=True)
 
 
 def _read_stand(frame: Frame, frames: Json) -> Frame:

@@ -13,7 +13,7 @@ from calib_pin.parameterizations.base import (
 )
 from calib_pin.parameterizations.compliance import NOTHING, Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg
-from calib_pin.parameterizations.frames import frame_pose, frame_screws
+from calib_pin.parameterizations.frames import frame_pose, frame_screws, frame_setup
 from calib_pin.parameterizations.joint_offset import JointOffset
 from calib_pin.parameterizations.placement import LinkTransform, Placement
 from calib_pin.parameterizations.transmission import Transmission
@@ -28,6 +28,7 @@ __all__ = [
     "Screw",
     "frame_pose",
     "frame_screws",
+    "frame_setup",
     "parameterization",
 ]
 

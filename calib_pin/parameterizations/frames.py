@@ -11,7 +11,7 @@ from calib_pin.parameterizations.base import COMPONENTS, Screw
 from calib_pin.parameters import Parameter
 from calib_pin.setup import FrameSetup
 
-__all__ = ["frame_pose", "frame_screws"]
+__all__ = ["frame_pose", "frame_screws", "frame_setup"]
 
 
 def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
@@ -44,3 +44,10 @@ def frame_pose(frame: FrameSetup) -> pin.SE3:
     """The pose that a setup states, the identity for what it leaves out."""
     rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
     return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
+
+
+def frame_setup(pose: pin.SE3, *, known: bool) -> FrameSetup:
+    """The setup of a frame that is known, or estimated from a first guess."""
+    x, y, z = map(float, pose.translation)
+    roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(pose.rotation))
+    return FrameSetup((x, y, z), (roll, pitch, yaw), estimate=not known)

@@ -1,4 +1,4 @@
-"""The report of a compensation as tables for a terminal, at most 80 columns wide."""
+"""The report of a compensation."""
 
 from __future__ import annotations
 
@@ -6,13 +6,11 @@ from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
-from rich.console import Group, RenderableType
-from rich.padding import Padding
-from rich.text import Text
 
 from calib_pin.chain import Chain
 from calib_pin.compensation import Compensation
-from calib_pin.report.tables import number, table
+from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
+from calib_pin.report.tables import number, quantity
 from calib_pin.spatial import Floats
 from calib_pin.units import DISPLAY
 
@@ -29,7 +27,7 @@ def compensation_report(
     motion: bool,
     file: str,
     lines: Sequence[int],
-) -> RenderableType:
+) -> Iterator[Block]:
     """What is commanded, what it is worth, and what cannot be reached.
 
     Args:
@@ -42,42 +40,36 @@ def compensation_report(
     count, reached = len(found), int(found.reached.sum())
     what = "configurations of the nominal robot" if motion else "targets"
     kind = "poses" if found.oriented else "positions only"
-    parts: list[RenderableType] = [
-        Text(
-            f"{chain.robot.name}: {reached} of {count} {what} reached ({kind}), "
-            "joint limits kept.",
-            style="bold" if reached == count else "bold red",
-        )
-    ]
+    yield Line(
+        f"{chain.robot.name}: {reached} of {count} {what} reached ({kind}), "
+        "joint limits kept.",
+        "strong" if reached == count else "bad",
+    )
     if reached:
-        parts += ["", _errors(found), "", *_corrections(found, chain)]
+        yield _errors(found)
+        yield from _corrections(found, chain)
         numbers = np.asarray(lines)
         at_limit = numbers[found.reached & found.at_limit]
         if len(at_limit):
-            parts.append(Text(f"A joint stands at its limit in {line_list(at_limit)}."))
+            yield Line(f"A joint stands at its limit in {line_list(at_limit)}.")
         outside = numbers[found.reached & found.outside]
         if len(outside):
-            parts.append(
-                Text(
-                    "Outside the region in which the learned correction was trained, "
-                    f"where it fades: {line_list(outside)}.",
-                    style="bold red",
-                )
+            yield Line(
+                "Outside the region in which the learned correction was trained, "
+                f"where it fades: {line_list(outside)}.",
+                "bad",
             )
-    parts += _unreached(found, file, lines)
+    yield from _unreached(found, file, lines)
     joints = len(chain.joints)
     if found.oriented and reached < count and joints < 6:
-        parts.append(
-            Text(
-                f"{joints} joints reach few poses; --position asks for positions only."
-            )
+        yield Line(
+            f"{joints} joints reach few poses; --position asks for positions only."
         )
     if motion and found.reached.all():
-        parts += _jumps(found, lines)
-    return Group(*parts)
+        yield from _jumps(found, lines)
 
 
-def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Text]:
+def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
     """How far the model itself is off, by what a calibration says of unseen rows.
 
     Args:
@@ -86,10 +78,10 @@ def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Text]:
     for name, error in errors.items():
         unit, factor = DISPLAY[error["unit"]]
         mean, largest = (number(factor * error[key]) for key in ("mean", "max"))
-        yield Text(
+        yield Line(
             f"On unseen rows ({error['method']}) the model itself is off by {mean} "
             f"{unit} mean, {largest} max ({name}).",
-            style="dim",
+            "note",
         )
 
 
@@ -101,68 +93,64 @@ def line_list(lines: Sequence[int] | np.ndarray) -> str:
     return f"line {shown}" if len(lines) == 1 else f"lines {shown}"
 
 
-def _errors(found: Compensation) -> RenderableType:
+def _errors(found: Compensation) -> Table:
     """Errors at the nominal commands and at those that were found."""
-    errors = table(
-        "Distance from the targets, as the calibrated model has it",
-        ("commands", "mean", "max", "unit"),
-    )
-    errors.columns[1].justify = "left"
     stages = [
         ("position", "m", found.position_before, found.position),
         ("orientation", "rad", found.orientation_before, found.orientation),
     ]
+    rows = []
     for name, unit, before, after in stages[: 2 if found.oriented else 1]:
         for robot, sizes in (("nominal", before), ("compensated", after)):
             sizes = sizes[found.reached & np.isfinite(sizes)]
-            errors.add_row(name, robot, *_sizes(sizes, unit), DISPLAY[unit][0])
+            rows.append((Cell(name), Cell(robot), *_sizes(sizes, unit)))
             name = ""
-    return errors
+    return Table(
+        "Distance from the targets, as the calibrated model has it",
+        columns("", ("commands", "mean", "max", "unit"), {"commands": "word"}),
+        rows,
+    )
 
 
-def _corrections(found: Compensation, chain: Chain) -> Iterator[RenderableType]:
+def _corrections(found: Compensation, chain: Chain) -> Iterator[Table]:
     sizes = np.abs(found.corrections)
     if not len(sizes):
         return
-    joints = table("Joint corrections", ("mean", "max", "unit"))
-    for name, revolute, column in zip(
-        chain.joints, chain.revolute, sizes.T, strict=True
-    ):
-        unit = "rad" if revolute else "m"
-        joints.add_row(name, *_sizes(column, unit), DISPLAY[unit][0])
-    yield joints
+    rows = [
+        (Cell(name), *_sizes(column, "rad" if revolute else "m"))
+        for name, revolute, column in zip(
+            chain.joints, chain.revolute, sizes.T, strict=True
+        )
+    ]
+    yield Table("Joint corrections", columns("", ("mean", "max", "unit")), rows)
 
 
-def _sizes(sizes: Floats, unit: str) -> tuple[str, str]:
-    factor = DISPLAY[unit][1]
+def _sizes(sizes: Floats, unit: str) -> tuple[Cell, ...]:
     if not len(sizes):
-        return "-", "-"
-    return number(factor * float(sizes.mean())), number(factor * float(sizes.max()))
+        return Cell("-"), Cell("-"), Cell(DISPLAY[unit][0])
+    mean, largest = float(sizes.mean()), float(sizes.max())
+    return quantity(mean, unit), quantity(largest, unit), Cell(DISPLAY[unit][0])
 
 
-def _unreached(
-    found: Compensation, file: str, lines: Sequence[int]
-) -> Iterator[RenderableType]:
+def _unreached(found: Compensation, file: str, lines: Sequence[int]) -> Iterator[Names]:
     """Every target that cannot be reached, by line."""
     (missed,) = np.nonzero(~found.reached)
-    if not len(missed):
-        return
-    yield ""
-    yield Text("Out of reach, or behind the joint limits:", style="bold")
+    entries = []
     for row in missed:
         remains = f"{number(1e3 * found.position[row])} mm"
         if found.oriented:
             unit, factor = DISPLAY["rad"]
             remains += f" and {number(factor * found.orientation[row])} {unit}"
-        yield Padding(f"{file}:{lines[int(row)]}: {remains} remain", (0, 0, 0, 2))
+        entries.append(f"{file}:{lines[int(row)]}: {remains} remain")
+    if entries:
+        yield Names("Out of reach, or behind the joint limits:", entries)
 
 
-def _jumps(found: Compensation, lines: Sequence[int]) -> Iterator[RenderableType]:
+def _jumps(found: Compensation, lines: Sequence[int]) -> Iterator[Line]:
     jumps = np.asarray(lines)[found.jumps]
     if len(jumps):
-        yield ""
-        yield Text(
+        yield Line(
             "The corrections jump, as near a singularity, from the row before to "
             f"{line_list(jumps)}: the robot would leave the way between them.",
-            style="bold red",
+            "bad",
         )

@@ -1,14 +1,12 @@
-"""The report of a plan as tables for a terminal, at most 80 columns wide."""
+"""The report of a plan."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator
 
-from rich.console import Group, RenderableType
-from rich.text import Text
-
 from calib_pin.planning.plan import Plan, Step
-from calib_pin.report.tables import group_table, listed, number, parameter_table, table
+from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
+from calib_pin.report.tables import group_table, listed, number, parameter_table
 from calib_pin.solvers import Status
 from calib_pin.units import DISPLAY
 
@@ -18,46 +16,45 @@ SHOWN = 12
 """Lines of the table of the criterion against the number of configurations."""
 
 
-def plan_report(plan: Plan) -> RenderableType:
+def plan_report(plan: Plan) -> Iterator[Block]:
     """What was planned, when to stop measuring, and what the plan will tell."""
-    columns = ("std. dev.", "unit")
+    shown = ("std. dev.", "unit")
     identifiable = [p for p in plan.parameters if p.status == "identifiable"]
     weak = [p.name for p in plan.parameters if p.status == "weak"]
-    parts: list[RenderableType] = [*_subject(plan), "", _steps(plan), "", *_tip(plan)]
+    yield from _subject(plan)
+    yield _steps(plan)
+    yield _tip(plan)
     if identifiable:
-        parts += ["", parameter_table(identifiable, columns)]
+        yield parameter_table(identifiable, shown)
     if plan.groups:
-        parts += ["", group_table(plan.groups, columns)]
-    parts += listed("weak (the plan tells too little; they stay at nominal)", weak)
-    return Group(*parts)
+        yield group_table(plan.groups, shown)
+    yield from listed("weak (the plan tells too little; they stay at nominal)", weak)
 
 
-def _subject(plan: Plan) -> Iterator[RenderableType]:
+def _subject(plan: Plan) -> Iterator[Line]:
     chain = plan.problem.error.chain
     more = f" beside {plan.measured} measured rows" if plan.measured else ""
-    yield Text(
+    yield Line(
         f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
         f"{chain.tip}; {plan.problem.measurement.name}, {len(plan.q)} configurations"
         f"{more}",
-        style="bold",
+        "strong",
     )
     ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
     remark = ended.get(plan.status, f" ({plan.status.value})")
-    yield Text(
+    yield Line(
         f"Found by {plan.method}{remark} from {plan.candidates} candidates of "
         f"{plan.tried} tried.",
-        style="dim",
+        "note",
     )
     if plan.assumed_tool:
-        yield Text(
+        yield Line(
             "Where the target sits on the tool is not stated (frames.tool.xyz in a "
             "setup file); it is assumed to be 6 cm beside the tip.",
-            style="dim",
+            "note",
         )
     if plan.unseen:
-        yield Text(
-            f"No configuration can measure {', '.join(plan.unseen)}.", style="bold red"
-        )
+        yield Line(f"No configuration can measure {', '.join(plan.unseen)}.", "bad")
     if not plan.checked:
         moves = "Collisions are not checked."
     elif plan.blocked:
@@ -68,27 +65,29 @@ def _subject(plan: Plan) -> Iterator[RenderableType]:
         )
     else:
         moves = "No configuration and no straight move between them collides."
-    yield Text(moves, style="dim")
+    yield Line(moves, "note")
 
 
-def _steps(plan: Plan) -> RenderableType:
+def _steps(plan: Plan) -> Table:
     """The criterion against the number of configurations."""
     name, unit, factor = plan.criterion, "", 1.0
     if name == "prediction":
         unit, factor = DISPLAY["m"]
-    columns = [f"{name} [{unit}]" if unit else name]
-    columns += [] if name == "prediction" else ["tip error [mm]"]
-    result = table("When to stop", columns)
+    titles = [f"{name} [{unit}]" if unit else name]
+    titles += [] if name == "prediction" else ["tip error [mm]"]
+    rows = []
     for step in _chosen_steps(plan):
         label = f"{step.count}"
         if step.count == len(plan.q):
             label += "  this plan"
-        cells = [number(factor * step.value)]
+        cells = [Cell(number(factor * step.value), step.value)]
         if name != "prediction":
-            cells.append(number(1e3 * step.position))
-        result.add_row(label, *cells)
-    result.add_row(f"{len(plan.q)}  at random", number(factor * plan.random))
-    return result
+            cells.append(Cell(number(1e3 * step.position), step.position))
+        rows.append((Cell(label), *cells))
+    random = [Cell(number(factor * plan.random), plan.random)]
+    random += [Cell("")] * (len(titles) - 1)
+    rows.append((Cell(f"{len(plan.q)}  at random"), *random))
+    return Table("When to stop", columns("", titles), rows)
 
 
 def _chosen_steps(plan: Plan) -> list[Step]:
@@ -105,20 +104,22 @@ def _chosen_steps(plan: Plan) -> list[Step]:
     return [steps[k] for k in sorted(kept)]
 
 
-def _tip(plan: Plan) -> Iterator[RenderableType]:
+def _tip(plan: Plan) -> Facts:
     predicted, directions = plan.predicted, plan.predicted.directions
-    yield Text("What a fit will know", style="bold")
     unit, factor = DISPLAY["rad"]
     quantities = [q.name for q in plan.problem.measurement.quantities]
     tip = f"{number(1e3 * predicted.position)} mm"
     # Without measured orientations the tool's own turn is not known anyway.
     if "orientation" in quantities:
         tip += f", {number(factor * predicted.orientation)} {unit}"
-    yield Text(f"  tip error that noise leaves  {tip}   (rms over test poses)")
     remark = ""
     if weak := directions.weak.shape[1]:
         remark = f"   ({weak} directions too weak, left at nominal: their part of the "
         remark += "tip error comes on top)"
-    yield Text(
-        f"  rank                         {directions.count} of {plan.rank}{remark}"
+    return Facts(
+        "What a fit will know",
+        [
+            ("tip error that noise leaves", f"{tip}   (rms over test poses)"),
+            ("rank", f"{directions.count} of {plan.rank}{remark}"),
+        ],
     )

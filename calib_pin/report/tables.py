@@ -1,118 +1,43 @@
-"""What all reports are made of: tables, numbers and lists of names."""
+"""The tables of all reports: one builder for each, whoever shows them."""
 
 from __future__ import annotations
 
-import io
 import math
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 
-from rich.console import Console, RenderableType
-from rich.padding import Padding
-from rich.table import Table
-from rich.text import Text
-
-from calib_pin.result import CoupledGroup, ParameterEstimate
+from calib_pin.report.blocks import Cell, Column, Names, Table, columns
+from calib_pin.result import (
+    Accuracy,
+    CoupledGroup,
+    FoundDistance,
+    Ladder,
+    Outlier,
+    ParameterEstimate,
+    QuantityErrors,
+    Rung,
+)
 from calib_pin.units import DISPLAY
 
 __all__ = [
     "ESTIMATE",
-    "WIDTH",
+    "SIZES",
+    "accuracy_table",
+    "distance_table",
     "group_table",
+    "ladder_table",
     "listed",
     "number",
+    "outlier_table",
     "parameter_table",
-    "plain_text",
-    "table",
+    "quantity",
+    "sizes",
 ]
-
-WIDTH = 80
-"""Columns of the report where it is not printed to a terminal."""
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""
 
-
-def plain_text(content: RenderableType) -> str:
-    """Render without colors, at most 80 columns wide."""
-    stream = io.StringIO()
-    console = Console(
-        file=stream,
-        width=WIDTH,
-        color_system=None,
-        # A notebook would show what is meant for the stream.
-        force_jupyter=False,
-        # Names are what they are: no markup and no emoji codes in them.
-        highlight=False,
-        markup=False,
-        emoji=False,
-    )
-    console.print(content)
-    return "\n".join(line.rstrip() for line in stream.getvalue().splitlines()) + "\n"
-
-
-def table(title: str, columns: Iterable[str]) -> Table:
-    """A table with a column of names before those that are given; text at the left."""
-    result = Table(
-        title=title, title_justify="left", title_style="bold", box=None, pad_edge=False
-    )
-    result.add_column("", overflow="fold")
-    for column in columns:
-        left = column in ("unit", "rows", "robot")
-        result.add_column(column, justify="left" if left else "right", no_wrap=True)
-    return result
-
-
-def parameter_table(
-    parameters: Sequence[ParameterEstimate], columns: Sequence[str] = ESTIMATE
-) -> RenderableType:
-    """Identifiable parameters.
-
-    Args:
-        parameters: The parameters.
-        columns: What stands beside them, some of `ESTIMATE`.
-    """
-    result = table("Identifiable parameters", columns)
-    for parameter in parameters:
-        result.add_row(parameter.name, *_cells(parameter, columns))
-    return result
-
-
-def group_table(
-    groups: Sequence[CoupledGroup], columns: Sequence[str] = ESTIMATE
-) -> RenderableType:
-    """Coupled groups as formulae.
-
-    Args:
-        groups: The groups.
-        columns: What stands beside them, some of `ESTIMATE`; nothing where empty.
-    """
-    result = Table(
-        title="Coupled groups: only the sums are known (coefficients in SI units)",
-        title_justify="left",
-        title_style="bold",
-        box=None,
-        pad_edge=False,
-        show_header=bool(columns),
-    )
-    result.add_column("", justify="right")
-    result.add_column("sum", overflow="fold")
-    for column in columns:
-        left = column == "unit"
-        result.add_column(column, justify="left" if left else "right", no_wrap=True)
-    for group in groups:
-        result.add_row(str(group.number), group.expression, *_cells(group, columns))
-    return result
-
-
-def _cells(
-    item: ParameterEstimate | CoupledGroup, columns: Sequence[str]
-) -> Iterator[str]:
-    """Value, standard deviation and unit of a parameter or a group, as asked for."""
-    unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
-    sigma = "-" if item.sigma is None else f"{factor * item.sigma:.4f}"
-    value = f"{factor * item.value:+.4f}"
-    cells = dict(zip(ESTIMATE, (value, sigma, unit), strict=True))
-    return (cells[column] for column in columns)
+SIZES = ("mean", "rms", "95 %", "max", "unit")
+"""Columns of an accuracy."""
 
 
 def number(value: float) -> str:
@@ -127,13 +52,150 @@ def number(value: float) -> str:
     return f"{value:.1e}"
 
 
-def listed(meaning: str, names: Sequence[str]) -> Iterator[RenderableType]:
+def quantity(value: float, unit: str) -> Cell:
+    """A number in the unit in which people read it."""
+    return Cell(number(DISPLAY[unit][1] * value), value)
+
+
+def sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
+    """The cells of `SIZES`."""
+    found = (accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
+    return (*(quantity(value, unit) for value in found), Cell(DISPLAY[unit][0]))
+
+
+def accuracy_table(errors: Sequence[QuantityErrors]) -> Table:
+    """Accuracy before and after, on fitted and on unseen rows."""
+    rows = []
+    for error in errors:
+        pairs = [("fitted", error.before, error.after)]
+        if error.validation_before and error.validation_after:
+            pairs.append(("unseen", error.validation_before, error.validation_after))
+        name = error.name
+        for which, before, after in pairs:
+            for robot, accuracy in (("nominal", before), ("calibrated", after)):
+                words = (Cell(name), Cell(which), Cell(robot))
+                rows.append((*words, *sizes(accuracy, error.unit)))
+                name = which = ""
+    return Table("Accuracy", columns("", ("rows", "robot", *SIZES)), rows)
+
+
+def distance_table(distances: Sequence[FoundDistance]) -> Table:
+    """Known distances beside those that the robot finds."""
+    unit, factor = DISPLAY["m"]
+    rows = [
+        (
+            Cell(" - ".join(distance.between)),
+            Cell("fitted" if distance.fitted else "unseen"),
+            *(
+                Cell(f"{factor * value:.3f}", value)
+                for value in (distance.value, distance.nominal, distance.found)
+            ),
+            Cell(unit),
+        )
+        for distance in distances
+    ]
+    titles = ("rows", "known", "nominal", "calibrated", "unit")
+    return Table("Known distances", columns("", titles), rows)
+
+
+def ladder_table(ladder: Ladder) -> Table:
+    """The rungs of the model ladder with their errors on unseen rows."""
+    rungs = ladder.rungs
+    quantities = [
+        (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
+    ]
+    best = min((rung for rung in rungs if not rung.reason), key=lambda rung: rung.score)
+    rows = []
+    for k, rung in enumerate(rungs):
+        relative, remark = Cell("-"), rung.reason
+        cells = [Cell("-") for _ in quantities]
+        if not rung.reason:
+            cells = [quantity(mean, unit) for _, unit, mean in rung.errors]
+            part, deviation = (x / rungs[0].score for x in (rung.score, rung.deviation))
+            relative = Cell(f"{100 * part:.1f} +- {100 * deviation:.1f} %", part)
+            remark = _remark(rung, kept=k == ladder.chosen, best=rung is best)
+        rows.append((Cell(rung.name), *cells, relative, Cell(remark)))
+    units = [f"{name} [{DISPLAY[unit][0]}]" for name, unit in quantities]
+    return Table(
+        "Model ladder: mean errors on unseen rows",
+        columns("", (*units, "error", ""), {"": "remark"}),
+        rows,
+        emphasized=(ladder.chosen,),
+    )
+
+
+def _remark(rung: Rung, *, kept: bool, best: bool) -> str:
+    if not rung.helps:
+        return "does not help"
+    if kept:
+        return "kept"
+    return "no better than what is kept" if best else ""
+
+
+def parameter_table(
+    parameters: Sequence[ParameterEstimate], shown: Sequence[str] = ESTIMATE
+) -> Table:
+    """Identifiable parameters.
+
+    Args:
+        parameters: The parameters.
+        shown: What stands beside them, some of `ESTIMATE`.
+    """
+    rows = [(Cell(p.name), *_estimate(p, shown)) for p in parameters]
+    return Table("Identifiable parameters", columns("", shown), rows)
+
+
+def group_table(
+    groups: Sequence[CoupledGroup], shown: Sequence[str] = ESTIMATE
+) -> Table:
+    """Coupled groups as formulae.
+
+    Args:
+        groups: The groups.
+        shown: What stands beside them, some of `ESTIMATE`; nothing where empty.
+    """
+    of = (Column("", "number"), *columns("sum" if shown else "", shown))
+    return Table(
+        "Coupled groups: only the sums are known (coefficients in SI units)",
+        of,
+        [
+            (Cell(str(g.number)), Cell(g.expression), *_estimate(g, shown))
+            for g in groups
+        ],
+    )
+
+
+def outlier_table(outliers: Sequence[Outlier], training: int) -> Table:
+    """Rows that do not fit, worst first.
+
+    Args:
+        outliers: The rows.
+        training: Number of fitted rows.
+    """
+    return Table(
+        f"Rows that do not fit ({len(outliers)} of {training})",
+        columns("row", ("size [sigma]",)),
+        [(Cell(row.place), Cell(number(row.size), row.size)) for row in outliers],
+    )
+
+
+def _estimate(
+    item: ParameterEstimate | CoupledGroup, shown: Sequence[str]
+) -> Iterator[Cell]:
+    """Value, standard deviation and unit of a parameter or a group, as asked for."""
+    unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
+    deviation = Cell("-")
+    if item.sigma is not None:
+        deviation = Cell(f"{factor * item.sigma:.4f}", item.sigma)
+    value = Cell(f"{factor * item.value:+.4f}", item.value)
+    cells = dict(zip(ESTIMATE, (value, deviation, Cell(unit)), strict=True))
+    return (cells[column] for column in shown)
+
+
+def listed(meaning: str, names: Sequence[str]) -> Iterator[Names]:
     """Names under a heading, if there are any."""
     if names:
-        yield ""
-        yield Text(f"{meaning}:", style="bold")
-        for line in _compressed(names):
-            yield Padding(line, (0, 0, 0, 2))
+        yield Names(f"{meaning}:", tuple(_compressed(names)))
 
 
 def _compressed(names: Sequence[str]) -> Iterator[str]:

@@ -472,7 +472,7 @@ def test_options_win_over_the_setup_file(here, run):
 def test_validation_file(here, run):
     result = run(f"{POSITION} --validation new.csv -o out")
     assert result.status == 0
-    assert "unseen (file)" in result.out
+    assert "Unseen rows (file)" in result.out
     found = document("out")
     assert found["errors"]["position"]["validation"]["method"] == "file"
     assert found["measurements"]["training"] == 40

@@ -10,7 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.planning.plan import Plan, Step
 from calib_pin.report.plan_text import plan_report
-from calib_pin.report.tables import plain_text
+from calib_pin.report.terminal import plain_text
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
 

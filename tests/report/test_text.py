@@ -14,13 +14,10 @@ from calib_pin.calibration import calibrate, evaluate, identify
 from calib_pin.chain import Chain
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot, parse_robot
-from calib_pin.report.tables import plain_text
-from calib_pin.report.text import (
-    evaluation_report,
-    format_report,
-    identification_report,
-    report,
-)
+from calib_pin.report.accuracy import evaluated
+from calib_pin.report.identification import identified
+from calib_pin.report.terminal import laid_out, plain_text
+from calib_pin.report.text import format_report, report
 from calib_pin.result import Accuracy, CalibrationResult, Outlier
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
@@ -88,7 +85,7 @@ def test_plain_text_of_80_columns(result):
 
 def test_colors_on_a_terminal(result):
     stream = io.StringIO()
-    Console(file=stream, force_terminal=True, width=100).print(report(result))
+    Console(file=stream, force_terminal=True, width=100).print(laid_out(report(result)))
     assert "\x1b[" in stream.getvalue()
 
 
@@ -149,21 +146,24 @@ def test_the_subject(result):
 
 def test_accuracy_in_millimeters_and_degrees(result):
     lines = section(format_report(result), "Accuracy")
-    assert len(lines) == 1 + 1 + 2 * 2 * 2 + 2
+    assert len(lines) == 1 + 1 + 2 * 2 * 2 + 3
     position = next(e for e in result.errors if e.name == "position")
     words = lines[2].split()
     assert words[:3] == ["position", "fitted", "nominal"]
     assert words[-1] == "mm"
     assert float(words[3]) == pytest.approx(1e3 * position.before.mean, rel=1e-3)
     orientation = next(e for e in result.errors if e.name == "orientation")
-    words = lines[-3].split()
+    words = lines[-4].split()
     assert words[0] == "calibrated"
     assert words[-1] == "deg"
     after = orientation.validation_after
     assert after is not None
-    assert float(words[3]) == pytest.approx(np.degrees(after.max), abs=1e-4)
-    assert "unseen (5-fold)" in lines[4]
-    assert lines[-2] == "Fitted in either case: base frame, tool frame."
+    assert float(words[4]) == pytest.approx(np.degrees(after.max), abs=1e-4)
+    assert lines[4].split()[0] == "unseen"
+    assert " ".join(lines[-3:-1]) == (
+        "Unseen rows (5-fold): every part of the rows, by a fit of the other parts. "
+        "Fitted in either case: base frame, tool frame."
+    )
 
 
 def test_how_far_the_robot_moves(result):
@@ -201,7 +201,7 @@ def test_planes_are_fitted_in_either_case():
     lines = section(
         format_report(solve(model="plane-distance", setup=setup)), "Accuracy"
     )
-    assert lines[-2] == "Fitted in either case: wall plane."
+    assert "Fitted in either case: wall plane." in " ".join(lines)
     assert lines[2].split()[0] == "distance"
 
 
@@ -221,10 +221,10 @@ def test_planes_are_fitted_in_either_case():
     ],
 )
 def test_numbers(result, value, shown):
-    size = Accuracy(value, value, value)
+    size = Accuracy(value, value, value, value)
     errors = (replace(result.errors[0], before=size),)
     text = format_report(replace(result, errors=errors))
-    assert section(text, "Accuracy")[2].split()[-4:] == [shown] * 3 + ["mm"]
+    assert section(text, "Accuracy")[2].split()[-5:] == [shown] * 4 + ["mm"]
 
 
 def test_ranks(result):
@@ -337,7 +337,7 @@ def test_correlations_and_outliers_are_counted(result):
 
 def test_structure_without_estimates():
     chain = Chain(load_robot("pa10"))
-    text = plain_text(identification_report(identify(chain, "pose"), fitted=False))
+    text = plain_text(identified(identify(chain, "pose"), fitted=False))
     assert text.startswith("Identifiability\n")
     assert "std. dev." not in text
     assert "practical rank" not in text
@@ -351,12 +351,12 @@ def test_evaluations(result):
     problem = nominal_problem(chain, "pose", Setup())
     rng = np.random.default_rng(2)
     rows = simulate(problem, np.zeros(len(problem.parameters)), rng, count=12)
-    text = plain_text(evaluation_report(evaluate(chain, rows)))
+    text = plain_text(evaluated(evaluate(chain, rows)))
     assert text.splitlines()[2].split()[:2] == ["position", "12"]
     assert "mm" in text
     assert "deg" in text
     assert "What is unknown of base, tool and instrument was registered" in text
-    text = plain_text(evaluation_report(evaluate(result.model, rows)))
+    text = plain_text(evaluated(evaluate(result.model, rows)))
     assert "Nothing was fitted to these rows." in text
 
 

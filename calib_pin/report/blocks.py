@@ -1,0 +1,127 @@
+"""What reports are made of, whoever shows them: lines, facts, tables, lists of names.
+
+They are built once from a result; `terminal` and `html` only lay them out, so a number
+is the same wherever it is read.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Literal
+
+__all__ = ["Block", "Cell", "Column", "Facts", "Line", "Names", "Table", "columns"]
+
+
+@dataclass(frozen=True)
+class Line:
+    """A sentence.
+
+    Attributes:
+        text: The words.
+        tone: How it is meant: a verdict, a heading, or a remark on what stands above.
+        indent: Whether it belongs to the block above.
+    """
+
+    text: str
+    tone: Literal["plain", "good", "bad", "strong", "note"] = "plain"
+    indent: bool = False
+
+
+@dataclass(frozen=True)
+class Facts:
+    """Names with what is said of them, below each other.
+
+    Attributes:
+        title: Heading.
+        entries: Name and words of each; a name that is empty goes on.
+    """
+
+    title: str
+    entries: Sequence[tuple[str, str]]
+
+
+@dataclass(frozen=True)
+class Names:
+    """A list under a heading.
+
+    Attributes:
+        title: Heading.
+        entries: The members, one below the other.
+    """
+
+    title: str
+    entries: Sequence[str]
+
+
+@dataclass(frozen=True)
+class Column:
+    """A column of a table.
+
+    Attributes:
+        title: Heading.
+        kind: `name` may be broken anywhere, `word` and `number` not at all, `remark`
+            between words; numbers stand at the right.
+    """
+
+    title: str
+    kind: Literal["name", "word", "number", "remark"] = "number"
+
+
+@dataclass(frozen=True)
+class Cell:
+    """What stands in a table.
+
+    Attributes:
+        text: As people read it.
+        value: The number behind it, in SI units, where there is one.
+    """
+
+    text: str
+    value: float | None = None
+
+
+@dataclass(frozen=True)
+class Table:
+    """A table.
+
+    Attributes:
+        title: Heading.
+        columns: Its columns.
+        rows: Cells of each row, as many as there are columns.
+        emphasized: Positions of the rows that stand out.
+    """
+
+    title: str
+    columns: Sequence[Column]
+    rows: Sequence[Sequence[Cell]]
+    emphasized: Sequence[int] = ()
+
+    @property
+    def headed(self) -> bool:
+        """Whether any column has a heading."""
+        return any(column.title for column in self.columns)
+
+
+Block = Line | Facts | Names | Table
+
+
+def columns(
+    first: str, titles: Iterable[str], kinds: Mapping[str, str] | None = None
+) -> tuple[Column, ...]:
+    """A column of names before columns of numbers, and of words that are known.
+
+    Args:
+        first: Heading of the names.
+        titles: Headings of the others.
+        kinds: Kind of those that are no numbers, beside those of `WORDS`.
+    """
+    of: dict[str, str] = {**WORDS, **(kinds or {})}
+    return (
+        Column(first, "name"),
+        *(Column(title, of.get(title, "number")) for title in titles),  # type: ignore[arg-type]
+    )
+
+
+WORDS = dict.fromkeys(("unit", "rows", "robot", "status"), "word")
+"""Columns that are no numbers, by heading."""

@@ -1,0 +1,71 @@
+"""What the residuals say: chi-square, correlations, rows that do not fit."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calib_pin.assessment import chi2_interval
+from calib_pin.report.blocks import Block, Facts, Line, Names
+from calib_pin.report.tables import number
+from calib_pin.result import CalibrationResult
+
+__all__ = ["correlated", "outliers", "statistics"]
+
+LISTED = 5
+"""Outliers and correlated pairs that are listed before the rest is only counted."""
+
+
+def statistics(result: CalibrationResult) -> Iterator[Block]:
+    """Chi-square and what it says of the standard deviations."""
+    learned = result.model.setup.learned is not None
+    sigmas = "stated" if result.stated_sigma else "assumed"
+    entries = [
+        ("chi-square", f"{number(result.chi2)} with {result.dof} dof"),
+        ("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"),
+    ]
+    remark = ""
+    if result.stated_sigma and result.dof > 0:
+        low, high = chi2_interval(result.dof)
+        where = "inside"
+        if result.chi2 < low:
+            where, remark = "below", "less than their sigma says: it may be too large."
+        elif result.chi2 > high:
+            where = "above"
+            remark = (
+                "more than their sigma says: the standard deviations are too small."
+            )
+        interval = f"{number(low)} ... {number(high)}"
+        entries.append(("", f"{where} the 95 % interval {interval}"))
+    title = "Statistics of the parameters, before what is learned"
+    yield Facts(title if learned else "Statistics", entries)
+    if remark and not learned:
+        yield Line(f"The rows scatter {remark}", indent=True)
+
+
+def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
+    """Estimates that move together.
+
+    Args:
+        result: The result.
+        most: Number of pairs that are listed before the rest is only counted.
+    """
+    pairs = result.identifiability.correlated
+    if pairs:
+        entries = [f"{value:+.3f}  {a}  |  {b}" for a, b, value in pairs[:most]]
+        entries += _rest(len(pairs), most, "pairs")
+        yield Names("Correlated above 0.95", entries)
+
+
+def outliers(result: CalibrationResult) -> Iterator[Names]:
+    """Rows that do not fit, the worst of them by name."""
+    found = result.outliers
+    if found:
+        entries = [f"{row.place}  {number(row.size)} sigma" for row in found[:LISTED]]
+        entries += _rest(len(found), LISTED, "rows")
+        count = f"{len(found)} of {result.training}"
+        yield Names(f"Rows that do not fit ({count})", entries)
+
+
+def _rest(count: int, most: int, what: str) -> Iterator[str]:
+    if count > most:
+        yield f"and {count - most} more {what} in calibration.json"

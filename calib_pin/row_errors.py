@@ -1,0 +1,107 @@
+"""The errors of measurements row by row, for whoever wants to look at them."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.measurement_models import Quantity
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+
+__all__ = ["RowErrors"]
+
+
+@dataclass(frozen=True)
+class RowErrors:
+    """Errors of N measurements, predicted minus measured.
+
+    Attributes:
+        rows: The measurements.
+        quantities: What the columns of the errors are.
+        before: With base, tool and instrument fitted and the robot nominal, shape
+            (N, d); NaN for what a row does not have, infinite where nothing can be
+            predicted.
+        after: Those of the calibrated robot, shape (N, d).
+        sigma: Standard deviations, shape (N, d); infinite for what a row lacks.
+        points: Where the calibrated robot has its tool, in the base link, shape (N, 3)
+            [m].
+        to_base: Rotation from the measuring frame to the base link, shape (3, 3).
+    """
+
+    rows: Measurements
+    quantities: tuple[Quantity, ...]
+    before: Floats
+    after: Floats
+    sigma: Floats
+    points: Floats
+    to_base: Floats
+
+    @staticmethod
+    def of(
+        problem: Problem,
+        theta: Floats,
+        rows: Measurements,
+        before: Floats,
+        after: Floats,
+    ) -> RowErrors:
+        """Errors of rows that a fitted problem has, or of others.
+
+        Args:
+            problem: The fitted problem.
+            theta: Its parameter values, shape (P,).
+            rows: The N rows.
+            before: Their errors with the nominal robot, shape (N, d).
+            after: Those with the calibrated one, shape (N, d).
+        """
+        error, of_error = problem.error, problem.split(theta)[0]
+        T = error.poses(rows.q, of_error, error.factors(rows.q, rows.payload))
+        base = error.base * error.corrections(of_error)[0]
+        to_base = base.inverse()
+        return RowErrors(
+            rows=rows,
+            quantities=tuple(problem.measurement.quantities),
+            before=before,
+            after=after,
+            sigma=replace(problem, data=rows).sigma,
+            points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
+            to_base=np.asarray(to_base.rotation),
+        )
+
+    def __len__(self) -> int:
+        """Number of measurements."""
+        return len(self.rows)
+
+    def sizes(self, quantity: Quantity) -> tuple[Floats, Floats]:
+        """Sizes of the errors of a quantity before and after, shape (N,) each.
+
+        NaN for rows that do not have it.
+        """
+        before, after = (
+            np.linalg.norm(errors[:, quantity.columns], axis=1)
+            for errors in (self.before, self.after)
+        )
+        return before, after
+
+    @property
+    def displacements(self) -> tuple[Floats, Floats] | None:
+        """Errors of position in the base link before and after, shape (N, 3) [m].
+
+        NaN for rows that have none; None where no row has, since it was measured
+        otherwise.
+        """
+        found: tuple[Floats, Floats] | None = None
+        for quantity in self.quantities:
+            columns = quantity.columns
+            if quantity.unit != "m" or columns.stop - columns.start != 3:
+                continue
+            parts = [e[:, columns] @ self.to_base.T for e in (self.before, self.after)]
+            if found is not None:  # Of mixed measurements, each row has one of them.
+                parts = [
+                    np.where(np.isnan(first), second, first)
+                    for first, second in zip(found, parts, strict=True)
+                ]
+            found = parts[0], parts[1]
+        return found

@@ -1,0 +1,139 @@
+"""How well a fit knows where the tip is, over the workspace and by number of rows."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.directions import visible_nuisances
+from calib_pin.fit import Fit
+from calib_pin.planning.criteria import Prediction
+from calib_pin.planning.information import Information
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+
+__all__ = ["TipAccuracy", "tip_accuracy"]
+
+SAMPLES = 400
+"""Configurations of the workspace."""
+
+ROWS = 400
+"""Rows among which the error is followed from few to many."""
+
+COUNTS = 16
+"""Numbers of rows at which it is looked at."""
+
+
+@dataclass(frozen=True)
+class TipAccuracy:
+    """The error of the tip that the noise of the measurements leaves.
+
+    It is the standard deviation of the tool in the measuring frame by the covariance
+    of what was estimated; what stayed at nominal is not in it, nor what no parameter
+    of the model describes.
+
+    Attributes:
+        q: Random configurations within the joint limits, shape (N, n) [rad, m].
+        points: Tool positions in the base link, shape (N, 3) [m].
+        position: Standard deviation of these, the root of the sum over the axes,
+            shape (N,) [m].
+        orientation: That of the rotation vectors, shape (N,) [rad].
+        counts: Numbers of measurements, ascending, shape (K,).
+        by_count: Root-mean-square of `position` with as many, shape (K,) [m].
+    """
+
+    q: Floats
+    points: Floats
+    position: Floats
+    orientation: Floats
+    counts: Floats
+    by_count: Floats
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Of position [m] and orientation [rad] over the workspace."""
+        position, orientation = (
+            float(np.sqrt(np.mean(sizes**2)))
+            for sizes in (self.position, self.orientation)
+        )
+        return position, orientation
+
+
+def tip_accuracy(
+    fitted: Fit, problem: Problem, theta: Floats, seed: int
+) -> TipAccuracy | None:
+    """Predict the accuracy of the tip; None where the fit gives no covariance.
+
+    Args:
+        fitted: The fit.
+        problem: The problem about its solution, with the rows that were fitted.
+        theta: Parameter values about that, shape (P,).
+        seed: Seed of the configurations, and of the order in which rows are counted.
+    """
+    if not np.isfinite(fitted.covariance).all() or fitted.directions.count == 0:
+        return None
+    rng = np.random.default_rng(seed)
+    error = problem.error
+    if len(problem.setup.payloads) > 1 and not error.payload:
+        error = error.carrying(next(iter(problem.setup.payloads)))
+    of_error = len(error.screws)
+    q = error.chain.random_configurations(SAMPLES, rng)
+    T, J = error.jacobian(q, theta[:of_error])
+    C = fitted.covariance[:of_error, :of_error]
+    position, orientation = (
+        np.sqrt(np.maximum(np.einsum("ndi,ij,ndj->n", part, C, part, optimize=True), 0))
+        for part in (J[:, :3], J[:, 3:])
+    )
+    counts, by_count = _by_count(fitted, problem, theta, J[:, :3], rng)
+    to_base = error.base.inverse().homogeneous
+    return TipAccuracy(
+        q=q,
+        points=T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3],
+        position=position,
+        orientation=orientation,
+        counts=np.array([*counts, len(problem.data)]),
+        by_count=np.array([*by_count, np.sqrt(np.mean(position**2))]),
+    )
+
+
+def _by_count(
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    of_tip: Floats,
+    rng: np.random.Generator,
+) -> tuple[list[int], list[float]]:
+    """Errors with some of the rows, in random order, from as few as determine all.
+
+    Args:
+        fitted: The fit.
+        problem: The problem about its solution.
+        theta: Parameter values, shape (P,).
+        of_tip: Derivative of the tip's position by the error model's parameters at
+            the configurations of the workspace, shape (N, 3, p).
+        rng: Draws the order.
+    """
+    rows = problem.data.sample(ROWS)
+    order = rng.permutation(len(rows))
+    _, J = replace(problem, data=rows.rows(order)).linearize_rows(theta)
+    parameters, size = problem.parameters, problem.components
+    nuisances = visible_nuisances(J, parameters)
+    directions = np.column_stack([nuisances, fitted.directions.robot])
+    basis = parameters.scales[:, None] * directions
+    along = of_tip @ basis[: of_tip.shape[2]]
+    tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(of_tip)
+    tip, U = Prediction(tests), J @ basis
+    own, further = np.split(U, [len(rows) * size])
+    known = further.T @ further
+    weight = 1.0 if problem.data.stated else fitted.sigma0
+    counts: list[int] = []
+    errors: list[float] = []
+    least = max(2, basis.shape[1] // size)
+    for count in np.unique(np.geomspace(least, len(rows), COUNTS).round().astype(int)):
+        some = own[: count * size]
+        found = Information.of(known + some.T @ some, nuisances.shape[1])
+        if found is not None and count < len(problem.data):
+            counts.append(int(count))
+            errors.append(weight * tip.value(found, int(count)))
+    return counts, errors

@@ -1,0 +1,110 @@
+"""Errors row by row: sizes, places, directions, and the order of unseen rows."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
+from calib_pin.measurements import Measurements
+from calib_pin.parameterizations import frame_pose
+from calib_pin.result import Accuracy, CalibrationResult
+from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+
+TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
+BASE = FrameSetup((1.0, -2.0, 0.3), (0.4, -0.3, 2.0))
+WALL = {"wall": PlaneSetup((0.1, 0.2, 1.0), 1.5)}
+
+
+def measured(model: str, count: int = 45) -> tuple[Chain, Measurements]:
+    chain = calib_pin.load_chain("space6")
+    setup = Setup(
+        tool_frame=TOOL,
+        base_frame=BASE if model != "plane-distance" else FrameSetup(),
+        planes=WALL,
+    )
+    problem = nominal_problem(chain, model, setup)
+    rng = np.random.default_rng(5)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    return chain, calib_pin.simulate(problem, truth, rng, count=count)
+
+
+@pytest.fixture(scope="module")
+def position() -> CalibrationResult:
+    return calib_pin.calibrate(*measured("position"))
+
+
+def test_sizes_are_those_of_the_accuracy(position: CalibrationResult) -> None:
+    (error,) = position.errors
+    assert position.unseen is not None
+    for rows, stages in (
+        (position.fitted, (error.before, error.after)),
+        (position.unseen, (error.validation_before, error.validation_after)),
+    ):
+        found = rows.sizes(rows.quantities[0])
+        for sizes, accuracy in zip(found, stages, strict=True):
+            assert len(sizes) == len(rows) == 45
+            assert accuracy is not None
+            np.testing.assert_allclose(sizes.mean(), accuracy.mean, rtol=1e-12)
+            assert sizes.max() == accuracy.max
+            assert (
+                np.mean(sizes <= accuracy.p95) >= 0.95 > np.mean(sizes < accuracy.p95)
+            )
+
+
+def test_unseen_rows_keep_the_order_of_the_file(position: CalibrationResult) -> None:
+    """Folds are drawn at random; what is shown stands where the row does."""
+    assert position.unseen is not None
+    np.testing.assert_array_equal(position.unseen.rows.q, position.fitted.rows.q)
+    # Predicted by other fits, but of the same rows: nearly the same before.
+    np.testing.assert_allclose(
+        position.unseen.before, position.fitted.before, atol=3e-3
+    )
+    assert not np.array_equal(position.unseen.after, position.fitted.after)
+
+
+def test_points_and_displacements_are_in_the_base_link(
+    position: CalibrationResult,
+) -> None:
+    """A tracker that stands elsewhere must not turn the picture."""
+    rows, chain = position.fitted, position.model.chain
+    found = rows.displacements
+    assert found is not None
+    tool = frame_pose(TOOL).homogeneous
+    near = (chain.poses(rows.rows.q) @ tool)[:, :3, 3]
+    np.testing.assert_allclose(rows.points, near, atol=0.05)
+    base = position.model.error.base
+    seen = rows.rows.values @ base.rotation - base.rotation.T @ base.translation
+    np.testing.assert_allclose(rows.points - found[1], seen, atol=1e-9)
+    assert np.abs(rows.points - found[0] - seen).max() > 1e-3
+
+
+def test_of_distances_there_are_no_displacements() -> None:
+    chain, rows = measured("plane-distance", 60)
+    result = calib_pin.calibrate(
+        chain, rows, Setup(planes=WALL, parameters=("joint-offset",)), validate=False
+    )
+    assert result.fitted.displacements is None
+    assert result.unseen is None
+    assert result.fitted.after.shape == result.fitted.sigma.shape == (60, 1)
+
+
+def test_a_mix_has_the_displacements_of_what_measures_positions() -> None:
+    chain, positions = measured("position")
+    _, distances = measured("plane-distance", 10)
+    mixed = Measurements.concatenate([positions, replace(distances, sigma=None)])
+    setup = Setup(planes=WALL, parameters=("joint-offset",))
+    result = calib_pin.calibrate(chain, mixed, setup, validate=False)
+    found = result.fitted.displacements
+    assert found is not None
+    assert np.isfinite(found[1][:45]).all() and np.isnan(found[1][45:]).all()
+
+
+def test_percentiles_of_what_cannot_be_predicted() -> None:
+    sizes = np.array([1.0] * 18 + [2.0, np.inf])
+    assert Accuracy.of(sizes).p95 == 2.0
+    assert Accuracy.of(sizes[:1]).p95 == 1.0

@@ -1,0 +1,103 @@
+"""The predicted error of the tip against the true one, and against refits."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.formulation import nominal_problem
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.result import CalibrationResult
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.spatial import Floats
+
+TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
+CHAIN = calib_pin.load_chain("space6")
+
+
+def simulated(
+    seed: int, count: int, noise: float = 1e-4, model: str = "pose"
+) -> tuple[Problem, Floats, Measurements]:
+    problem = nominal_problem(CHAIN, model, Setup(tool_frame=TOOL))
+    truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
+    rng = np.random.default_rng(seed)
+    return (
+        problem,
+        truth,
+        calib_pin.simulate(problem, truth, rng, count=count, noise=noise),
+    )
+
+
+def fit(rows: Measurements) -> CalibrationResult:
+    return calib_pin.calibrate(CHAIN, rows, validate=False)
+
+
+def test_it_is_the_error_that_fits_have() -> None:
+    """Over independent noise, true errors at the same configurations."""
+    squares, turned, predicted = [], [], []
+    for seed in range(25):
+        problem, truth, rows = simulated(seed, 30)
+        result = fit(rows)
+        tip = result.tip
+        assert tip is not None
+        true = problem.error.poses(tip.q, truth[: len(problem.error.screws)])
+        found = result.model.poses(tip.q)
+        squares.append(np.sum((found[:, :3, 3] - true[:, :3, 3]) ** 2, axis=1).mean())
+        R = np.swapaxes(true[:, :3, :3], 1, 2) @ found[:, :3, :3]
+        w = 0.5 * np.stack(
+            [R[:, 2, 1] - R[:, 1, 2], R[:, 0, 2] - R[:, 2, 0], R[:, 1, 0] - R[:, 0, 1]]
+        )
+        turned.append(np.sum(w**2, axis=0).mean())
+        predicted.append(tip.rms)
+    expected = np.sqrt(np.mean(np.square(predicted), axis=0))
+    assert np.sqrt(np.mean(squares)) == pytest.approx(expected[0], rel=0.15)
+    assert np.sqrt(np.mean(turned)) == pytest.approx(expected[1], rel=0.15)
+
+
+@pytest.mark.parametrize("stated", [True, False])
+def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
+    """What is said of some of the rows is what a fit of as many says."""
+    *_, rows = simulated(1, 80)
+    rows = rows if stated else replace(rows, sigma=None)
+    tip = fit(rows).tip
+    assert tip is not None
+    assert tip.counts[-1] == 80 and (np.diff(tip.counts) > 0).all()
+    assert (np.diff(tip.by_count) < 0).all()
+    assert tip.by_count[-1] == pytest.approx(tip.rms[0])
+    k = int(np.searchsorted(tip.counts, 35))
+    few = [
+        fit(rows.rows(np.random.default_rng(n).permutation(80)[: tip.counts[k]])).tip
+        for n in range(3)
+    ]
+    refits = [part.rms[0] for part in few if part is not None]
+    assert np.median(refits) == pytest.approx(tip.by_count[k], rel=0.25)
+
+
+def test_very_many_rows_are_sampled() -> None:
+    *_, rows = simulated(2, 2000, model="position")
+    result = fit(rows)
+    assert result.tip is not None
+    assert result.tip.counts[-2] <= 400 < result.tip.counts[-1] == 2000
+    # Five times as many rows, the root of five better.
+    ratio = result.tip.by_count[-2] / result.tip.by_count[-1]
+    assert ratio == pytest.approx(np.sqrt(2000 / result.tip.counts[-2]), rel=0.15)
+
+
+def test_points_are_those_of_the_tool_in_the_base_link() -> None:
+    *_, rows = simulated(3, 30)
+    result = fit(rows)
+    tip, model = result.tip, result.model
+    assert tip is not None
+    T = model.error.base.inverse().homogeneous @ model.poses(tip.q)
+    np.testing.assert_allclose(tip.points, T[:, :3, 3], atol=1e-12)
+    assert (tip.q >= CHAIN.lower).all() and (tip.q <= CHAIN.upper).all()
+
+
+def test_without_redundancy_nothing_is_predicted() -> None:
+    *_, rows = simulated(4, 5)
+    assert fit(rows).tip is not None
+    assert fit(replace(rows, sigma=None)).tip is None

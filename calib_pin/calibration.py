@@ -29,6 +29,7 @@ from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
+from calib_pin.progress import Stages, named, portion
 from calib_pin.result import (
     Accuracy,
     CalibratedModel,
@@ -43,14 +44,11 @@ from calib_pin.setup import Setup
 from calib_pin.splits import FOLDS, folds, shuffled_groups, validation_name
 from calib_pin.tip_accuracy import tip_accuracy
 from calib_pin.training import (
-    Stages,
     Trained,
     Unseen,
     cross_validate,
     geometry_alone,
-    named,
     placed,
-    portion,
     train,
 )
 

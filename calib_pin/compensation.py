@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass, fields, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +19,7 @@ from calib_pin.inverse_kinematics import (
     kinematics,
     reach,
 )
+from calib_pin.progress import Progress
 from calib_pin.result import CalibratedModel
 from calib_pin.spatial import Floats
 from calib_pin.trajectory import tip_errors
@@ -25,6 +28,10 @@ __all__ = ["Compensation", "compensate", "follow"]
 
 JUMP = 0.1
 """Change of the corrections from row to row that no smooth motion has [rad, m]."""
+
+
+BLOCK = 2000
+"""Targets between two reports of the progress."""
 
 
 @dataclass(frozen=True)
@@ -58,6 +65,16 @@ class Compensation:
     outside: NDArray[np.bool_]
     oriented: bool
 
+    @staticmethod
+    def joined(parts: Sequence[Compensation]) -> Compensation:
+        """The commands of several parts, one after the other."""
+        arrays: dict[str, Any] = {
+            field.name: np.concatenate([getattr(part, field.name) for part in parts])
+            for field in fields(Compensation)
+            if field.name != "oriented"
+        }
+        return replace(parts[0], **arrays)
+
     def __len__(self) -> int:
         """Number of targets."""
         return len(self.q)
@@ -86,6 +103,7 @@ def compensate(
     frame: Frame = "measuring",
     point: Point = "tool",
     orientation: bool = True,
+    progress: Progress | None = None,
 ) -> Compensation:
     """Commands that bring the real robot to targets.
 
@@ -96,6 +114,7 @@ def compensate(
         frame: What the targets are given in, see `inverse_kinematics.kinematics`.
         point: What is placed there.
         orientation: Whether orientations count; else only positions do.
+        progress: Told the part that is done, 0 to 1.
 
     Example:
         >>> import calib_pin
@@ -109,23 +128,28 @@ def compensate(
         >>> bool(found.position.max() < 1e-9)
         True
     """
-    found = commands(
-        model, targets, start, frame=frame, point=point, orientation=orientation
-    )
-    nominal = reach(
-        kinematics(model, frame=frame, point=point, nominal=True),
-        targets,
-        found.q,
-        Joints.of(model.chain),
-        orientation=orientation,
-    )
-    before = np.where(nominal.reached[:, None], nominal.q, np.nan)
+    imagined = kinematics(model, frame=frame, point=point, nominal=True)
     real = kinematics(model, frame=frame, point=point)
-    return _compensation(model, real, targets, found, before, orientation)
+    joints = Joints.of(model.chain)
+
+    def part(rows: slice) -> Compensation:
+        T, near = targets[rows], None if start is None else start[rows]
+        found = commands(
+            model, T, near, frame=frame, point=point, orientation=orientation
+        )
+        nominal = reach(imagined, T, found.q, joints, orientation=orientation)
+        before = np.where(nominal.reached[:, None], nominal.q, np.nan)
+        return _compensation(model, real, T, found, before, orientation)
+
+    return _in_parts(part, len(targets), progress)
 
 
 def follow(
-    model: CalibratedModel, q: Floats, *, orientation: bool = True
+    model: CalibratedModel,
+    q: Floats,
+    *,
+    orientation: bool = True,
+    progress: Progress | None = None,
 ) -> Compensation:
     """Commands at which the real tip is where the nominal robot's would be.
 
@@ -136,12 +160,30 @@ def follow(
         model: The calibrated robot.
         q: Commands meant for the nominal robot, shape (N, n) [rad, m].
         orientation: Whether orientations count; else only positions do.
+        progress: Told the part that is done, 0 to 1.
     """
     targets = model.chain.poses(q)
     real = kinematics(model, frame="base", point="tip")
     joints = Joints.of(model.chain)
-    found = reach(real, targets, q, joints, orientation=orientation)
-    return _compensation(model, real, targets, found, q, orientation)
+
+    def part(rows: slice) -> Compensation:
+        T = targets[rows]
+        found = reach(real, T, q[rows], joints, orientation=orientation)
+        return _compensation(model, real, T, found, q[rows], orientation)
+
+    return _in_parts(part, len(q), progress)
+
+
+def _in_parts(
+    run: Callable[[slice], Compensation], count: int, progress: Progress | None
+) -> Compensation:
+    """All rows, some at a time; nobody can tell how far a single descent is."""
+    parts = []
+    for start in range(0, max(count, 1), BLOCK):
+        if progress is not None:
+            progress(start / max(count, 1))
+        parts.append(run(slice(start, start + BLOCK)))
+    return Compensation.joined(parts)
 
 
 def _compensation(

@@ -20,8 +20,9 @@ from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
+from calib_pin.progress import Progress
 from calib_pin.scale import scale_observable
-from calib_pin.solve import Progress, Solved, Solver, descend, least_squares
+from calib_pin.solve import Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
 

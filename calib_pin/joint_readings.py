@@ -17,8 +17,8 @@ from calib_pin.errors import InputError
 from calib_pin.fit import register
 from calib_pin.formulation import make_problem
 from calib_pin.measurements import Measurements
+from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
-from calib_pin.solve import Progress
 from calib_pin.spatial import Floats
 
 __all__ = ["Reading", "Suggestion", "suggest_readings"]

@@ -20,21 +20,18 @@ from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import matching
 from calib_pin.problem import Problem
+from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.result import Ladder, Rung
 from calib_pin.setup import Setup
-from calib_pin.solve import Progress
 from calib_pin.spatial import Floats
 from calib_pin.splits import FOLDS, folds
 from calib_pin.training import (
     BEYOND,
-    Stages,
     Trained,
     Unseen,
     cross_validate,
-    named,
     parameter_names,
-    portion,
     train,
     with_parameters,
 )

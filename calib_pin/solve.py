@@ -8,7 +8,6 @@ solution suggests, with the compiled kernels, and needs no derivative.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, fields, replace
 
 import numpy as np
@@ -16,6 +15,7 @@ import numpy as np
 from calib_pin.directions import Directions
 from calib_pin.errors import OptionError, require_known
 from calib_pin.problem import SAMPLE, Problem
+from calib_pin.progress import Progress
 from calib_pin.solvers import (
     DifferentialEvolution,
     EvolutionResult,
@@ -29,7 +29,6 @@ from calib_pin.spatial import Floats
 
 __all__ = [
     "SOLVERS",
-    "Progress",
     "Solved",
     "Solver",
     "descend",
@@ -39,9 +38,6 @@ __all__ = [
 
 SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
 """Names of the solvers."""
-
-Progress = Callable[[float], None]
-"""Told how much of the work is done, 0 to 1."""
 
 MARGIN = 4.0
 """Size of the box of an evolution, in sizes of the linear solution.

@@ -6,7 +6,7 @@ what they leave. A cross-validation does both anew without each part of the rows
 
 from __future__ import annotations
 
-from collections.abc import Callable, Collection, Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -21,6 +21,7 @@ from calib_pin.formulation import make_problem, restricted
 from calib_pin.known_distances import KnownDistances
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
+from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
     LearnedCorrection,
@@ -30,19 +31,16 @@ from calib_pin.residual_models import (
 )
 from calib_pin.result import FoundDistance
 from calib_pin.setup import Setup
-from calib_pin.solve import Progress, least_squares
+from calib_pin.solve import least_squares
 from calib_pin.spatial import Floats
 
 __all__ = [
     "BEYOND",
-    "Stages",
     "Trained",
     "Unseen",
     "cross_validate",
     "geometry_alone",
-    "named",
     "parameter_names",
-    "portion",
     "shifts",
     "train",
     "training_rows",
@@ -54,9 +52,6 @@ BEYOND = ("transmission", "compliance")
 
 FIT_PART = 0.2
 """Part of the time of a training that the parameters take where more is learned."""
-
-Stages = Callable[[str, float], None]
-"""Told the stage and the part that is done, 0 to 1."""
 
 
 @dataclass(frozen=True)
@@ -404,26 +399,3 @@ def cross_validate(
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
         trained = train(chain, rows.rows(~mask), setup, seed, tell)
         yield trained.unseen(rows.rows(mask), np.flatnonzero(mask))
-
-
-def named(progress: Stages | None, stage: str) -> Progress | None:
-    """Progress of one stage."""
-    if progress is None:
-        return None
-    return lambda part: progress(stage, part)
-
-
-def portion(progress: Progress | None, start: float, size: float) -> Progress | None:
-    """Progress of a part of the work as progress of the whole."""
-    if progress is None:
-        return None
-    furthest = 0.0
-
-    def tell(part: float) -> None:
-        # A solver may search several times.
-        nonlocal furthest
-        furthest = max(furthest, part)
-        progress(start + size * furthest)
-
-    tell(0.0)
-    return tell

@@ -16,11 +16,12 @@ from calib_pin.formulation import nominal_problem
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
+from calib_pin.progress import portion
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.spatial import Floats
 from calib_pin.splits import FOLDS, folds, places, validation_name
-from calib_pin.training import cross_validate, portion, train, training_rows
+from calib_pin.training import cross_validate, train, training_rows
 
 Measured = Callable[..., Problem]
 

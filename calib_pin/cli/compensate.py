@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -9,7 +10,7 @@ import typer
 
 from calib_pin.cli.files import check_outputs, exists, open_setup
 from calib_pin.cli.options import Force, Json, Quiet, SetupFile, csv_file
-from calib_pin.cli.printing import notice, show
+from calib_pin.cli.printing import notice, progress_bar, show, stage
 
 if TYPE_CHECKING:
     from calib_pin.compensation import Compensation
@@ -168,7 +169,9 @@ def compensate(
             "and the tip link are is known up to a fixed displacement each; state them "
             "in the setup file, or give targets of the tool in the measuring frame"
         )
-    found = _run(model, asked, frame or FRAMES[0], point or POINTS[0], position)
+    ends = frame or FRAMES[0], point or POINTS[0]
+    with progress_bar(quiet=quiet) as bar:
+        found = _run(model, asked, *ends, position, stage(bar, "compensate"))
     motion = asked.T is None
     (rows,) = np.nonzero(found.reached)
     whole = len(rows) == len(found)
@@ -214,7 +217,12 @@ def _read_along(calibration: Path, model: CalibratedModel) -> list[str | Path]:
 
 
 def _run(
-    model: CalibratedModel, asked: Targets, frame: str, point: str, position: bool
+    model: CalibratedModel,
+    asked: Targets,
+    frame: str,
+    point: str,
+    position: bool,
+    progress: Callable[[float], None] | None,
 ) -> Compensation:
     from typing import cast
 
@@ -225,7 +233,7 @@ def _run(
     if asked.T is None:
         assert asked.q is not None
         oriented = not position and len(model.chain.joints) >= 6
-        return follow(model, asked.q, orientation=oriented)
+        return follow(model, asked.q, orientation=oriented, progress=progress)
     return run(
         model,
         asked.T,
@@ -233,6 +241,7 @@ def _run(
         frame=cast(Frame, frame),
         point=cast(Point, point),
         orientation=asked.oriented and not position,
+        progress=progress,
     )
 
 

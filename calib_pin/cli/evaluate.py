@@ -22,7 +22,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
 )
-from calib_pin.cli.printing import show
+from calib_pin.cli.printing import progress_bar, show, stage
 
 __all__ = ["evaluate"]
 
@@ -92,8 +92,10 @@ def evaluate(
     sockets: list[str] = []
     if isinstance(subject, CalibratedModel):
         sockets = [feature.name for feature in subject.measurement.features]
-    rows = open_measurements(measurements, chain, stated, sockets=sockets)
-    evaluation = run(subject, rows, stated, registration=register)
+    with progress_bar() as bar:
+        rows = open_measurements(measurements, chain, stated, sockets=sockets, bar=bar)
+        stage(bar, "evaluate")
+        evaluation = run(subject, rows, stated, registration=register)
     if doubts:
         evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
     if json:

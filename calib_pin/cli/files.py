@@ -6,7 +6,7 @@ from collections.abc import Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from calib_pin.cli.printing import notice
+from calib_pin.cli.printing import Bar, notice, stage
 
 if TYPE_CHECKING:
     from calib_pin.chain import Chain
@@ -120,6 +120,7 @@ def open_measurements(
     *,
     quiet: bool = False,
     sockets: Iterable[str] = (),
+    bar: Bar | None = None,
 ) -> Measurements:
     """Measurement files, with a remark on columns that mean nothing.
 
@@ -129,6 +130,7 @@ def open_measurements(
         setup: What is known of model and joints.
         quiet: Whether the remark is left out.
         sockets: Sockets whose places are known beside those of the setup.
+        bar: Shows how much is read.
 
     Raises:
         InputError: If a file cannot be used.
@@ -141,6 +143,7 @@ def open_measurements(
         model=setup.model,
         joints=setup.joints,
         notice=None if quiet else notice,
+        progress=stage(bar, "read"),
         sockets=[
             *sockets,
             *(name for name, s in setup.sockets.items() if s.estimate is False),

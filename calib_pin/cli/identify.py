@@ -24,7 +24,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
 )
-from calib_pin.cli.printing import show
+from calib_pin.cli.printing import progress_bar, show
 
 __all__ = ["identify"]
 
@@ -66,10 +66,11 @@ def identify(
     found: Identification
     if measurements:
         require_distinct(measurements)
-        rows = open_measurements(measurements, chain, stated)
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
-        result = run(chain, rows, stated, validate=False, seed=seed)
+        with progress_bar() as bar:
+            rows = open_measurements(measurements, chain, stated, bar=bar)
+            result = run(chain, rows, stated, validate=False, seed=seed, progress=bar)
         stated = replace(stated, model=rows.model)
         found, verdict, reason = result, result.verdict, result.reason
     else:

@@ -12,7 +12,10 @@ import typer
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
 
-__all__ = ["notice", "progress_bar", "show"]
+__all__ = ["Bar", "notice", "progress_bar", "show", "stage"]
+
+Bar = Callable[[str, float | None], None]
+"""Told the stage and the part that is done, 0 to 1; None where that is not known."""
 
 
 def show(blocks: Iterable[Block]) -> None:
@@ -36,12 +39,17 @@ def notice(message: str) -> None:
     print(f"calib-pin: note: {message}", file=sys.stderr)
 
 
-@contextmanager
-def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, float], None] | None]:
-    """A bar on standard error while something runs; None where nobody looks at it.
+def stage(bar: Bar | None, name: str) -> Callable[[float], None] | None:
+    """What is told the part of one stage that is done, 0 to 1; None without a bar."""
+    if bar is None:
+        return None
+    bar(name, None)
+    return lambda part: bar(name, part)
 
-    What it gives takes the name of the stage and the part that is done, 0 to 1.
-    """
+
+@contextmanager
+def progress_bar(*, quiet: bool = False) -> Iterator[Bar | None]:
+    """A bar with the time that is left on standard error; None where nobody looks."""
     if quiet or not sys.stderr.isatty():
         yield None
         return
@@ -55,9 +63,17 @@ def progress_bar(*, quiet: bool) -> Iterator[Callable[[str, float], None] | None
     )
     console = Console(file=sys.stderr, highlight=False, markup=False, emoji=False)
     with Progress(*columns, console=console, transient=True) as progress:
-        task = progress.add_task("", total=1.0)
+        task = progress.add_task("", total=None)
+        done = 0.0
 
-        def update(stage: str, part: float) -> None:
-            progress.update(task, description=stage, completed=part)
+        def update(stage: str, part: float | None) -> None:
+            nonlocal done
+            if part is None or part < done:
+                # The time that is left is that of the stage which begins.
+                progress.reset(task)
+            done = part or 0.0
+            # Without a total it only moves to and fro.
+            total = None if part is None else 1.0
+            progress.update(task, description=stage, completed=done, total=total)
 
         yield update

@@ -25,7 +25,7 @@ from calib_pin.cli.options import (
     number,
 )
 from calib_pin.cli.options import seed as seed_option
-from calib_pin.cli.printing import notice
+from calib_pin.cli.printing import notice, progress_bar, stage
 
 __all__ = ["simulate"]
 
@@ -162,22 +162,25 @@ def simulate(
         q = read_configurations(configurations, chain, stated.joints)
         target = read_names(configurations, "target")
         payload = read_names(configurations, "payload")
-    rows = run(
-        problem,
-        theta,
-        rng,
-        q=q,
-        target=target,
-        payload=payload,
-        count=count,
-        noise=noise,
-        repeats=repeats,
-        average=average,
-    )
     # `--force` is left out: it changes nothing of what follows.
     words = [word for word in context.obj if word != "--force"]
     comment = f"simulated by: {shlex.join(['calib-pin', *words])}"
-    write_measurements(output, rows, comments=[comment], force=force)
+    with progress_bar() as bar:
+        stage(bar, "measure")
+        rows = run(
+            problem,
+            theta,
+            rng,
+            q=q,
+            target=target,
+            payload=payload,
+            count=count,
+            noise=noise,
+            repeats=repeats,
+            average=average,
+        )
+        tell = stage(bar, "write")
+        write_measurements(output, rows, [comment], force=force, progress=tell)
     typer.echo(f"wrote {len(rows)} rows to {output}")
     if truth is not None:
         true = CalibratedModel.create(problem, theta)

@@ -17,10 +17,12 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.files import read_bytes
+from calib_pin.progress import Progress
 
 __all__ = [
     "ANGLE",
     "LENGTH",
+    "LINES",
     "PIXEL",
     "PURE",
     "Column",
@@ -32,6 +34,9 @@ __all__ = [
 ]
 
 Floats = NDArray[np.float64]
+
+LINES = 5000
+"""Lines that are read between two reports of the progress."""
 
 
 @dataclass(frozen=True)
@@ -268,11 +273,12 @@ def split_header(cell: str) -> tuple[str, str | None]:
     return (match[1], match[2]) if match else (cell.strip(), None)
 
 
-def read_table(path: str | Path) -> Table:
+def read_table(path: str | Path, progress: Progress | None = None) -> Table:
     """Read a CSV file with a header; comments and blank lines are skipped.
 
     Args:
         path: UTF-8 file, with or without byte order mark, any line ends.
+        progress: Told the part of the lines that is read, 0 to 1.
 
     Raises:
         InputError: If the file is not comma-separated text with a header and rows of
@@ -283,12 +289,17 @@ def read_table(path: str | Path) -> Table:
     numbered = [
         (number, line)
         for number, line in enumerate(text.split("\n"), start=1)
-        if (start := line.lstrip()) and not start.startswith("#")
+        if (words := line.lstrip()) and not words.startswith("#")
     ]
     if not numbered:
         raise InputError("the file is empty, it needs a header and rows", file=file)
     _check_separator(numbered, file)
-    rows = [_cells(number, line, file) for number, line in numbered]
+    rows: list[list[str]] = []
+    for start in range(0, len(numbered), LINES):
+        some = numbered[start : start + LINES]
+        rows += [_cells(number, line, file) for number, line in some]
+        if progress is not None:
+            progress(len(rows) / len(numbered))
     header, header_line = rows.pop(0), numbered.pop(0)[0]
     # Columns may be named 1, 2, 3 (and mapped to joints), but not 0.25.
     if np.isfinite(_numbers(header)).all() and any("." in cell for cell in header):

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError
-from calib_pin.io.columns import Floats, Table, read_table
+from calib_pin.io.columns import LINES, Floats, Table, read_table
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
@@ -35,6 +35,7 @@ from calib_pin.io.measured_columns import (
 from calib_pin.io.models_of_files import check_model, split_by_model
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.measurements import AT, PLUS, Measurements
+from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
 
 __all__ = [
@@ -46,6 +47,9 @@ __all__ = [
     "write_measurements",
     "write_table",
 ]
+
+CUT, POSITIONS = 0.4, 0.6
+"""Parts of the time after which lines are cut into cells, and joint positions read."""
 
 PLACES = {
     "point-distance": "anchor",
@@ -63,6 +67,7 @@ def read_measurements(
     joints: Mapping[str, JointMap] = {},
     sockets: Collection[str] = (),
     notice: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
 ) -> Measurements:
     r"""Read measurement files and join them in the given order.
 
@@ -80,6 +85,7 @@ def read_measurements(
         sockets: Sockets that are known, for which one configuration is enough.
         notice: Called once per file that has columns without a meaning, with one
             sentence that lists them.
+        progress: Told the part that is done, 0 to 1.
 
     Returns:
         All rows, in SI units; `files` holds the paths as they were given. Of several
@@ -110,8 +116,10 @@ def read_measurements(
         check_model(model)
     sources = joint_sources(chain, joints)
     parts: list[Measurements] = []
-    for file in files:
-        parts += _read(read_table(file), chain, sources, joints, model, notice)
+    for k, file in enumerate(files):
+        tell = portion(progress, k / len(files), 1.0 / len(files))
+        table = read_table(file, portion(tell, 0.0, CUT))
+        parts += _read(table, chain, sources, joints, model, notice, tell)
     asked = [] if model is None else model.split(PLUS)
     result = []
     for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
@@ -232,6 +240,7 @@ def write_measurements(
     measurements: Measurements,
     comments: Sequence[str] = (),
     force: bool = False,
+    progress: Progress | None = None,
 ) -> None:
     """Write measurements as a CSV file that reads back bit by bit.
 
@@ -243,6 +252,7 @@ def write_measurements(
             distances where every start has one of its own.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
+        progress: Told the part that is done, 0 to 1.
 
     Raises:
         OptionError: If the file exists and `force` is false, or there is no such
@@ -262,7 +272,8 @@ def write_measurements(
         ['lift,distance', '0.25,1.5']
     """
     check_model(measurements.model)
-    write_table(path, dict(measurement_columns(measurements)), comments, force)
+    columns = dict(measurement_columns(measurements))
+    write_table(path, columns, comments, force, progress)
 
 
 def write_table(
@@ -270,6 +281,7 @@ def write_table(
     columns: Mapping[str, Sequence[object]],
     comments: Sequence[str],
     force: bool,
+    progress: Progress | None = None,
 ) -> None:
     """Write a CSV file.
 
@@ -278,6 +290,7 @@ def write_table(
         columns: Cells of every column by its header.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
+        progress: Told the part that is done, 0 to 1.
 
     Raises:
         OptionError: If the file exists and `force` is false.
@@ -290,7 +303,11 @@ def write_table(
     # The csv module writes floats by repr, which loses nothing.
     writer = csv.writer(buffer, lineterminator="\n")
     writer.writerow(columns)
-    writer.writerows(zip(*columns.values(), strict=True))
+    rows = list(zip(*columns.values(), strict=True))
+    for start in range(0, len(rows), LINES):
+        writer.writerows(rows[start : start + LINES])
+        if progress is not None:
+            progress(start / len(rows))
     write_atomically(Path(path), buffer.getvalue().encode(), force=force)
 
 
@@ -301,9 +318,12 @@ def _read(
     joints: Mapping[str, JointMap],
     model: str | None,
     notice: Callable[[str], None] | None,
+    progress: Progress | None,
 ) -> list[Measurements]:
     """Measurements of one file, one of each model."""
     q = read_positions(table, chain, sources)
+    if progress is not None:
+        progress(POSITIONS)
     spare = spare_columns(table, chain, joints)
     parts = []
     used = {"model", "payload", "set", "target"}

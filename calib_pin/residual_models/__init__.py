@@ -7,9 +7,9 @@ from typing import Any, Protocol
 
 import numpy as np
 
+from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     Linearized,
-    Progress,
     ResidualModel,
     Space,
     TrainingRows,
@@ -32,7 +32,6 @@ __all__ = [
     "Linearized",
     "Network",
     "NetworkOptions",
-    "Progress",
     "ResidualModel",
     "Space",
     "TrainedRegion",

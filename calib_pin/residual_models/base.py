@@ -16,7 +16,6 @@ from calib_pin.spatial import Floats
 __all__ = [
     "INDEPENDENT",
     "Linearized",
-    "Progress",
     "ResidualModel",
     "Space",
     "TrainingRows",
@@ -24,7 +23,6 @@ __all__ = [
     "correction_unit",
 ]
 
-Progress = Callable[[float], None]
 Space = Literal["joint", "tip"]
 
 INDEPENDENT = 1e-8

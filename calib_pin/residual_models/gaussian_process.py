@@ -19,9 +19,9 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
 from calib_pin.errors import OptionError
+from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
-    Progress,
     Space,
     TrainingRows,
     convincing,

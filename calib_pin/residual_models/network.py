@@ -9,9 +9,9 @@ from typing import Any
 
 import numpy as np
 
+from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
-    Progress,
     Space,
     TrainingRows,
     convincing,

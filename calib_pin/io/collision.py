@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-import os
 import re
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
 from xml.etree import ElementTree
@@ -17,6 +16,7 @@ from calib_pin.chain import Chain, Robot
 from calib_pin.collision import Collisions
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import read_bytes
+from calib_pin.io.meshes import locate_mesh
 from calib_pin.io.urdf import captured_stderr, locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.setup import Obstacle
@@ -162,7 +162,7 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
         owner = element.get("name", "")
         for mesh in element.iterfind("collision/geometry/mesh"):
             written = mesh.get("filename", "")
-            path = _mesh_file(written, urdf, package_dirs)
+            path = locate_mesh(written, urdf, package_dirs)
             if path is None:
                 reason = f"the collision mesh '{written}' does not exist"
                 hint = "--package-dir DIR, the folder of its package"
@@ -180,28 +180,6 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
         link = next((owner for mesh, owner in owners.items() if mesh in message), "")
         reason = f"its collision geometry cannot be read: {_reason(message)}"
         raise _link_error(robot, link, reason) from None
-
-
-def _mesh_file(
-    written: str, urdf: Path, package_dirs: Sequence[str | Path]
-) -> Path | None:
-    """The file of a mesh, or None if there is none."""
-    scheme, _, rest = written.rpartition("://")
-    folders: Iterable[Path] = (urdf.parent,)
-    if scheme in ("package", "model"):
-        folders = (*_package_folders(package_dirs), *urdf.parents)
-    files = (folder / rest for folder in folders)
-    return next((file.absolute() for file in files if file.is_file()), None)
-
-
-def _package_folders(package_dirs: Sequence[str | Path]) -> Iterator[Path]:
-    """Folders that hold packages; a package may also be named by itself."""
-    of_ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
-    for folder in (*package_dirs, *filter(None, of_ros)):
-        yield from (Path(folder), Path(folder).absolute().parent)
-    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
-        if prefix:
-            yield Path(prefix, "share")
 
 
 def _link_error(

@@ -1,0 +1,233 @@
+"""`calib-pin view`: the robot, its errors and a plan in the browser."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+from calib_pin.cli.files import (
+    exists,
+    open_chain,
+    open_measurements,
+    open_setup,
+    require_distinct,
+)
+from calib_pin.cli.options import Base, Model, SetupFile, Tip, number
+from calib_pin.cli.printing import Bar, notice, progress_bar, stage
+
+if TYPE_CHECKING:
+    from calib_pin.chain import Chain
+    from calib_pin.result import CalibratedModel
+    from calib_pin.setup import Setup
+    from calib_pin.viewer.scene import Rows, Scene
+
+__all__ = ["view"]
+
+WINDOW = "Window"
+"""Heading of `--help`."""
+
+
+def view(
+    robot: Annotated[
+        str,
+        typer.Argument(
+            metavar="ROBOT|calibration.json",
+            help="URDF file, bundled robot, example:NAME, or a calibration.",
+        ),
+    ],
+    measurements: Annotated[
+        list[Path] | None,
+        typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
+    ] = None,
+    plan: Annotated[
+        Path | None,
+        typer.Option(
+            "--plan",
+            metavar="CSV",
+            help="Configurations to play in their order.",
+            rich_help_panel=WINDOW,
+        ),
+    ] = None,
+    port: Annotated[
+        int,
+        typer.Option(
+            "--port",
+            metavar="N",
+            help="Port on this machine; 0 for any that is free.",
+            parser=number(int, "--port", "0 to 65535", 0, 65535),
+            rich_help_panel=WINDOW,
+        ),
+    ] = 8080,
+    once: Annotated[
+        bool,
+        typer.Option(
+            "--once",
+            help="Stop when the last window has been closed.",
+            rich_help_panel=WINDOW,
+        ),
+    ] = False,
+    package_dir: Annotated[
+        list[Path] | None,
+        typer.Option(
+            "--package-dir",
+            metavar="DIR",
+            help="Folder of the packages of meshes; may be repeated.",
+            rich_help_panel=WINDOW,
+        ),
+    ] = None,
+    setup: SetupFile = None,
+    model: Model = None,
+    base: Base = None,
+    tip: Tip = None,
+) -> int:
+    """Show a robot in the browser, with the errors of measurements and a plan.
+
+    Of a calibration the nominal robot is shown beside the corrected one. Errors are
+    those of the nominal robot, with base and tool registered on these rows (before),
+    and those of the calibration as it is (after). Only this machine can look.
+    """
+    from calib_pin.errors import OptionError
+
+    _require_viser()
+    from calib_pin.viewer.server import Window
+
+    stated = open_setup(setup, base=base, tip=tip, model=model)
+    inside = Path(robot, "calibration.json")
+    if exists(inside):
+        raise OptionError("is a folder", file=robot, allowed=f"{inside}, or a robot")
+    scene = _open(robot, measurements or [], plan, package_dir or [], setup, stated)
+    window = Window(scene, port)
+    try:
+        if port not in (0, window.port):
+            notice(f"port {port} cannot be used; {window.port} is free")
+        typer.echo(f"viewing at http://localhost:{window.port} (Ctrl-C ends it)")
+        window.run(once)
+    except KeyboardInterrupt:
+        typer.echo()
+    finally:
+        window.close()
+    return 0
+
+
+def _require_viser() -> None:
+    """Complain if the extra is missing.
+
+    Raises:
+        OptionError: If it is.
+    """
+    from importlib.util import find_spec
+
+    from calib_pin.errors import OptionError
+
+    if find_spec("viser") is None:
+        raise OptionError(
+            "the viewer needs viser, which is not there: pip install 'calib-pin[view]'"
+        )
+
+
+def _open(
+    name: str,
+    measurements: list[Path],
+    plan: Path | None,
+    package_dirs: list[Path],
+    file: Path | None,
+    setup: Setup,
+) -> Scene:
+    """Everything that is to be drawn.
+
+    Args:
+        name: The robot, or a calibration.
+        measurements: Files of measurements.
+        plan: File of configurations.
+        package_dirs: Folders of the packages of meshes.
+        file: The setup file.
+        setup: What it states, with the options on top.
+    """
+    from calib_pin.io.measurements import read_configurations
+    from calib_pin.io.urdf import load_robot
+    from calib_pin.viewer.scene import Plan, Scene, figures_of, tip_path
+    from calib_pin.viewer.shapes import robot_shapes
+
+    require_distinct(measurements)
+    model, chain, rows, planned = None, None, None, None
+    if name.endswith(".json"):
+        model, setup = _calibration(name, file, setup)
+        chain = model.chain
+    elif measurements or plan is not None or setup.base or setup.tip:
+        chain = open_chain(name, setup)
+    robot = load_robot(name) if chain is None else chain.robot
+    with progress_bar() as bar:
+        if chain is not None and measurements:
+            rows = _rows(model, chain, measurements, setup, bar)
+        if chain is not None and plan is not None:
+            q = read_configurations(plan, chain, setup.joints)
+            planned = Plan(q, tip_path(model or chain, q))
+        shapes = robot_shapes(robot, package_dirs, stage(bar, "shapes"))
+    if shapes.missing:
+        _note_missing(shapes.missing)
+    figures = figures_of(robot, robot.root if chain is None else chain.base, model)
+    return Scene(robot.name, shapes.parts, tuple(figures), chain, rows, planned)
+
+
+def _note_missing(meshes: Sequence[str]) -> None:
+    """Say once that simple shapes stand in for meshes."""
+    first, *others = meshes
+    count = f"{len(meshes)} meshes are" if others else "1 mesh is"
+    notice(
+        f"{count} not there or cannot be read, and simple shapes stand in: {first}"
+        f"{', ...' if others else ''}; --package-dir DIR, the folder of its package"
+    )
+
+
+def _calibration(
+    name: str, file: Path | None, setup: Setup
+) -> tuple[CalibratedModel, Setup]:
+    """A calibration, and the setup with which rows are read.
+
+    Raises:
+        InputError: If it cannot be used.
+        OptionError: If something is stated that it has of its own.
+    """
+    from dataclasses import replace
+
+    from calib_pin.errors import OptionError
+    from calib_pin.io.results import read_calibration
+    from calib_pin.setup import Setup
+
+    if file is None and setup != Setup():
+        raise OptionError("a calibration has its own base, tip and model")
+    if setup != Setup(joints=setup.joints):
+        raise OptionError(
+            "a calibration has its own setup", file=file, allowed="joints"
+        )
+    model = read_calibration(name, notice=notice)
+    joints = setup.joints or model.setup.joints
+    return model, replace(model.setup, model=model.measurement.name, joints=joints)
+
+
+def _rows(
+    model: CalibratedModel | None,
+    chain: Chain,
+    measurements: list[Path],
+    setup: Setup,
+    bar: Bar | None,
+) -> Rows:
+    """Measurements, and the errors of the nominal and of the calibrated robot."""
+    from calib_pin.viewer.errors import calibrated_errors, registered_errors
+    from calib_pin.viewer.scene import Rows
+
+    sockets = () if model is None else (f.name for f in model.measurement.features)
+    rows = open_measurements(measurements, chain, setup, sockets=sockets, bar=bar)
+    if model is not None:
+        rows = rows.among(model.measurement.name)
+    stage(bar, "errors")
+    before, reason = registered_errors(chain, rows, setup)
+    if reason:
+        notice(f"errors before cannot be trusted: {reason}")
+    stages = {"before": before}
+    if model is not None:
+        stages["after"] = calibrated_errors(model, rows)
+    return Rows(rows, stages)

@@ -1,0 +1,1 @@
+"""The robot, its errors and a plan in the browser."""

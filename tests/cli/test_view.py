@@ -1,0 +1,166 @@
+"""The command `view`: what it opens, what it says, and what it refuses."""
+
+from __future__ import annotations
+
+import sys
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+from calib_pin.viewer.scene import Scene
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Scenes that are shown in windows nobody opens."""
+    scenes: list[Scene] = []
+
+    class Window:
+        def __init__(self, scene: Scene, port: int) -> None:
+            scenes.append(scene)
+            self.port = 8081 if port == 8080 else port
+
+        def run(self, once: bool) -> None:
+            if not once:
+                raise KeyboardInterrupt
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr("calib_pin.viewer.server.Window", Window)
+    return scenes
+
+
+def test_help(run: Callable[..., Any]) -> None:
+    result = run("view --help")
+    assert result.status == 0
+    usage = "calib-pin view [OPTIONS] ROBOT|calibration.json [MEASUREMENTS...]"
+    assert result.out.splitlines()[0] == f"Usage: {usage}"
+    options = "--plan --port --once --package-dir --setup --model --base --tip"
+    for option in options.split():
+        assert f"  {option}" in result.out
+    assert max(map(len, result.out.splitlines())) <= 80
+    assert "\n  view " in run("--help").out
+
+
+def test_without_the_extra(
+    monkeypatch: pytest.MonkeyPatch, run: Callable[..., Any]
+) -> None:
+    monkeypatch.setitem(sys.modules, "viser", None)
+    result = run("view no/robot.urdf")
+    assert (result.status, result.out) == (1, "")
+    assert result.err == (
+        "calib-pin: the viewer needs viser, which is not there: "
+        "pip install 'calib-pin[view]'\n"
+    )
+
+
+def test_a_robot_alone(
+    here: Path, run: Callable[..., Any], opened: list[Scene]
+) -> None:
+    result = run("view arm.urdf --once")
+    assert (result.status, result.out) == (
+        0,
+        "viewing at http://localhost:8081 (Ctrl-C ends it)\n",
+    )
+    assert result.err == "calib-pin: note: port 8080 cannot be used; 8081 is free\n"
+    (scene,) = opened
+    assert scene.title == "arm"
+    assert (scene.chain, scene.rows, scene.plan) == (None, None, None)
+    (figure,) = scene.figures
+    assert figure.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
+    # Several leaves are no hindrance where nothing is measured.
+    assert run("view example:talos_reduced --once --port 5").status == 0
+
+
+def test_a_robot_with_measurements_and_a_plan(
+    here: Path, run: Callable[..., Any], opened: list[Scene]
+) -> None:
+    result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
+    assert (result.status, result.err) == (0, "")
+    assert result.out.splitlines() == [
+        "viewing at http://localhost:5 (Ctrl-C ends it)",
+        "",
+    ]
+    (scene,) = opened
+    assert scene.rows is not None and scene.plan is not None
+    assert list(scene.rows.stages) == ["before"]
+    assert (len(scene.rows.data), len(scene.plan.q)) == (40, 25)
+
+
+def test_a_calibration(
+    here: Path, run: Callable[..., Any], opened: list[Scene]
+) -> None:
+    words = "view done/calibration.json new.csv rows.csv --port 5"
+    assert run(words).status == 0
+    assert run("view done/calibration.json --port 5").status == 0
+    scene, bare = opened
+    assert [figure.name for figure in scene.figures] == ["nominal", "corrected"]
+    assert scene.rows is not None and bare.rows is None
+    before, after = scene.rows.stages.values()
+    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    assert sizes[0] > 5.0 * sizes[1]
+
+
+def test_missing_meshes_are_noted_once(
+    here: Path, run: Callable[..., Any], opened: list[Scene]
+) -> None:
+    text = Path("arm.urdf").read_text()
+    mesh = '<visual><geometry><mesh filename="{}.stl"/></geometry></visual>'
+    for k in (1, 2):
+        text = text.replace(
+            f'<link name="link{k}"/>', f'<link name="link{k}">{mesh.format(k)}</link>'
+        )
+    Path("meshes.urdf").write_text(text)
+    result = run("view meshes.urdf --port 5")
+    assert result.status == 0
+    assert result.err == (
+        "calib-pin: note: 2 meshes are not there or cannot be read, and simple shapes "
+        "stand in: 1.stl, ...; --package-dir DIR, the folder of its package\n"
+    )
+
+
+def test_few_rows_are_noted(
+    here: Path, run: Callable[..., Any], opened: list[Scene]
+) -> None:
+    lines = Path("rows.csv").read_text().splitlines()
+    Path("few.csv").write_text("\n".join(lines[:5]))
+    result = run("view arm.urdf few.csv --setup setup.yaml --port 5")
+    assert result.status == 0
+    assert result.err.startswith("calib-pin: note: errors before cannot be trusted: ")
+
+
+@pytest.mark.parametrize(
+    ("words", "complaint"),
+    [
+        ("", "Missing argument"),
+        ("no.urdf", "no.urdf: no such file"),
+        ("arm.urdf no.csv", "no.csv: no such file"),
+        ("arm.urdf --plan no.csv", "no.csv: no such file"),
+        ("arm.urdf rows.csv rows.csv", "given twice"),
+        ("arm.urdf --port 70000", "--port cannot be '70000'; allowed: 0 to 65535"),
+        ("arm.urdf --port x", "--port cannot be 'x'"),
+        ("arm.urdf --tip nowhere", "no link 'nowhere' for the tip"),
+        ("arm.urdf rows.csv --model sonar", "sonar"),
+        ("rows.csv", "rows.csv"),
+        ("done", "is a folder; allowed: done/calibration.json, or a robot"),
+        ("done/calibration.json --tip link3", "its own base, tip and model"),
+        ("done/calibration.json --setup setup.yaml", "its own setup"),
+        ("done/calibration.json distances.csv", "distances.csv"),
+        ("example:talos_reduced rows.csv", "name one with --tip"),
+    ],
+)
+def test_bad_input(
+    here: Path,
+    run: Callable[..., Any],
+    opened: list[Scene],
+    words: str,
+    complaint: str,
+) -> None:
+    result = run(f"view {words}")
+    assert (result.status, result.out) == (1, "")
+    assert len(result.err.splitlines()) == 1
+    assert complaint in result.err
+    assert opened == []

@@ -1,0 +1,281 @@
+"""Where links, tool points and error vectors are drawn."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.chain import Chain
+from calib_pin.io.results import write_urdf
+from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+from calib_pin.measurement_models import Mixed
+from calib_pin.measurement_models.features import Plane, Point
+from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
+from calib_pin.measurements import Measurements
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import Payload
+from calib_pin.spatial import invert
+from calib_pin.viewer.errors import calibrated_errors, registered_errors
+from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
+from calib_pin.viewer.scene import Plan, Scene, figures_of, floor_height, tip_path
+from calib_pin.viewer.shapes import robot_shapes
+from calib_pin.viewer.skeleton import Skeleton
+from calib_pin.viewer.stage import sight
+
+MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}
+"""Of the robots below; each moves like the other."""
+
+
+SOCKETS = (("left", 0.3), ("right", -0.3))
+TARGETS = ("ball@left", "ball@right", "right", "left")
+
+
+def link_poses(robot: Any, positions: dict[str, float], base: str) -> dict[str, Any]:
+    """Poses of all links in one of them, by Pinocchio."""
+    model, data = robot.model, robot.model.createData()
+    q = pin.neutral(model)
+    for name, position in positions.items():
+        joint = model.getJointId(name)
+        values = [np.cos(position), np.sin(position)] if model.nqs[joint] == 2 else None
+        start = model.idx_qs[joint]
+        q[start : start + model.nqs[joint]] = values or [position]
+    pin.framesForwardKinematics(model, data, q)
+    T = {
+        link: data.oMf[model.getFrameId(link, pin.FrameType.BODY)].homogeneous
+        for link in robot.links
+    }
+    return {link: invert(T[base]) @ pose for link, pose in T.items()}
+
+
+# --- links -------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("name", "base", "tip"),
+    [
+        ("example:panda", None, "panda_hand"),
+        ("example:panda", None, "panda_link7"),  # Without a fixed joint at the tip.
+        ("example:kinova", None, "j2s6s200_link_6"),  # Continuous joints.
+        ("example:talos_reduced", "gripper_right_base_link", "gripper_left_base_link"),
+    ],
+)
+def test_links_are_those_of_the_corrected_urdf(
+    calibrated: Callable[..., CalibratedModel],
+    tmp_path: Any,
+    name: str,
+    base: str | None,
+    tip: str,
+) -> None:
+    chain = load_chain(name, base=base, tip=tip)
+    model = calibrated(chain, Position())
+    before = chain.robot.model.copy()
+    nominal, corrected = figures_of(chain.robot, chain.base, model)
+    write_urdf(model, tmp_path / "corrected.urdf")
+    rng = np.random.default_rng(3)
+    skeleton = nominal.skeleton
+    q = rng.uniform(skeleton.lower, skeleton.upper)
+    positions = dict(zip(skeleton.joints, q, strict=True))
+    for follower, leader in MIMICS.items():
+        if leader in positions:
+            positions[follower] = positions[leader]
+    written = load_robot(tmp_path / "corrected.urdf")
+    for figure, robot in ((nominal, chain.robot), (corrected, written)):
+        expected = link_poses(robot, positions, chain.base)
+        for link, T in zip(skeleton.links, figure.placements(q), strict=True):
+            np.testing.assert_allclose(T, expected[link], atol=1e-12)
+    # The tip is where the model has it, but for what no URDF holds.
+    places = [skeleton.joints.index(joint) for joint in chain.joints]
+    pose = invert(model.error.base.homogeneous) @ model.poses(q[None, places])[0]
+    tip_pose = corrected.placements(q)[skeleton.links.index(chain.tip)]
+    np.testing.assert_allclose(tip_pose @ model.tool.homogeneous, pose, atol=1e-9)
+    assert chain.robot.model == before
+
+
+def test_joint_corrections_turn_the_links(
+    panda: Chain, calibrated: Callable[..., CalibratedModel]
+) -> None:
+    loads = {"light": Payload(1.0), "heavy": Payload(8.0, (0.0, 0.0, 0.2))}
+    model = calibrated(panda, Position(), "placement", "compliance", payloads=loads)
+    _, corrected = figures_of(panda.robot, panda.base, model)
+    skeleton = corrected.skeleton
+    q = skeleton.neutral + 0.2
+    places = [skeleton.joints.index(joint) for joint in panda.joints]
+    tip = skeleton.links.index(panda.tip)
+    found = {}
+    for payload, carried in (("heavy", "heavy"), ("light", "light"), ("", "none")):
+        expected = model.error.tip_poses(q[None, places], model.theta, (carried,))[0]
+        found[payload] = corrected.placements(q, payload)[tip]
+        np.testing.assert_allclose(found[payload], expected, atol=1e-9)
+    assert np.abs(found["heavy"] - found[""]).max() > 1e-4
+
+
+def test_fingers_follow_those_that_they_mimic(urdf_of: Callable[..., str]) -> None:
+    text = urdf_of(
+        {"name": "a", "parent": "base", "child": "left"},
+        {
+            "name": "b",
+            "parent": "base",
+            "child": "right",
+            "more": '<mimic joint="a" multiplier="-2" offset="0.1"/>',
+        },
+    )
+    robot = parse_robot(text.encode(), "test.urdf")
+    skeleton = Skeleton(robot, "base")
+    assert skeleton.joints == ("a",)
+    placements = skeleton.placements(np.array([0.3]))
+    for link, angle in (("left", 0.3), ("right", -0.5)):
+        R = placements[skeleton.links.index(link), :3, :3]
+        np.testing.assert_allclose(R, pin.rpy.rpyToMatrix(0.0, 0.0, angle), atol=1e-12)
+
+
+# --- errors ------------------------------------------------------------------------
+
+
+def test_vectors_end_where_the_robot_has_its_point(
+    panda: Chain,
+    calibrated: Callable[..., CalibratedModel],
+    measured_rows: Callable[..., Measurements],
+) -> None:
+    for measurement in (Position(), Pose()):
+        model = calibrated(panda, measurement)
+        rows = measured_rows(model, 12)
+        errors = calibrated_errors(model, rows)
+        to_base = model.error.base.inverse()
+        measured = rows.values[:, :3] @ to_base.rotation.T + to_base.translation
+        predicted = (to_base.homogeneous @ model.poses(rows.q))[:, :3, 3]
+        np.testing.assert_allclose(errors.measured, measured, atol=1e-12)
+        np.testing.assert_allclose(errors.points, predicted, atol=1e-12)
+        sizes = errors.quantities["position"]
+        lengths = np.linalg.norm(predicted - measured, axis=1)
+        np.testing.assert_allclose(sizes.sizes, lengths, atol=1e-12)
+        assert sizes.unit == "m"
+    assert errors.quantities["orientation"].unit == "rad"
+
+
+def test_the_nominal_robot_is_registered(
+    panda: Chain,
+    calibrated: Callable[..., CalibratedModel],
+    measured_rows: Callable[..., Measurements],
+) -> None:
+    model = calibrated(panda, Position())
+    rows = measured_rows(model, 30)
+    before, reason = registered_errors(panda, rows, model.setup)
+    assert reason == ""
+    after = calibrated_errors(model, rows)
+    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    assert sizes[0] > 1.3 * sizes[1]
+    # The tracker stands where the nominal robot puts it, within its own errors.
+    assert np.abs(before.measured - after.measured).max() < 0.02
+    _, reason = registered_errors(panda, rows.rows(np.arange(2)), model.setup)
+    assert "used up" in reason
+
+
+def test_named_points_and_sockets(
+    panda: Chain,
+    calibrated: Callable[..., CalibratedModel],
+    measured_rows: Callable[..., Measurements],
+) -> None:
+    probe = Point("probe", "target", np.array([0.0, 0.1, 0.2]))
+    model = calibrated(panda, Position(points=(probe,), origin=False))
+    rows = measured_rows(model, 5, ("probe",) * 5)
+    errors = calibrated_errors(model, rows)
+    np.testing.assert_allclose(np.linalg.norm(errors.vectors, axis=1), 1e-3, atol=5e-3)
+    ball = Point("ball", "target", np.array([0.0, 0.0, 0.1]))
+    places = tuple(Point(k, "socket", np.array([0.4, y, 0.3])) for k, y in SOCKETS)
+    model = calibrated(panda, FixedPoint(points=(ball,), places=places))
+    rows = replace(measured_rows(model, 4, TARGETS), model="fixed-point")
+    errors = calibrated_errors(model, rows)
+    centers = np.array([place.xyz for place in places])[[0, 1, 1, 0]]
+    to_base = model.error.base.inverse()
+    np.testing.assert_allclose(
+        errors.measured, centers @ to_base.rotation.T + to_base.translation, atol=1e-12
+    )
+
+
+def test_other_measurements_have_sizes_only(
+    panda: Chain,
+    calibrated: Callable[..., CalibratedModel],
+    measured_rows: Callable[..., Measurements],
+) -> None:
+    wall = Plane("wall", np.array([1.0, 0.0, 0.0]), -2.0)
+    ranger = calibrated(panda, PlaneDistance((wall,)))
+    rows = measured_rows(ranger, 200, ("wall",) * 200)
+    errors = calibrated_errors(ranger, rows)
+    assert np.isnan(errors.vectors).all()
+    (sizes,) = errors.quantities.values()
+    assert sizes.shown.any() and sizes.unit == "m"
+    mixed = Mixed.create({"position": Position(), "plane-distance": ranger.measurement})
+    model = replace(ranger, measurement=mixed)
+    seen = rows.rows(sizes.shown).rows(np.arange(3))
+    tracked = measured_rows(replace(ranger, measurement=Position()), 4)
+    errors = calibrated_errors(model, Measurements.concatenate([tracked, seen]))
+    assert np.isfinite(errors.vectors).all(axis=1).tolist() == [True] * 4 + [False] * 3
+    position, distance = errors.quantities.values()
+    assert position.shown.tolist() == [True] * 4 + [False] * 3
+    assert distance.shown.tolist() == [False] * 4 + [True] * 3
+    expected = ranger.poses(seen.q)[:, :3, 3]
+    base = ranger.error.base
+    found = errors.points[4:] @ base.rotation.T + base.translation
+    np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+# --- plan, camera, floor -----------------------------------------------------------
+
+
+def test_the_path_goes_through_the_plan(
+    panda: Chain, calibrated: Callable[..., CalibratedModel]
+) -> None:
+    q = panda.random_configurations(4, np.random.default_rng(5))
+    path = tip_path(panda, q)
+    assert len(path) == 61
+    np.testing.assert_allclose(path[::20], panda.poses(q)[:, :3, 3], atol=1e-12)
+    model = calibrated(panda, Position())
+    expected = model.error.tip_poses(q, model.theta)[:, :3, 3]
+    np.testing.assert_allclose(tip_path(model, q)[::20], expected, atol=1e-12)
+    plan = Plan(q, path)
+    assert plan.at(3.0).tolist() == q[3].tolist()
+    np.testing.assert_allclose(plan.at(1.25), 0.75 * q[1] + 0.25 * q[2])
+    assert len(tip_path(panda, q[:1])) == 1
+    assert len(tip_path(panda, np.tile(q, (1500, 1)))) == 6000
+
+
+def test_all_is_in_view() -> None:
+    points = np.random.default_rng(0).normal(size=(50, 3)) * [0.2, 0.3, 1.0]
+    eye, center = sight(points)
+    ahead = (center - eye) / np.linalg.norm(center - eye)
+    assert ahead[2] < 0.0
+    side = np.cross(ahead, [0.0, 0.0, 1.0])
+    side /= np.linalg.norm(side)
+    depth = (points - eye) @ ahead
+    up = (points - eye) @ np.cross(side, ahead) / depth / np.tan(0.35)
+    across = (points - eye) @ side / depth / np.tan(0.35)
+    assert 0.85 < max(np.abs(up).max(), np.abs(across).max() / 1.1) < 1.0
+
+
+@pytest.mark.parametrize(
+    ("name", "height"),
+    [
+        ("example:panda", 0.0),  # On its foot, although it is drawn from there.
+        ("example:talos_reduced", -1.083),  # The base link is the pelvis.
+        ("example:ur10_robot", 0.0),  # Neutral, the wrist hangs below the foot.
+    ],
+)
+def test_the_floor_is_under_the_robot(name: str, height: float) -> None:
+    robot = load_robot(name)
+    figures = figures_of(robot, robot.root, None)
+    scene = Scene("", robot_shapes(robot).parts, tuple(figures))
+    assert floor_height(scene) == pytest.approx(height, abs=0.01)
+
+
+def test_first_magnification() -> None:
+    assert first_magnification(0.004) == 50
+    assert first_magnification(1e-6) == MAGNIFICATIONS[-1] == 1000
+    assert first_magnification(3.0) == MAGNIFICATIONS[0] == 1

@@ -1,0 +1,235 @@
+"""The window in a browser: what it shows, what it asks for, and how it ends."""
+
+from __future__ import annotations
+
+import re
+import signal
+import socket
+import subprocess
+import sys
+from collections.abc import Callable, Iterator
+from pathlib import Path
+from typing import Any
+from urllib.parse import urlsplit
+
+import numpy as np
+import pytest
+import viser
+
+from calib_pin.chain import Chain
+from calib_pin.cli import main
+from calib_pin.measurement_models.position import Position
+from calib_pin.viewer.colors import STAGES, scaled
+from calib_pin.viewer.controls import Controls
+from calib_pin.viewer.drawings import lines
+from calib_pin.viewer.errors import calibrated_errors
+from calib_pin.viewer.joints import Joints
+from calib_pin.viewer.player import Player
+from calib_pin.viewer.scene import Plan, Rows, Scene, figures_of, tip_path
+from calib_pin.viewer.server import Window
+from calib_pin.viewer.shapes import Shape
+from calib_pin.viewer.stage import Stage
+from calib_pin.viewer.surfaces import Surface
+
+SETUP = """base: panda_link0
+tip: panda_hand
+frames:
+  base: {xyz: [2.5, 0.6, 0.2], rpy: [0.1, -0.05, 2.0], estimate: true}
+  tool: {xyz: [0.0, 0.05, 0.12], estimate: true}
+"""
+
+
+class Viewing:
+    """`calib-pin view` in a process of its own."""
+
+    def __init__(self, folder: Path, words: list[str]) -> None:
+        program = [sys.executable, "-m", "calib_pin.cli", "view", *words]
+        self.process = subprocess.Popen(
+            program, cwd=folder, text=True, stdout=-1, stderr=-1
+        )
+        assert self.process.stdout is not None
+        first = self.process.stdout.readline()
+        found = re.search(r"http://localhost:\d+", first)
+        assert found, first + self.process.communicate()[1]
+        self.url = found[0]
+
+    def end(self) -> tuple[int, str, str]:
+        """Status, and the rest of both outputs."""
+        out, err = self.process.communicate(timeout=20)
+        return self.process.returncode, out, err
+
+
+@pytest.fixture
+def viewing(tmp_path: Path) -> Iterator[Callable[..., Viewing]]:
+    started: list[Viewing] = []
+
+    def start(*words: str) -> Viewing:
+        started.append(Viewing(tmp_path, [*words, "--port", "0"]))
+        return started[-1]
+
+    yield start
+    for one in started:
+        one.process.kill()
+        one.process.communicate()
+
+
+@pytest.fixture
+def study(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    """A calibration of the panda, its measurements and a plan, in the folder."""
+    monkeypatch.chdir(tmp_path)
+    (tmp_path / "setup.yaml").write_text(SETUP)
+    simulate = "simulate example:panda --model position --setup setup.yaml"
+    for words in (
+        f"{simulate} --count 40 -o rows.csv",
+        f"{simulate} --count 5 --seed 1 -o plan.csv",
+        "calibrate example:panda rows.csv --setup setup.yaml --holdout 0.2 -o done "
+        "--quiet",
+    ):
+        assert main(words.split()) == 0, words
+
+
+def looked_at(browser: Any, url: str, last: str) -> str:
+    """The text of a page with a canvas, after a look at all that it did.
+
+    Args:
+        browser: The browser.
+        url: Address of the page.
+        last: Text that comes last.
+    """
+    # Few pixels, few questions: without a graphics card each picture takes its time.
+    small = {"width": 600, "height": 200}
+    page = browser.new_page(viewport=small, device_scale_factor=0.5)
+    complaints: list[str] = []
+    hosts: set[str | None] = set()
+    page.on("pageerror", lambda error: complaints.append(str(error)))
+    page.on("console", lambda m: m.type == "error" and complaints.append(m.text))
+    page.on("request", lambda request: hosts.add(host_of(request.url)))
+    page.on("websocket", lambda channel: hosts.add(host_of(channel.url)))
+    page.goto(url, wait_until="commit")
+    page.get_by_text(last, exact=True).first.wait_for(state="attached")
+    text, widths = page.evaluate(
+        "[document.body.innerText, [...document.querySelectorAll('canvas')]"
+        ".map(canvas => canvas.width)]"
+    )
+    page.close()
+    assert complaints == []
+    assert hosts == {"localhost"}
+    assert max(widths) > 100
+    return str(text)
+
+
+def host_of(url: str) -> str | None:
+    return urlsplit(url.removeprefix("blob:")).hostname
+
+
+def test_a_calibration_in_the_browser(
+    browser: Any, viewing: Callable[..., Viewing], study: None
+) -> None:
+    view = viewing("done/calibration.json", "rows.csv", "--plan", "plan.csv", "--once")
+    text = looked_at(browser, view.url, "panda_joint1")
+    for label in ("panda", "nominal", "corrected", "row", "before", "after"):
+        assert f"{label}\n" in text
+    for label in ("magnified", "Residual map", "Plan", "play", "path of the tip"):
+        assert f"{label}\n" in text
+    assert "\nrows.csv:3\nposition: before" in text
+    assert view.end() == (0, "", "")
+
+
+@pytest.mark.slow
+def test_a_robot_with_many_limbs_in_the_browser(
+    browser: Any, viewing: Callable[..., Viewing]
+) -> None:
+    view = viewing("example:talos_reduced", "--once")
+    assert "talos\n" in looked_at(browser, view.url, "arm_left_1_joint")
+    assert view.end() == (0, "", "")
+
+
+def test_ctrl_c_ends_it(viewing: Callable[..., Viewing]) -> None:
+    view = viewing("space6")
+    view.process.send_signal(signal.SIGINT)
+    assert view.end() == (0, "\n", "")
+
+
+# --- in this process ---------------------------------------------------------------
+
+
+@pytest.fixture
+def scene(
+    panda: Chain,
+    calibrated: Callable[..., Any],
+    measured_rows: Callable[..., Any],
+) -> Scene:
+    """Triangles for links: what is asked for is not their looks."""
+    model = calibrated(panda, Position())
+    rows = measured_rows(model, 6)
+    errors = calibrated_errors(model, rows)
+    q = rows.q[:3]
+    small = Surface(np.eye(3), np.array([[0, 1, 2]]))
+    return Scene(
+        title="arm",
+        shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
+        figures=tuple(figures_of(panda.robot, panda.base, model)),
+        chain=panda,
+        rows=Rows(rows, {"before": errors, "after": errors}),
+        plan=Plan(q, tip_path(model, q)),
+    )
+
+
+def test_a_port_that_is_taken(scene: Scene, capsys: pytest.CaptureFixture[str]) -> None:
+    with socket.create_server(("127.0.0.1", 0)) as taken:
+        port = taken.getsockname()[1]
+        window = Window(scene, port)
+        assert window.port != port
+        window.close()
+    window = Window(scene, port)
+    assert window.port == port
+    window.close()
+    assert capsys.readouterr() == ("", "")
+
+
+def test_the_plan_is_played(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:
+    assert scene.plan is not None
+    shown: list[Any] = []
+    monkeypatch.setattr(
+        Stage, "pose", lambda stage, q, payload: shown.append(q[scene.places])
+    )
+    server = viser.ViserServer("127.0.0.1", 0, verbose=False)
+    stage, controls = Stage(server, scene), Controls(server.gui)
+    joints = Joints(controls, scene, stage)
+    assert stage.path is not None
+    player = Player(controls, scene.plan, joints, stage.path)
+    player.tick(1.0)
+    assert len(shown) == 1  # The first posture.
+    player.play(True)
+    for seconds, number in ((0.0, 0.0), (0.25, 0.25), (1.5, 1.75), (0.5, 0.0)):
+        player.tick(seconds)
+        np.testing.assert_allclose(shown[-1], scene.plan.at(number))
+    player.play(False)
+    player.tick(0.5)
+    np.testing.assert_array_equal(shown[-1], scene.plan.q[0])
+    player.play(True)
+    joints.move(scene.plan.q[2], "", None)
+    player.tick(0.5)
+    np.testing.assert_array_equal(shown[-1], scene.plan.q[2])
+    server.stop()
+
+
+def test_colors() -> None:
+    assert [f"{r:02x}{g:02x}{b:02x}" for r, g, b in STAGES.values()] == [
+        "d55e00",
+        "0072b2",
+    ]
+    assert scaled(np.array([1.0, 3.0])).tolist() == [[68, 1, 84], [253, 231, 36]]
+    assert scaled(np.array([2.0])).tolist() == [[68, 1, 84]]
+    assert scaled(np.zeros(0)).shape == (0, 3)
+
+
+def test_vectors_are_magnified(scene: Scene) -> None:
+    assert scene.rows is not None
+    errors = scene.rows.stages["after"]
+    drawn = lines(errors, 100.0)
+    assert drawn.shape == (6, 2, 3)
+    np.testing.assert_allclose(drawn[:, 0], errors.measured, atol=1e-6)
+    np.testing.assert_allclose(
+        drawn[:, 1] - drawn[:, 0], 100.0 * errors.vectors, atol=1e-6
+    )

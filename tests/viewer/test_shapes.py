@@ -1,0 +1,170 @@
+"""What links look like, and what stands in where a mesh is missing."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from calib_pin.io.urdf import load_robot
+from calib_pin.viewer.shapes import robot_shapes
+from calib_pin.viewer.surfaces import Surface, ball, box, capsule, creased, cylinder
+
+ARM = """<robot name="arm">
+  <material name="red"><color rgba="1 0 0 1"/></material>
+  <link name="base">{base}</link><link name="upper">{upper}</link>
+  <link name="tool">{tool}</link>
+  <joint name="shoulder" type="revolute"><origin xyz="0 0 0.2"/>
+    <parent link="base"/><child link="upper"/><axis xyz="0 1 0"/>
+    <limit lower="-1" upper="1" effort="1" velocity="1"/></joint>
+  <joint name="flange" type="fixed"><origin xyz="0.3 0 0"/>
+    <parent link="upper"/><child link="tool"/></joint>
+</robot>"""
+
+TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
+f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
+
+
+def visual(geometry: str, more: str = "", kind: str = "visual") -> str:
+    return f"<{kind}>{more}<geometry>{geometry}</geometry></{kind}>"
+
+
+def arm(base: str = "", upper: str = "", tool: str = "") -> str:
+    return ARM.format(base=base, upper=upper, tool=tool)
+
+
+def volume(surface: Surface) -> float:
+    """By the divergence theorem; negative for a surface that is inside out."""
+    a, b, c = np.moveaxis(surface.vertices[surface.triangles], 1, 0)
+    return float(np.einsum("ij,ij->i", a, np.cross(b, c)).sum() / 6.0)
+
+
+def turned(surface: Surface, sharp: float) -> int:
+    """Edges that two triangles share by their vertices at an angle above `sharp`."""
+    corners = surface.vertices[surface.triangles]
+    normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
+    sizes = np.linalg.norm(normals, axis=1)
+    owners: dict[tuple[int, int], list[int]] = {}
+    for k in np.flatnonzero(sizes > 1e-12):
+        a, b, c = surface.triangles[k]
+        for edge in ((a, b), (b, c), (c, a)):
+            owners.setdefault((min(edge), max(edge)), []).append(k)
+    pairs = [pair for pair in owners.values() if len(pair) == 2]
+    unit = normals / np.maximum(sizes, 1e-12)[:, None]
+    return sum(float(unit[a] @ unit[b]) < np.cos(sharp) for a, b in pairs)
+
+
+@pytest.mark.parametrize(
+    ("surface", "size", "content", "within"),
+    [
+        (box(np.array([1.0, 2.0, 3.0])), (1, 2, 3), 6.0, 1e-12),
+        (cylinder(0.5, 2.0), (1, 1, 2), np.pi / 2, 0.02),
+        (ball(0.5), (1, 1, 1), np.pi / 6, 0.03),
+        (capsule(0.5, 1.0), (1, 1, 2), np.pi / 4 + np.pi / 6, 0.03),
+    ],
+)
+def test_solids(
+    surface: Surface, size: tuple[float, ...], content: float, within: float
+) -> None:
+    assert np.ptp(surface.vertices, axis=0) == pytest.approx(size, rel=0.01)
+    assert surface.vertices.mean(axis=0) == pytest.approx([0, 0, 0], abs=1e-9)
+    assert volume(surface) == pytest.approx(content, rel=within)
+    sharp = creased(surface)
+    assert volume(sharp) == pytest.approx(volume(surface))
+    assert turned(sharp, np.radians(40.0)) == 0
+
+
+def test_sharp_edges_get_vertices_of_their_own() -> None:
+    solid = box(np.ones(3))
+    assert turned(solid, np.radians(40.0)) == 12
+    assert len(creased(solid).vertices) == 24
+    smooth = ball(1.0)
+    # But for the poles, where triangles without an area meet.
+    assert len(creased(smooth).vertices) <= len(smooth.vertices) + 2 * 32
+
+
+def test_visuals_come_before_collisions(write: Callable[[str, str], Path]) -> None:
+    ball_, cube = '<sphere radius="0.1"/>', '<box size="0.2 0.2 0.4"/>'
+    placed = '<origin xyz="0 0 0.1" rpy="0 0 1.5"/><material name="red"/>'
+    file = write(
+        "arm.urdf",
+        arm(
+            visual(cube, placed) + visual(ball_, kind="collision"),
+            visual(ball_, kind="collision"),
+        ),
+    )
+    shapes = robot_shapes(load_robot(file))
+    assert shapes.missing == ()
+    first, second = shapes.parts
+    assert (first.link, first.color) == ("base", (1.0, 0.0, 0.0))
+    assert first.placement[:3, 3].tolist() == [0.0, 0.0, 0.1]
+    assert first.placement[:2, 0] == pytest.approx([np.cos(1.5), np.sin(1.5)])
+    assert np.ptp(first.surface.vertices, axis=0).tolist() == [0.2, 0.2, 0.4]
+    assert (second.link, second.color) == ("upper", None)
+    assert np.ptp(second.surface.vertices, axis=0) == pytest.approx(0.2, rel=0.01)
+
+
+@pytest.mark.parametrize("package", ["package://arm/", "package:///arm/", "../"])
+def test_meshes_are_read_once(write: Callable[[str, str], Path], package: str) -> None:
+    write("arm/meshes/a.obj", TETRAHEDRON)
+    mesh = f'<mesh filename="{package}meshes/a.obj" scale="2 2 2"/>'
+    file = write("arm/urdf/arm.urdf", arm(visual(mesh), visual(mesh)))
+    parts: list[float] = []
+    robot = load_robot(file)
+    shapes = robot_shapes(robot, progress=parts.append)
+    assert shapes.missing == ()
+    first, second = shapes.parts
+    assert first.surface is second.surface
+    assert volume(first.surface) == pytest.approx(0.4**3 / 6)
+    assert len(first.surface.vertices) == 12  # Three faces meet at every corner.
+    assert parts == [0.0, 1 / 3, 2 / 3]
+
+
+@pytest.mark.parametrize(
+    "bad",
+    [
+        '<mesh filename="package://nowhere/a.stl"/>',
+        '<mesh filename="broken.obj"/>',
+        '<mesh filename="arm.urdf"/>',
+        '<box size="1 2"/>',
+        '<mesh filename="a.obj" scale="big"/>',
+        "<heap/>",
+    ],
+)
+def test_solids_stand_in_for_what_is_missing(
+    write: Callable[[str, str], Path], capfd: pytest.CaptureFixture[str], bad: str
+) -> None:
+    write("broken.obj", "v 0 0\nf 1 2 9\n")
+    write("a.obj", TETRAHEDRON)
+    good = visual('<sphere radius="0.1"/>')
+    file = write("arm.urdf", arm(good, good + visual(bad), visual(bad)))
+    shapes = robot_shapes(load_robot(file))
+    assert len(shapes.missing) == 1
+    base, upper, tool = shapes.parts
+    assert [shape.link for shape in (base, upper, tool)] == ["base", "upper", "tool"]
+    # From the shoulder to the flange, along x of the link.
+    points = upper.surface.vertices @ upper.placement[:3, :3].T + upper.placement[:3, 3]
+    radius = 0.12 * 0.3
+    assert points.min(axis=0) == pytest.approx([-radius] * 3, rel=0.02)
+    assert points.max(axis=0) == pytest.approx([0.3 + radius, radius, radius], rel=0.02)
+    assert np.ptp(tool.surface.vertices, axis=0).max() < 0.06
+    assert capfd.readouterr() == ("", "")
+
+
+def test_a_robot_without_any_shapes(write: Callable[[str, str], Path]) -> None:
+    shapes = robot_shapes(load_robot(write("arm.urdf", arm())))
+    assert shapes.missing == ()
+    assert [shape.link for shape in shapes.parts] == ["base", "upper", "tool"]
+
+
+@pytest.mark.parametrize(
+    ("name", "links", "triangles"),
+    [("example:panda", 11, 100_000), ("example:talos_full_v2", 40, 100_000)],
+)
+def test_example_robots(name: str, links: int, triangles: int) -> None:
+    shapes = robot_shapes(load_robot(name))
+    assert shapes.missing == ()
+    assert len({shape.link for shape in shapes.parts}) >= links
+    assert sum(len(shape.surface.triangles) for shape in shapes.parts) > triangles

@@ -10,8 +10,9 @@ import importlib.metadata
 import io
 import logging
 import os
+import shutil
 import warnings
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -20,6 +21,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib_pin.calibration import calibrate
+from calib_pin.calibration_record import CalibrationRecord
 from calib_pin.chain import Chain
 from calib_pin.configurations import observable_configurations
 from calib_pin.formulation import nominal_problem
@@ -39,6 +42,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
+from calib_pin.simulation import draw_errors, simulate
 from calib_pin.spatial import Floats
 
 
@@ -60,6 +64,10 @@ SPECIAL = {
     "example:talos_reduced": ("gripper_right_base_link", "gripper_left_base_link"),
 }
 """Chains, by base and tip, that together have all that makes derivatives hard."""
+
+
+SOFTWARE = ["--use-gl=angle", "--use-angle=swiftshader", "--enable-unsafe-swiftshader"]
+"""WebGL without a graphics card."""
 
 
 def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
@@ -289,6 +297,52 @@ def measured(
 
 
 @pytest.fixture(scope="session")
+def recorded() -> Callable[..., CalibrationRecord]:
+    """Calibration of a simulated robot: `recorded(chain, model, seed, changes, ...)`.
+
+    The robot is always the same, but for changes of its parameters by name. A true
+    setup, where given, says where the instrument and the tool really are.
+    """
+
+    def make(
+        chain: Chain,
+        model: str,
+        seed: int,
+        changes: Mapping[str, float] | None = None,
+        *,
+        setup: Setup | None = None,
+        truth: Setup | None = None,
+        count: int = 60,
+        noise: float = 1e-4,
+    ) -> CalibrationRecord:
+        problem = nominal_problem(chain, model, truth or setup or Setup())
+        drawn = draw_errors(problem.parameters, np.random.default_rng(0))
+        theta = np.where(problem.parameters.nuisance, 0.0, drawn)
+        for name, change in (changes or {}).items():
+            theta[problem.parameters.names.index(name)] += change
+        rng = np.random.default_rng(1000 + seed)
+        rows = simulate(problem, theta, rng, count=count, noise=noise)
+        result = calibrate(chain, rows, setup or Setup(), validate=False)
+        return CalibrationRecord(
+            file=f"{seed}.json",
+            model=result.model,
+            verdict=result.verdict,
+            reason=result.reason,
+            parameters=result.parameters,
+            groups=result.groups,
+            errors=result.errors,
+            validation=result.validation,
+            predicted=None if result.tip is None else result.tip.rms,
+            noise=result.sigma0 if result.stated_sigma else None,
+            rows=result.training,
+            hashes=(f"rows {seed}",),
+            created="2026-03-01T10:00:00+00:00",
+        )
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def independent_poses() -> Callable[..., Any]:
     """Forward kinematics that share no code with ours or with Pinocchio.
 
@@ -351,3 +405,19 @@ def _inertial(mass: float, center: Sequence[float]) -> str:
 
 def _numbers(values: Any) -> str:
     return " ".join(repr(float(value)) for value in values)
+
+
+@pytest.fixture(scope="session")
+def browser() -> Iterator[Any]:
+    """Chromium without a window."""
+    names = ("chromium", "chromium-browser", "google-chrome")
+    path = next(filter(None, map(shutil.which, names)), None)
+    if path is None:
+        pytest.skip("needs Chromium: apt-get install chromium")
+    sync_api = pytest.importorskip("playwright.sync_api")
+    with sync_api.sync_playwright() as playwright:
+        launched = playwright.chromium.launch(
+            executable_path=path, args=["--no-sandbox", *SOFTWARE]
+        )
+        yield launched
+        launched.close()

@@ -11,7 +11,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 # Modules and families by layer; a new one is added here.
 LAYERS = (
-    ("errors", "parameters", "setup", "spatial", "units"),
+    ("errors", "parameters", "progress", "setup", "spatial", "units"),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "kernels"),
         *("measurements", "registration", "row_kernels", "threads"),
@@ -26,11 +26,13 @@ LAYERS = (
         *("residual_models", "scale", "solvers"),
     ),
     (
-        *("assessment", "calibration", "compensation", "fit"),
-        *("inverse_kinematics", "joint_readings", "ladder", "planning", "result"),
-        *("simulation", "solve", "splits", "training", "trajectory"),
+        *("assessment", "calibration", "calibration_record", "comparison"),
+        *("compensation", "fit", "parameter_changes", "tip_drift"),
+        *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
+        *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
+        *("training", "trajectory"),
     ),
-    ("io", "report"),
+    ("io", "report", "viewer"),
     ("cli",),
 )
 LAYER = {name: k for k, names in enumerate(LAYERS) for name in names}
@@ -45,6 +47,7 @@ APART = {
     "solvers",
     "io",
     "report",
+    "viewer",
 }
 SIDEWAYS = {
     ("error_model", "parameterizations"),
@@ -55,6 +58,7 @@ SIDEWAYS = {
     ("many_rows", "measurement_models"),
     ("population", "problem"),
     ("scale", "problem"),
+    ("viewer", "io"),
 }
 NUMERICS = 4
 FORBIDDEN_MODULES = {

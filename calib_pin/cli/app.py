@@ -6,12 +6,14 @@ import typer
 
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.command import Command
+from calib_pin.cli.compare import compare
 from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.identify import identify
 from calib_pin.cli.plan import plan
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
+from calib_pin.cli.view import view
 
 __all__ = ["app"]
 
@@ -28,6 +30,8 @@ for command, summary in (
     (simulate, "Measurements of a robot with known errors."),
     (plan, "Which configurations to measure."),
     (compensate, "Joint commands that reach targets on the real robot."),
+    (compare, "What moved between two calibrations of a robot."),
+    (view, "The robot, its errors and a plan in the browser."),
     (robots, "The bundled robots."),
 ):
     app.command(command.__name__, cls=Command, short_help=summary)(command)

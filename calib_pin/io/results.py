@@ -2,13 +2,11 @@
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
 from itertools import permutations
 from pathlib import Path
-from reprlib import repr
 from typing import Any
 
 import numpy as np
@@ -16,14 +14,15 @@ import pinocchio as pin
 
 from calib_pin.chain import Chain, Robot
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import (
-    CalibPinError,
-    InputError,
-    OptionError,
-    OutputError,
-    RobotError,
+from calib_pin.errors import InputError, OptionError, OutputError, RobotError
+from calib_pin.io.calibration_file import (
+    numbers,
+    read_document,
+    reading,
+    stated_errors,
+    text,
 )
-from calib_pin.io.documents import FORMAT, VERSION, Json, require_format, sha256
+from calib_pin.io.documents import Json, sha256
 from calib_pin.io.files import read_bytes
 from calib_pin.io.residual_model import read_residual_model
 from calib_pin.io.setup import CONDITIONS, setup_of
@@ -56,9 +55,6 @@ ENDS = ("base", "tool")
 SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
 """What rows can refer to, by name."""
 
-LARGEST = 1e6
-"""Largest number that a value, a position or an offset can be [m, rad, px]."""
-
 
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
@@ -77,17 +73,9 @@ def read_calibration(
             robot has changed.
         RobotError: If the robot cannot be found.
     """
-    try:
-        document = json.loads(read_bytes(path).decode("utf-8-sig"))
-    except RecursionError as error:
-        raise InputError("not a calibration of calib-pin", file=path) from error
-    except ValueError as error:
-        line = getattr(error, "lineno", None)
-        reason = f"not a calibration: {getattr(error, 'msg', error)}"
-        raise InputError(reason, file=path, line=line) from error
-    document = require_format(document, "calibration", FORMAT, VERSION, path)
+    document = read_document(path)
     robot = _find_robot(document, Path(path))
-    try:
+    with reading(path):
         model = _model(document, robot)
         learned = _learned(document.get("residual_model"))
         if (learned is None) != (model.setup.learned is None):
@@ -95,12 +83,6 @@ def read_calibration(
         verdict = document["verdict"]
         if notice is not None and verdict["status"] != "good":
             notice(f"{path} must not be trusted: {verdict['reason']}")
-    except KeyError as error:
-        reason = f"damaged or edited calibration: {error} is missing"
-        raise InputError(reason, file=path) from error
-    except (CalibPinError, TypeError, ValueError, AttributeError) as error:
-        reason = f"damaged or edited calibration: {error}"
-        raise InputError(reason, file=path) from error
     if learned is None:
         return model
     name, content = learned
@@ -117,24 +99,19 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     Returns:
         Unit, mean, max and method of every quantity; none where nothing was checked.
     """
-    errors = json.loads(read_bytes(path).decode("utf-8-sig")).get("errors")
-    result: dict[str, dict[str, Any]] = {}
-    try:
-        for name, error in errors.items():
-            after, unit = error["validation"]["after"], error["unit"]
-            if after is not None and unit in ("m", "rad"):
-                mean, largest = _numbers([after["mean"], after["max"]], 2)
-                method = _text(error["validation"]["method"])
-                result[name] = {
-                    "unit": unit,
-                    "mean": mean,
-                    "max": largest,
-                    "method": method,
-                }
-    except (AttributeError, KeyError, TypeError, ValueError) as error:
-        reason = f"damaged or edited calibration: 'errors': {error}"
-        raise InputError(reason, file=path) from error
-    return result
+    document = read_document(path)
+    with reading(path):
+        stated = stated_errors(document)
+    return {
+        errors.name: {
+            "unit": errors.unit,
+            "mean": errors.validation_after.mean,
+            "max": errors.validation_after.max,
+            "method": method,
+        }
+        for errors, method in stated
+        if errors.validation_after is not None and errors.unit in ("m", "rad")
+    }
 
 
 def write_urdf(
@@ -211,7 +188,7 @@ def _find_robot(document: Json, path: Path) -> Robot:
 
 def _model(document: Json, robot: Robot) -> CalibratedModel:
     about = document["robot"]
-    chain = Chain(robot, _text(about["base"]), _text(about["tip"]))
+    chain = Chain(robot, text(about["base"]), text(about["tip"]))
     if list(chain.joints) != about["joints"]:
         raise ValueError("the joints are not those from base to tip")
     frames = document["frames"]
@@ -270,12 +247,12 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
         fitted: What rows refer to.
         frames: The frames by name.
     """
-    name = _text(about["model"])
+    name = text(about["model"])
     parts = name.split(PLUS)
     mixed = len(parts) > 1
     # Earlier files name no targets; they have neither mixed models nor points.
     known = "targets" in about or mixed or bool(fitted.targets)
-    targets = ["" if t == "" else _text(t) for t in about["targets"]] if known else []
+    targets = ["" if t == "" else text(t) for t in about["targets"]] if known else []
     if mixed and not {target.partition(PART)[0] for target in targets} <= set(parts):
         raise ValueError("'measurements.targets' are not those of 'measurements.model'")
     named = qualified(parts, targets) if mixed else {name: targets}
@@ -320,17 +297,17 @@ def _learned(stated: Mapping[str, Any] | None) -> tuple[str, str] | None:
     if not isinstance(stated, Mapping):
         raise ValueError("'residual_model' is not a mapping")
     # Its name alone: a calibration does not reach into other folders.
-    return Path(_text(stated["file"])).name, _text(stated["sha256"])
+    return Path(text(stated["file"])).name, text(stated["sha256"])
 
 
 def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     """Value of every parameter by name."""
     values: dict[str, float] = {}
     for entry in entries:
-        name = _text(entry["name"])
+        name = text(entry["name"])
         if name in values:
             raise ValueError(f"parameter '{name}' is here twice")
-        (values[name],) = _numbers([entry["value"]], 1)
+        (values[name],) = numbers([entry["value"]], 1)
     return values
 
 
@@ -371,8 +348,8 @@ def _kind(name: str) -> str:
 
 def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:
     """A frame and whether it was estimated."""
-    roll, pitch, yaw = _numbers(entry["rpy"], 3)
-    position = np.array(_numbers(entry["xyz"], 3))
+    roll, pitch, yaw = numbers(entry["rpy"], 3)
+    position = np.array(numbers(entry["xyz"], 3))
     return pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), position), _flag(entry)
 
 
@@ -387,10 +364,10 @@ def _read_stand(frame: Frame, frames: Json) -> Frame:
 
 
 def _read_plane(entry: Mapping[str, Any]) -> PlaneSetup:
-    x, y, z = _numbers(entry["normal"], 3)
+    x, y, z = numbers(entry["normal"], 3)
     if not 0.99 < math.hypot(x, y, z) < 1.01:
         raise ValueError("the normal of a plane is not of unit length")
-    (offset,) = _numbers([entry["offset"]], 1)
+    (offset,) = numbers([entry["offset"]], 1)
     return PlaneSetup(normal=(x, y, z), offset=offset, estimate=_flag(entry))
 
 
@@ -399,14 +376,14 @@ def _read_point(entry: Mapping[str, Any]) -> PointSetup:
 
 
 def _read_sphere(entry: Mapping[str, Any]) -> SphereSetup:
-    (radius,) = _numbers([entry["radius"]], 1)
+    (radius,) = numbers([entry["radius"]], 1)
     if radius <= 0.0:
         raise ValueError("the radius of a sphere is not positive")
     return SphereSetup(_xyz(entry), radius, _flag(entry), _flag(entry, "_radius"))
 
 
 def _read_anchor(entry: Mapping[str, Any]) -> AnchorSetup:
-    (bias,) = _numbers([entry["bias"]], 1)
+    (bias,) = numbers([entry["bias"]], 1)
     return AnchorSetup(_xyz(entry), bias, _flag(entry), _flag(entry, "_bias"))
 
 
@@ -414,11 +391,11 @@ def _read_camera(entry: Mapping[str, Any]) -> CameraSetup:
     mount = entry["mount"]
     if mount not in ("hand", "world"):
         raise ValueError("the mount of the camera is neither hand nor world")
-    f_x, f_y, c_x, c_y = _numbers([*entry["focal"], *entry["center"]], 4)
-    k_1, k_2, p_1, p_2, k_3 = _numbers(entry["distortion"], 5)
+    f_x, f_y, c_x, c_y = numbers([*entry["focal"], *entry["center"]], 4)
+    k_1, k_2, p_1, p_2, k_3 = numbers(entry["distortion"], 5)
     size = None
     if entry["size"] is not None:
-        width, height = _numbers(entry["size"], 2)
+        width, height = numbers(entry["size"], 2)
         size = width, height
     return CameraSetup(
         mount, (f_x, f_y), (c_x, c_y), (k_1, k_2, p_1, p_2, k_3), size, _flag(entry)
@@ -426,7 +403,7 @@ def _read_camera(entry: Mapping[str, Any]) -> CameraSetup:
 
 
 def _xyz(entry: Mapping[str, Any]) -> Triple:
-    x, y, z = _numbers(entry["xyz"], 3)
+    x, y, z = numbers(entry["xyz"], 3)
     return x, y, z
 
 
@@ -435,21 +412,3 @@ def _flag(entry: Mapping[str, Any], of: str = "") -> bool:
     if not isinstance(flag, bool):
         raise ValueError(f"'estimated{of}' is neither true nor false")
     return flag
-
-
-def _text(value: object) -> str:
-    if not isinstance(value, str) or not value:
-        raise ValueError(f"{repr(value)} stands in the place of a name")
-    return value
-
-
-def _numbers(values: Sequence[object], count: int) -> list[float]:
-    """Finite numbers of a known count."""
-    if len(values) != count:
-        raise ValueError(f"{len(values)} numbers stand in the place of {count}")
-    for value in values:
-        number = isinstance(value, float | int) and not isinstance(value, bool)
-        # Python reads NaN, Infinity and numbers of any length, JSON knows none.
-        if not number or not abs(value) < LARGEST:  # type: ignore[arg-type]
-            raise ValueError(f"{repr(value)} stands in the place of a number")
-    return [float(value) for value in values]  # type: ignore[arg-type]

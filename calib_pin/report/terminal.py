@@ -66,6 +66,9 @@ def _rendered(block: Block) -> Iterator[RenderableType]:
         yield Text(block.title, style="bold")
         if isinstance(block, Facts):
             grid = rich_table.Table.grid(padding=(0, 2))
+            # A long path is broken; rich would cut it.
+            grid.add_column(overflow="fold")
+            grid.add_column(overflow="fold")
             for name, words in block.entries:
                 grid.add_row(f"  {name}", words)
             yield grid

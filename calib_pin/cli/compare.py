@@ -1,0 +1,62 @@
+"""`calib-pin compare`: what moved between two calibrations of a robot."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib_pin.cli.files import exists, require_distinct
+from calib_pin.cli.options import Json, seed
+from calib_pin.cli.printing import show
+
+__all__ = ["compare"]
+
+WORKSPACE = "Workspace"
+"""Heading of `--help`."""
+
+
+def compare(
+    first: Annotated[
+        Path, typer.Argument(metavar="A.json", help="A calibration of a robot.")
+    ],
+    second: Annotated[
+        Path,
+        typer.Argument(
+            metavar="B.json", help="A later one, or another model of the robot."
+        ),
+    ],
+    seed: Annotated[
+        int, seed(WORKSPACE, "Seed of the configurations at which tips are compared.")
+    ] = 0,
+    json: Json = False,
+) -> int:
+    """Print what moved between two calibrations, beyond their uncertainty.
+
+    Tips are compared in the base link, with a displacement of base and tool fitted
+    away where these were estimated: a tracker that stands elsewhere is no drift of the
+    robot, nor is another tool. Parameters and sums are listed where they differ by more
+    than three standard deviations. Exit status 2: one of the calibrations must not be
+    trusted.
+    """
+    from calib_pin.comparison import compare as run
+    from calib_pin.errors import OptionError
+    from calib_pin.io.comparisons import comparison_document
+    from calib_pin.io.documents import encode
+    from calib_pin.io.records import read_record
+    from calib_pin.report.comparison_text import comparison_report
+
+    files = (first, second)
+    for file in files:
+        inside = file / "calibration.json"
+        if exists(inside):
+            raise OptionError("is a folder", file=file, allowed=str(inside))
+    require_distinct(files)
+    A, B = map(read_record, files)
+    found = run(A, B, seed=seed)
+    if json:
+        typer.echo(encode(comparison_document(found)).decode(), nl=False)
+    else:
+        show(comparison_report(found))
+    return 0 if A.verdict == B.verdict == "good" else 2

@@ -1,0 +1,253 @@
+"""Two calibrations of one robot: what moved between them, beyond their uncertainty."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.calibration_record import CalibrationRecord
+from calib_pin.errors import InputError
+from calib_pin.parameter_changes import (
+    Difference,
+    differences,
+    known_alone,
+    sums_alone,
+)
+from calib_pin.result import CalibratedModel
+from calib_pin.tip_drift import TipDrift, tip_drift
+
+__all__ = ["BOUND", "Comparison", "Displacement", "compare"]
+
+BOUND = 3.0
+"""Standard deviations within which estimates agree; one in 370 lies beyond by chance.
+
+Among the about 50 of a robot that is one in every seven comparisons.
+"""
+
+CERTAIN = 5.0
+"""Standard deviations beyond which a single parameter shows that the robot changed."""
+
+EXPLAINED = 2.0
+"""Drift that noise does not explain any more, as a multiple of what it explains.
+
+The square of a drift is a weighted sum of squares of normal variables. Were it a single
+one, one comparison in 20 would lie beyond by chance; with ten alike it is one in
+100 000. And what the fitted frames absorb is in what noise explains.
+"""
+
+NEGLIGIBLE = 1e-6
+"""Drift that is none, whatever explains it [m, rad]."""
+
+SAME = 1e-9
+"""Largest difference between places of one nominal robot, or of a frame [m, rad]."""
+
+
+@dataclass(frozen=True)
+class Displacement:
+    """How far a frame stands from where it stood.
+
+    Attributes:
+        frame: `base`, seen from the measuring frame, or `tool`, seen from the tip.
+        shift: Distance between both origins [m].
+        turn: Angle between both orientations [rad]; None where rows do not tell.
+    """
+
+    frame: str
+    shift: float
+    turn: float | None
+
+
+@dataclass(frozen=True)
+class Comparison:
+    """Two calibrations of one robot.
+
+    Attributes:
+        first: One calibration.
+        second: The other.
+        same_nominal: Whether the nominal robots are the same. Otherwise parameters
+            deviate from different robots and are not compared.
+        differences: What both know of the robot, most significant first.
+        alone: Names of the robot's parameters that have a standard deviation of their
+            own in the first calibration only, and in the second only.
+        sums_alone: Number of sums of the robot's parameters that only the first, and
+            only the second, knows.
+        displacements: How far base and tool stand from where they stood, where they
+            are not the same.
+        drift: How far the tips are apart.
+    """
+
+    first: CalibrationRecord
+    second: CalibrationRecord
+    same_nominal: bool
+    differences: tuple[Difference, ...]
+    alone: tuple[tuple[str, ...], tuple[str, ...]]
+    sums_alone: tuple[int, int]
+    displacements: tuple[Displacement, ...]
+    drift: TipDrift
+
+    @property
+    def moved(self) -> tuple[Difference, ...]:
+        """Differences beyond `BOUND` standard deviations."""
+        return tuple(d for d in self.differences if d.significance > BOUND)
+
+    @property
+    def changed(self) -> bool:
+        """Whether a parameter or a sum differs beyond `CERTAIN` standard deviations."""
+        return any(d.significance > CERTAIN for d in self.differences)
+
+    @property
+    def same_parameters(self) -> bool:
+        """Whether both describe the errors of one nominal robot in the same way."""
+        first, second = self.first, self.second
+        learned = first.model.setup.learned, second.model.setup.learned
+        alike = first.of_robot == second.of_robot and learned[0] == learned[1]
+        return self.same_nominal and alike
+
+    @property
+    def same_rows(self) -> bool:
+        """Whether both were fitted to the same measurement files."""
+        return bool(self.first.hashes) and set(self.first.hashes) == set(
+            self.second.hashes
+        )
+
+    @property
+    def shared_rows(self) -> bool:
+        """Whether a measurement file stands in both."""
+        return bool(set(self.first.hashes) & set(self.second.hashes))
+
+    @property
+    def described(self) -> bool:
+        """Whether nothing but noise is left in either, so that only a move differs.
+
+        Otherwise errors that no parameter describes are part of both, and at other
+        configurations they are others.
+        """
+        return (
+            self.same_parameters
+            and not self.same_rows
+            and self.first.described
+            and self.second.described
+        )
+
+    @property
+    def oriented(self) -> bool:
+        """Whether orientations can be compared: the rows of both tell them."""
+        return self.first.oriented and self.second.oriented
+
+    @property
+    def explained(self) -> tuple[float, float] | None:
+        """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
+        first, second = self.first.predicted, self.second.predicted
+        if first is None or second is None:
+            return None
+        return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])
+
+    @property
+    def identical(self) -> bool:
+        """Whether the tips are at the same places, whatever noise explains."""
+        drift = self.drift
+        turned = self.oriented and drift.orientation.rms > NEGLIGIBLE
+        return not turned and drift.position.rms <= NEGLIGIBLE
+
+    @property
+    def drifted(self) -> bool | None:
+        """Whether the drift is more than noise explains; None if that is unknown."""
+        if self.explained is None:
+            return None
+        position, orientation = (EXPLAINED * noise for noise in self.explained)
+        turned = self.oriented and self.drift.orientation.rms > orientation
+        return not self.identical and (turned or self.drift.position.rms > position)
+
+
+def compare(
+    first: CalibrationRecord, second: CalibrationRecord, *, seed: int = 0
+) -> Comparison:
+    """Compare two calibrations of one robot.
+
+    Args:
+        first: One calibration.
+        second: The other.
+        seed: Seed of the configurations at which the tips are compared.
+
+    Raises:
+        InputError: If they are not of the same joints between the same links.
+    """
+    _require_comparable(first, second)
+    same = _same_nominal(first.model, second.model)
+    ends = zip(first.unknown_ends, second.unknown_ends, strict=True)
+    base, tool = (any(pair) for pair in ends)
+    both, reverse = (first, second), (second, first)
+    return Comparison(
+        first=first,
+        second=second,
+        same_nominal=same,
+        differences=differences(*both) if same else (),
+        alone=(known_alone(*both), known_alone(*reverse)) if same else ((), ()),
+        sums_alone=(sums_alone(*both), sums_alone(*reverse)) if same else (0, 0),
+        displacements=tuple(_displacements(first, second)),
+        drift=tip_drift(first.model, second.model, base=base, tool=tool, seed=seed),
+    )
+
+
+def _require_comparable(first: CalibrationRecord, second: CalibrationRecord) -> None:
+    """Complain about robots whose tips have nothing in common."""
+    A, B = first.model.chain, second.model.chain
+    kinds = (
+        [f"{j} ({'turns' if turns else 'slides'})" for j, turns in pairs]
+        for pairs in (
+            zip(chain.joints, chain.revolute, strict=True) for chain in (A, B)
+        )
+    )
+    mine, other = (", ".join(names) for names in kinds)
+    for what, a, b in (
+        ("chain starts at", A.base, B.base),
+        ("chain ends at", A.tip, B.tip),
+        ("joints are", mine, other),
+    ):
+        if a != b:
+            raise InputError(
+                f"cannot be compared with {first.file}: its {what} {b}, there {a}",
+                file=second.file,
+            )
+
+
+def _same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
+    """Whether the nominal robots are the same, whatever else their URDFs hold."""
+    A, B = first.chain, second.chain
+    if A.robot.source == B.robot.source:
+        return True
+    # Joint corrections depend on the masses as well.
+    if not (first.error.geometric and second.error.geometric):
+        return False
+    pairs = zip(
+        (*A.placements, A.tip_placement, *A.ends),
+        (*B.placements, B.tip_placement, *B.ends),
+        strict=True,
+    )
+    return np.allclose(A.axes, B.axes, rtol=0.0, atol=SAME) and all(
+        _same(a, b) for a, b in pairs
+    )
+
+
+def _displacements(
+    first: CalibrationRecord, second: CalibrationRecord
+) -> Iterator[Displacement]:
+    A, B = first.model, second.model
+    told = first.oriented and second.oriented
+    frames: tuple[tuple[str, pin.SE3, pin.SE3, bool], ...] = (
+        ("base", A.error.base, B.error.base, True),
+        ("tool", A.tool, B.tool, told),
+    )
+    for frame, a, b, turns in frames:
+        if not _same(a, b):
+            shift = float(np.linalg.norm(b.translation - a.translation))
+            turn = float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
+            yield Displacement(frame, shift, turn if turns else None)
+
+
+def _same(a: pin.SE3, b: pin.SE3) -> bool:
+    return np.allclose(a.homogeneous, b.homogeneous, rtol=0.0, atol=SAME)

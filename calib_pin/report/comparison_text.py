@@ -1,0 +1,135 @@
+"""The report of a comparison of two calibrations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+from calib_pin.calibration_record import CalibrationRecord
+from calib_pin.comparison import Comparison
+from calib_pin.report.accuracy import untrusted
+from calib_pin.report.blocks import Block, Facts, Line
+from calib_pin.report.comparison_tables import (
+    accuracies,
+    parameter_changes,
+    tip_differences,
+)
+from calib_pin.report.tables import number
+from calib_pin.units import DISPLAY
+
+__all__ = ["comparison_report"]
+
+
+def comparison_report(found: Comparison) -> Iterator[Block]:
+    """Whether the robot moved, where, by which parameters, and what to think of it."""
+    pair = (("A", found.first), ("B", found.second))
+    for label, record in pair:
+        if record.verdict != "good":
+            yield untrusted(f"{label} ({record.file}): {record.reason}")
+    yield _verdict(found)
+    yield from _doubts(found)
+    chain = found.first.model.chain
+    yield Facts(
+        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
+        f"{chain.tip}",
+        [(label, _origin(record)) for label, record in pair],
+    )
+    yield from tip_differences(found)
+    yield from parameter_changes(found)
+    yield from accuracies(found)
+
+
+def _verdict(found: Comparison) -> Line:
+    drift = found.drift
+    apart = _size(found, drift.position.rms, drift.orientation.rms)
+    if found.identical:
+        return Line("No drift: both put the tip at the same places.", "good")
+    if found.explained is None:
+        return Line(
+            f"The tips are {apart} rms apart; how much of it is noise, the files do "
+            "not say.",
+            "strong",
+        )
+    noise = _size(found, *found.explained)
+    if found.drifted:
+        beyond = f"{apart} rms where the noise of both explains {noise}."
+        return Line(f"{_cause(found)} {beyond}", "bad")
+    within = f"{apart} rms where noise explains {noise}."
+    if found.changed and found.described:
+        said = (
+            f"The robot changed, by less than noise hides at the tip: {_first(found)};"
+        )
+        return Line(f"{said} the tip differs by {within}", "bad")
+    said = "No drift beyond what the noise of both explains: the tip differs by"
+    return Line(f"{said} {within}", "good")
+
+
+def _cause(found: Comparison) -> str:
+    """What has made a drift, as far as it can be known."""
+    if found.same_rows or not found.same_parameters:
+        return "The two do not agree on the tip: it differs by"
+    if not found.described:
+        return "The robot moved, or was measured at other configurations: tip drift"
+    return "The robot moved: tip drift"
+
+
+def _first(found: Comparison) -> str:
+    """The most significant difference in words."""
+    leading = found.differences[0]
+    name = f"a sum with {leading.terms[0][0]}" if leading.terms else leading.name
+    unit, factor = DISPLAY.get(leading.unit, (leading.unit, 1.0))
+    return (
+        f"{name} by {number(factor * leading.change)} {unit}, "
+        f"{leading.significance:.0f} standard deviations"
+    )
+
+
+def _size(found: Comparison, position: float, orientation: float) -> str:
+    """A drift in words; an orientation only where it is known."""
+    pairs = [(position, "m"), (orientation, "rad")][: 2 if found.oriented else 1]
+    return " and ".join(
+        f"{number(DISPLAY[unit][1] * value)} {DISPLAY[unit][0]}"
+        for value, unit in pairs
+    )
+
+
+def _doubts(found: Comparison) -> Iterator[Line]:
+    """What else could make the difference."""
+    if not found.same_nominal:
+        yield Line(
+            "The nominal robots differ: parameters deviate each from their own and are "
+            "not compared, only the tips.",
+            "note",
+        )
+    if found.same_rows:
+        yield Line(
+            "Both are of the same measurements: not the robot moved, but they were "
+            "fitted in different ways, and their noise is not independent.",
+            "note",
+        )
+        return
+    if found.same_nominal and not found.same_parameters:
+        yield Line(
+            "The errors are described by different parameters, which can make a "
+            "difference without any move of the robot.",
+            "note",
+        )
+    if found.shared_rows:
+        yield Line(
+            "They share a measurement file: their noise is not independent.", "note"
+        )
+    elif found.drifted and found.same_parameters and not found.described:
+        yield Line(
+            "Errors that no parameter describes are part of both fits, and they are "
+            "others at other configurations: rows at the same ones would tell.",
+            "note",
+        )
+
+
+def _origin(record: CalibrationRecord) -> str:
+    setup = record.model.setup
+    kinds = [*setup.parameters, *([setup.learned] if setup.learned else [])]
+    day = f"; {record.created[:10]}" if record.created else ""
+    return (
+        f"{record.file}: {record.model.measurement.name}, {record.rows} rows, "
+        f"{' + '.join(kinds)}{day}"
+    )

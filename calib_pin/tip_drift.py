@@ -1,0 +1,143 @@
+"""How far the tips of two calibrated robots are apart, over the workspace."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.parameterizations import NOTHING
+from calib_pin.result import Accuracy, CalibratedModel
+from calib_pin.spatial import Floats, invert, se3_exp, skew, so3_log
+
+__all__ = ["TipDrift", "absorbed", "tip_drift"]
+
+SAMPLES = 1000
+"""Configurations of the workspace."""
+
+LEVER = 1e-4
+"""What a radian weighs when frames are fitted [m].
+
+So little that positions decide, and orientations only what positions leave open: where
+only positions were measured, orientations are known poorly or not at all.
+"""
+
+STEPS = 50
+"""Steps after which the fit of the frames ends at the latest; a few are enough."""
+
+
+@dataclass(frozen=True)
+class TipDrift:
+    """Differences of the tool between two calibrated robots.
+
+    Attributes:
+        q: Random configurations within the joint limits, shape (N, n) [rad, m].
+        points: Tool positions of the first robot in the base link, shape (N, 3) [m].
+        drift: Distances of the second robot's from these, shape (N,) [m].
+        turn: Angles between the orientations of both, shape (N,) [rad].
+        absorbed: The frames that were fitted away, of `base` and `tool`.
+    """
+
+    q: Floats
+    points: Floats
+    drift: Floats
+    turn: Floats
+    absorbed: tuple[str, ...]
+
+    @property
+    def position(self) -> Accuracy:
+        """Sizes over the workspace [m]."""
+        return Accuracy.of(self.drift)
+
+    @property
+    def orientation(self) -> Accuracy:
+        """Sizes over the workspace [rad]."""
+        return Accuracy.of(self.turn)
+
+    @property
+    def farthest(self) -> int:
+        """Position of the configuration with the largest drift."""
+        return int(np.argmax(self.drift))
+
+
+def tip_drift(
+    first: CalibratedModel,
+    second: CalibratedModel,
+    *,
+    base: bool,
+    tool: bool,
+    seed: int = 0,
+) -> TipDrift:
+    """Compare the tool poses of two robots in their base link.
+
+    Both carry the first robot's tool: another tool is no drift. So is what a frame can
+    absorb that one of the calibrations did not know.
+
+    Args:
+        first: The first calibrated robot.
+        second: The second, of the same joints.
+        base: Whether a displacement of the base is fitted away.
+        tool: Whether a displacement of the tool is fitted away.
+        seed: Seed of the configurations.
+    """
+    q = first.chain.random_configurations(SAMPLES, np.random.default_rng(seed))
+    same = first.setup.payloads == second.setup.payloads
+    payload = next(iter(first.setup.payloads), "") if same else NOTHING
+    A, B = (_tools(model, first, q, payload) for model in (first, second))
+    B = absorbed(A, B, left=base, right=tool)
+    ends = (("base", base), ("tool", tool))
+    return TipDrift(
+        q=q,
+        points=A[:, :3, 3],
+        drift=np.linalg.norm(B[:, :3, 3] - A[:, :3, 3], axis=1),
+        turn=np.linalg.norm(_turns(A, B), axis=1),
+        absorbed=tuple(name for name, free in ends if free),
+    )
+
+
+def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
+    """Move poses onto others by one displacement on the left and one on the right.
+
+    `L B R` is brought to `A` by least squares (Gauss-Newton). Orientations count as
+    little as `LEVER` says.
+
+    Args:
+        A: The poses to meet, shape (N, 4, 4).
+        B: Poses close to these, shape (N, 4, 4).
+        left: Whether there is an L.
+        right: Whether there is an R.
+
+    Returns:
+        The moved poses, shape (N, 4, 4).
+    """
+    free = np.repeat([left, right], 6)
+    for _ in range(STEPS if free.any() else 0):
+        R, p = B[:, :3, :3], B[:, :3, 3]
+        J = np.zeros((len(B), 6, 12))
+        J[:, :3, :3], J[:, :3, 3:6], J[:, :3, 6:9] = np.eye(3), -skew(p), R
+        J[:, 3:, 3:6], J[:, 3:, 9:] = LEVER * R.transpose(0, 2, 1), LEVER * np.eye(3)
+        missing = np.hstack([A[:, :3, 3] - p, LEVER * _turns(B, A)])
+        step = np.zeros(12)
+        # Of what both can do alike, as with a single joint, each does a part.
+        step[free] = np.linalg.lstsq(
+            J.reshape(-1, 12)[:, free], missing.reshape(-1), rcond=1e-9
+        )[0]
+        B = se3_exp(step[:6]) @ B @ se3_exp(step[6:])
+        if np.abs(step).max() < 1e-10:
+            break
+    return B
+
+
+def _tools(
+    model: CalibratedModel, carrier: CalibratedModel, q: Floats, payload: str
+) -> Floats:
+    """Tool poses in the base link with the tool of another robot, (N, 4, 4)."""
+    loaded = replace(model, error=model.error.carrying(payload))
+    base, tool = loaded.error.base, loaded.error.tool
+    exchanged = (tool.inverse() * carrier.error.tool).homogeneous
+    return np.asarray(invert(base.homogeneous) @ loaded.poses(q) @ exchanged)
+
+
+def _turns(A: Floats, B: Floats) -> Floats:
+    """Rotation vectors from orientations to others, (N, 4, 4) -> (N, 3) [rad]."""
+    return so3_log(A[:, :3, :3].transpose(0, 2, 1) @ B[:, :3, :3])

@@ -1,0 +1,153 @@
+"""`calib-pin compare` as users run it."""
+
+from __future__ import annotations
+
+import json
+import shutil
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+PAIR = "compare done/calibration.json later/calibration.json"
+
+
+@pytest.fixture(scope="module")
+def two(workshop: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The workshop with a second calibration of the same robot."""
+    from calib_pin.cli import main
+
+    folder = tmp_path_factory.mktemp("two") / "work"
+    shutil.copytree(workshop, folder)
+    with pytest.MonkeyPatch.context() as patch:
+        patch.chdir(folder)
+        words = "calibrate arm.urdf new.csv --setup setup.yaml -o later --quiet"
+        assert main(words.split()) == 0
+    return folder
+
+
+@pytest.fixture
+def there(two: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    folder = tmp_path / "work"
+    shutil.copytree(two, folder)
+    monkeypatch.chdir(folder)
+    return folder
+
+
+def edited(file: str, change: Callable[[dict[str, Any]], None]) -> None:
+    document = json.loads(Path(file).read_text())
+    change(document)
+    Path(file).write_text(json.dumps(document))
+
+
+def test_two_calibrations_of_one_robot(there, run, listing):
+    before = listing(there)
+    result = run(PAIR)
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith("No drift beyond what the noise of both explains: ")
+    assert "later/calibration.json: position, 25 rows, joint-offset;" in result.out
+    assert max(map(len, result.out.splitlines())) <= 80
+    assert listing(there) == before
+
+
+def test_json_has_the_numbers_of_the_report(there, run):
+    document = json.loads(run(f"{PAIR} --json").out)
+    assert document["format"] == "calib-pin/comparison"
+    text = run(PAIR).out
+    rms = document["tip"]["position"]["rms"]
+    assert f"differs by {1e3 * rms:.4f} mm rms" in " ".join(text.split())
+    for key in ("a", "b"):
+        sizes = document[key]["errors"]["position"]["validation"]
+        assert f"{1e3 * sizes['rms']:.4f}" in text
+    other = json.loads(run(f"{PAIR} --json --seed 1").out)
+    assert other["tip"]["largest"] != document["tip"]["largest"]
+    assert other["parameters"] == document["parameters"]
+
+
+def test_a_drift_is_no_failure(there, run):
+    words = "calibrate arm.urdf foreign.csv --setup setup.yaml -o later --quiet --force"
+    assert run(words).status == 0
+    result = run(PAIR)
+    assert (result.status, result.err) == (0, "")
+    assert result.out.startswith("The robot moved: tip drift ")
+    assert "joint3.joint-offset.q " in result.out
+
+
+def test_what_must_not_be_trusted(there, run):
+    verdict = {"status": "untrusted", "reason": "not converged"}
+    edited("later/calibration.json", lambda d: d.update(verdict=verdict))
+    result = run(PAIR)
+    assert (result.status, result.err) == (2, "")
+    first, second, *_ = result.out.splitlines()
+    assert first == "UNTRUSTED: B (later/calibration.json): not converged."
+    assert second.startswith("No drift ")
+    result = run(f"{PAIR} --json")
+    assert result.status == 2
+    assert json.loads(result.out)["b"]["verdict"] == verdict
+
+
+@pytest.mark.parametrize(
+    ("words", "expected"),
+    [
+        ("compare done/calibration.json", "Missing argument 'B.json'"),
+        ("compare done/calibration.json done/calibration.json", "is given twice"),
+        ("compare done/calibration.json done/../done/calibration.json", "given twice"),
+        ("compare done later/calibration.json", "done: is a folder; allowed: done/cal"),
+        ("compare done/calibration.json gone.json", "gone.json: no such file"),
+        ("compare arm.urdf done/calibration.json", "arm.urdf:1: not a calibration"),
+        ("compare done/calibration.json setup.yaml", "setup.yaml:1: not a calibration"),
+        (f"{PAIR} --seed x", "--seed cannot be 'x'"),
+    ],
+)
+def test_wrong_words(words, expected, there, run):
+    result = run(words)
+    assert (result.status, result.out) == (1, "")
+    assert expected in result.err
+    assert result.err.count("\n") == 1
+
+
+@pytest.mark.parametrize(
+    ("change", "expected"),
+    [
+        (lambda d: d.update(version=2), "another version (value 2); allowed: 1 to 1"),
+        (lambda d: d["parameters"][0].update(sigma="1 mm"), "'1 mm' stands"),
+        (lambda d: d["robot"].update(tip="link4"), "it cannot|cannot be compared"),
+        (lambda d: d.pop("identifiability"), "'identifiability' is missing"),
+        (lambda d: d["robot"].update(file="gone.urdf"), "'gone.urdf'"),
+    ],
+)
+def test_wrong_files(change, expected, there, run):
+    edited("later/calibration.json", change)
+    result = run(PAIR)
+    assert (result.status, result.out) == (1, "")
+    assert any(part in result.err for part in expected.split("|"))
+    assert result.err.startswith("calib-pin: later/calibration.json: ")
+    assert result.err.count("\n") == 1
+
+
+def test_other_joints(there, run):
+    Path("other.urdf").write_text(
+        Path("arm.urdf").read_text().replace('"joint4"', '"wrist"')
+    )
+    rows = Path("new.csv").read_text().replace("joint4", "wrist")
+    Path("other.csv").write_text(rows)
+    words = "calibrate other.urdf other.csv --setup setup.yaml -o other --quiet"
+    assert run(words).status == 0
+    result = run("compare done/calibration.json other/calibration.json")
+    assert (result.status, result.out) == (1, "")
+    assert result.err == (
+        "calib-pin: other/calibration.json: cannot be compared with "
+        "done/calibration.json: its joints are joint1 (turns), joint2 (turns), joint3 "
+        "(turns), wrist (turns), there joint1 (turns), joint2 (turns), joint3 (turns), "
+        "joint4 (turns)\n"
+    )
+
+
+def test_help(run):
+    result = run("compare --help")
+    assert result.status == 0
+    assert result.out.startswith("Usage: calib-pin compare [OPTIONS] A.json B.json\n")
+    assert max(map(len, result.out.splitlines())) <= 80
+    for option in ("--seed N", "--json"):
+        assert f"  {option}" in result.out

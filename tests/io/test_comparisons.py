@@ -1,0 +1,69 @@
+"""The comparison as JSON: the numbers of the comparison, in SI units."""
+
+from __future__ import annotations
+
+import json
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.comparison import Comparison, compare
+from calib_pin.io.comparisons import comparison_document
+from calib_pin.io.documents import encode
+
+
+@pytest.fixture(scope="module")
+def found(recorded) -> Comparison:
+    chain = calib_pin.load_chain("space6")
+    later = recorded(chain, "pose", 1, {"joint_4.placement.rz": 2e-3})
+    return compare(recorded(chain, "pose", 0), later)
+
+
+def test_numbers(found):
+    document = json.loads(encode(comparison_document(found)))
+    assert (document["format"], document["version"]) == ("calib-pin/comparison", 1)
+    assert document["drifted"] is document["changed"] is True
+    assert document["same"] == {
+        "nominal_robot": True,
+        "parameters": True,
+        "measurements": False,
+    }
+    tip, drift = document["tip"], found.drift
+    for name, sizes, noise in (
+        ("position", drift.drift, found.explained[0]),
+        ("orientation", drift.turn, found.explained[1]),
+    ):
+        assert tip[name]["rms"] == pytest.approx(np.sqrt(np.mean(sizes**2)))
+        assert tip[name]["mean"] == pytest.approx(sizes.mean())
+        assert tip[name]["max"] == sizes.max()
+        assert tip[name]["explained"] == noise
+    assert tip["largest"]["drift"] == tip["position"]["max"]
+    assert tip["largest"]["tip"] == drift.points[drift.farthest].tolist()
+    assert tip["largest"]["configuration"] == drift.q[drift.farthest].tolist()
+    assert tip["configurations"] == 1000
+    assert tip["fitted_away"] == ["base", "tool"]
+    rows = [*document["parameters"], *document["coupled"]]
+    assert len(rows) == len(found.differences)
+    for row in rows:
+        assert row["difference"] == row["b"] - row["a"]
+        assert row["significance"] == pytest.approx(
+            abs(row["difference"]) / row["sigma"]
+        )
+    leading = max(rows, key=lambda row: row["significance"])
+    assert leading["expression"] == found.differences[0].name
+    assert leading["terms"][0]["parameter"] == "joint_4.placement.rz"
+    assert document["displacements"]["tool"]["position"] > 0.0
+    assert document["a"]["errors"]["position"]["validation"] is None
+    assert document["b"]["training"] == 60
+
+
+def test_what_is_unknown_is_null(found):
+    (position, _) = found.second.errors
+    less = replace(found.second, predicted=None, errors=(position,))
+    document = comparison_document(replace(found, second=less, displacements=()))
+    assert document["drifted"] is None
+    assert document["tip"]["orientation"] is None
+    assert document["tip"]["position"]["explained"] is None
+    assert document["displacements"] == {"base": None, "tool": None}

@@ -1,0 +1,181 @@
+"""What a calibration.json tells comes back, or is refused in one line."""
+
+from __future__ import annotations
+
+import json
+import math
+from collections.abc import Callable
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.calibration import calibrate
+from calib_pin.errors import CalibPinError, InputError
+from calib_pin.formulation import nominal_problem
+from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.records import read_record
+from calib_pin.io.results import read_accuracy
+from calib_pin.result import CalibrationResult
+from calib_pin.setup import Setup
+from calib_pin.simulation import draw_errors, simulate
+
+
+@pytest.fixture(scope="module")
+def result() -> CalibrationResult:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "pose", Setup())
+    rng = np.random.default_rng(0)
+    theta = draw_errors(problem.parameters, rng)
+    return calibrate(chain, simulate(problem, theta, rng, count=40), Setup())
+
+
+@pytest.fixture
+def document(result, tmp_path, monkeypatch) -> dict[str, Any]:
+    monkeypatch.chdir(tmp_path)
+    provenance = Provenance(("calib-pin",), "2026-03-01T10:00:00+00:00", 0.5, {})
+    return json.loads(encode(calibration_document(result, provenance)))
+
+
+def stored(document: object) -> str:
+    Path("c.json").write_text(json.dumps(document))
+    return "c.json"
+
+
+def test_all_comes_back(document, result):
+    document["measurements"]["files"] = [
+        {"file": "a.csv", "sha256": "abc"},
+        {"file": "/dev/stdin", "sha256": ""},
+    ]
+    found = read_record(stored(document))
+    assert found.parameters == result.parameters
+    assert found.groups == result.groups
+    assert found.errors == result.errors
+    assert found.predicted == result.tip.rms
+    assert found.noise == result.sigma0
+    assert (found.validation, found.rows) == ("5-fold", 40)
+    assert (found.verdict, found.reason, found.file) == ("good", "", "c.json")
+    assert found.hashes == ("abc",)
+    assert found.created == "2026-03-01T10:00:00+00:00"
+    assert found.oriented and found.described
+    assert found.unknown_ends == (True, True)
+
+
+def test_older_files(document):
+    del document["predicted"], document["provenance"]
+    del document["statistics"]["stated_sigma"]
+    for error in document["errors"].values():
+        del error["training"]["after"]["p95"]
+        error["validation"]["after"]["max"] = None  # JSON has no infinity.
+        error["validation"]["before"] = None
+    found = read_record(stored(document))
+    assert found.predicted is None and found.noise is None
+    assert found.created == "" and not found.described
+    for error in found.errors:
+        assert math.isnan(error.after.p95)
+        assert math.isnan(error.validation_after.max)
+        assert error.validation_before is None
+    for predicted in (None, {"position": None, "orientation": 1e-4}):
+        document["predicted"] = predicted
+        assert read_record(stored(document)).predicted is None
+
+
+def test_the_accuracy_is_that_of_the_record(document):
+    record = read_record(stored(document))
+    for name, stated in read_accuracy("c.json").items():
+        (error,) = (e for e in record.errors if e.name == name)
+        after = error.validation_after
+        assert stated == {
+            "unit": error.unit,
+            "mean": after.mean,
+            "max": after.max,
+            "method": "5-fold",
+        }
+
+
+def edit(*path: str | int, to: object) -> Callable[[dict[str, Any]], None]:
+    def change(document: dict[str, Any]) -> None:
+        part: Any = document
+        for step in path[:-1]:
+            part = part[step]
+        if to is ...:
+            del part[path[-1]]
+        else:
+            part[path[-1]] = to
+
+    return change
+
+
+COUPLED = ("identifiability", "coupled")
+DEEP: list[Any] = []
+for _ in range(200):
+    DEEP = [DEEP]
+
+
+@pytest.mark.parametrize(
+    ("change", "message"),
+    [
+        (edit("errors", to=...), "'errors' is missing"),
+        (edit("errors", to=[1]), "list"),
+        (edit("errors", "position", to="fine"), "string|str"),
+        (edit("errors", "position", "unit", to="furlong"), "'furlong' is no unit"),
+        (edit("errors", "position", "training", to=...), "'training' is missing"),
+        (edit("errors", "position", "training", "after", to=None), "NoneType"),
+        (edit("errors", "position", "training", "after", "rms", to="1"), "'1' stands"),
+        (edit("errors", "position", "training", "after", "rms", to=...), "'rms' is"),
+        (edit("errors", "position", "validation", "method", to=3), "3 stands"),
+        (edit("parameters", 7, "sigma", to=...), "'sigma' is missing"),
+        (edit("parameters", 7, "sigma", to=math.nan), "nan stands"),
+        (edit("parameters", 7, "sigma", to=-1e-3), "standard deviation"),
+        (edit("parameters", 7, "sigma", to=True), "True stands"),
+        (edit("parameters", 7, "unit", to=None), "None stands"),
+        (edit("parameters", 7, "groups", to=[[1]]), r"\[1\] stands"),
+        (edit("parameters", 7, "groups", to=1), "int"),
+        (edit("identifiability", to=[]), "list indices"),
+        (edit(*COUPLED, to={"a": 1}), "string indices"),
+        (edit(*COUPLED, 0, "terms", to=...), "'terms' is missing"),
+        (edit(*COUPLED, 0, "terms", 0, "coefficient", to=1e300), "stands in the"),
+        (edit(*COUPLED, 0, "value", to=DEEP), "stands in the place of a number"),
+        (edit("predicted", to={"position": 1e-4}), "'orientation' is missing"),
+        (edit("predicted", to=[1, 2]), "list indices"),
+        (edit("predicted", "position", to=10**400), "stands in the place"),
+        (edit("statistics", to=...), "'statistics' is missing"),
+        (edit("statistics", "sigma0", to="one"), "'one' stands"),
+        (edit("measurements", "training", to=...), "'training' is missing"),
+        (edit("measurements", "files", 0, to=...), ""),
+        (edit("measurements", "files", to=[1]), "int"),
+        (edit("verdict", to=...), "'verdict' is missing"),
+        (edit("verdict", "status", to="fine"), "'fine' is no verdict"),
+        (edit("verdict", "reason", to={}), r"\{\} stands"),
+        (edit("provenance", to=7), "int"),
+    ],
+)
+def test_damaged_and_edited_files(change, message, document):
+    document["measurements"]["files"] = [{"file": "a.csv", "sha256": "abc"}]
+    change(document)
+    file = stored(document)
+    if not message:
+        assert read_record(file).hashes == ()
+        return
+    with pytest.raises(InputError, match=rf"^c.json: damaged .*({message})") as caught:
+        read_record(file)
+    assert "\n" not in str(caught.value) and len(str(caught.value)) < 200
+
+
+@pytest.mark.parametrize(
+    ("content", "message"),
+    [
+        ("", "not a calibration"),
+        ("[1, 2", "c.json:1: not a calibration"),
+        ("[" * 100_000, "not a calibration of calib-pin"),
+        ('{"format": "calib-pin/comparison"}', "not a calibration of calib-pin"),
+        ('{"format": "calib-pin/calibration", "version": 9}', "another version"),
+    ],
+)
+def test_other_files(content, message, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    Path("c.json").write_text(content)
+    with pytest.raises(CalibPinError, match=message):
+        read_record("c.json")

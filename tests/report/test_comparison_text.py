@@ -1,0 +1,205 @@
+"""The comparison as people read it: the verdict first, 80 columns, nothing cut off."""
+
+from __future__ import annotations
+
+import re
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.comparison import Comparison, Displacement, compare
+from calib_pin.parameter_changes import Difference
+from calib_pin.report.comparison_text import comparison_report
+from calib_pin.report.terminal import plain_text
+
+
+@pytest.fixture(scope="module")
+def still(recorded) -> Comparison:
+    chain = calib_pin.load_chain("space6")
+    return compare(recorded(chain, "pose", 0), recorded(chain, "pose", 1))
+
+
+@pytest.fixture(scope="module")
+def moved(recorded) -> Comparison:
+    chain = calib_pin.load_chain("space6")
+    later = recorded(chain, "pose", 1, {"joint_4.placement.rz": 2e-3})
+    return compare(recorded(chain, "pose", 0), later)
+
+
+def text_of(found: Comparison) -> str:
+    return plain_text(comparison_report(found))
+
+
+def words_of(found: Comparison) -> str:
+    return " ".join(text_of(found).split())
+
+
+def second(found: Comparison, **changes: object) -> Comparison:
+    return replace(found, second=replace(found.second, **changes))
+
+
+# --- the verdict -------------------------------------------------------------------
+
+
+def test_no_drift(still):
+    words = words_of(still)
+    assert words.startswith("No drift beyond what the noise of both explains: the tip")
+    drift, noise = still.drift, still.explained
+    for size in (1e3 * drift.position.rms, 1e3 * noise[0]):
+        assert f"{size:.4f} mm" in words
+    assert f"{np.degrees(drift.orientation.rms):.4f} deg rms where" in words
+    assert "differ by more than" not in words
+
+
+def test_a_move(moved):
+    words = words_of(moved)
+    assert words.startswith("The robot moved: tip drift 0.")
+    leading = moved.differences[0]
+    row = next(
+        line
+        for line in text_of(moved).splitlines()
+        if line.startswith(leading.terms[0][0])
+    )
+    expected = [
+        f"{np.degrees(leading.change):+.4f}",
+        f"{np.degrees(leading.sigma):.4f}",
+        f"{leading.significance:.1f}",
+        "deg",
+    ]
+    assert row.split()[-4:] == expected
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"noise": None}, "The robot moved, or was measured at other configurations:"),
+        ({"hashes": ("rows 0",)}, "The two do not agree on the tip: it differs by 0."),
+        ({"predicted": None}, r"The tips are 0\.\d+ mm and 0\.\d+ deg rms apart; how"),
+        ({"predicted": (1.0, 1.0)}, r"The robot changed, .*joint_4.*; the tip differs"),
+        (
+            {"predicted": (1.0, 1.0), "noise": 2.0},
+            "No drift beyond what the noise of both explains",
+        ),
+    ],
+)
+def test_other_verdicts(changes, expected, moved):
+    assert re.match(expected, words_of(second(moved, **changes)))
+
+
+def test_tips_at_the_same_places(still):
+    drift = replace(still.drift, drift=np.full(1000, 1e-9), turn=np.full(1000, 1e-9))
+    words = words_of(replace(still, drift=drift))
+    assert words.startswith("No drift: both put the tip at the same places.")
+    assert "It differs most" not in words
+
+
+def test_what_must_not_be_trusted_comes_first(moved):
+    bad = second(moved, verdict="untrusted", reason="not converged.")
+    lines = text_of(bad).splitlines()
+    assert lines[0] == "UNTRUSTED: B (1.json): not converged."
+    assert lines[1].startswith("The robot moved")
+
+
+# --- what stands below -------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("changes", "expected"),
+    [
+        ({"noise": 1.5}, "rows at the same ones would tell"),
+        ({"hashes": ("rows 0",)}, "Both are of the same measurements"),
+        ({"hashes": ("rows 0", "more")}, "They share a measurement file"),
+    ],
+)
+def test_doubts(changes, expected, moved):
+    assert expected in words_of(second(moved, **changes))
+    assert expected not in words_of(moved)
+
+
+def test_other_nominal_robots(moved):
+    words = words_of(replace(moved, same_nominal=False))
+    assert words.startswith("The two do not agree on the tip")
+    assert "parameters deviate each from their own and are not compared" in words
+    assert "std. dev." not in words
+
+
+def test_other_parameters(moved):
+    model = moved.second.model
+    learned = replace(model, setup=replace(model.setup, learned="network"))
+    words = words_of(second(moved, model=learned))
+    assert words.startswith("The two do not agree on the tip")
+    assert "described by different parameters" in words
+    assert "placement + network" in words
+
+
+def test_where_it_differs_most(moved):
+    drift = moved.drift
+    words = words_of(moved)
+    x, y, z = 1e3 * drift.points[drift.farthest]
+    assert f"tip at {x:.1f}, {y:.1f}, {z:.1f} mm in base_link" in words
+    angles = ", ".join(f"{a:.1f}" for a in np.degrees(drift.q[drift.farthest]))
+    assert f"joints at {angles} deg" in words
+
+
+def test_frames_that_moved(still):
+    found = replace(
+        still,
+        displacements=(Displacement("base", 0.8, 0.1), Displacement("tool", 0.2, None)),
+    )
+    words = words_of(found)
+    assert "which is no drift of the robot base 800.0 mm and 5.730 deg, as" in words
+    assert "tool 200.0 mm, as the tip link sees it" in words
+    assert "the one of B stood elsewhere" in words
+    assert "stood elsewhere" not in words_of(still)
+    assert "Stands elsewhere" not in words_of(replace(still, displacements=()))
+
+
+def test_counts(still):
+    single = sum(not d.terms for d in still.differences)
+    known = f"{single} parameters and {len(still.differences) - single} sums"
+    assert f"Both know {known} of the robot; {known} agree within 3" in words_of(still)
+    none = replace(still, differences=(), alone=(("j.dh.d", "j.dh.a"), ()))
+    words = words_of(replace(none, sums_alone=(2, 0)))
+    assert "There is no parameter and no sum of the robot that both know." in words
+    assert "2 sums are known in A only, 0 in B only." in words
+    assert "known by themselves in A only: j.dh.d|a" in words
+    assert "in B only:" not in words
+
+
+def test_positions_tell_no_orientations(still):
+    (position, _) = still.second.errors
+    words = words_of(second(still, errors=(position,)))
+    assert "The rows do not tell orientations." in words
+    assert "deg rms" not in words
+
+
+def test_accuracy_of_older_files(still):
+    position, orientation = still.second.errors
+    old = replace(position, after=replace(position.after, p95=np.nan))
+    text = text_of(second(still, errors=(old, orientation)))
+    table = text[text.index("Accuracy") :].splitlines()
+    row = next(line.split() for line in table if line.split()[:1] == ["B"])
+    assert row[3] == "-"
+    assert row[1] == f"{1e3 * position.after.mean:.4f}"
+    assert "Validation: A none, B none. The rows are not the same" in text
+
+
+def test_80_columns_and_no_number_cut(moved):
+    long = "left_arm_very_long_" * 3 + "joint.placement.rz"
+    terms = tuple((f"{long}{k}", 1.0) for k in range(3))
+    expression = " + ".join(name for name, _ in terms)
+    difference = Difference(expression, "rad", 0.0, -123.456, 1.234, terms)
+    found = replace(
+        moved,
+        differences=(difference, *moved.differences),
+        alone=((long,), ()),
+        first=replace(moved.first, file="a/very/long/path/" * 8 + "calibration.json"),
+    )
+    text = text_of(found)
+    assert max(map(len, text.splitlines())) <= 80
+    assert "…" not in text and text.isascii()
+    assert not re.search(r" $", text, re.MULTILINE)
+    assert f"{np.degrees(-123.456):+.4f}" in text
+    assert re.sub(r"\s", "", found.first.file) in re.sub(r"\s", "", text)

@@ -1,0 +1,143 @@
+"""How far tips are apart once frames have absorbed what they can."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+from scipy.optimize import least_squares
+
+import calib_pin
+from calib_pin.formulation import nominal_problem
+from calib_pin.result import CalibratedModel
+from calib_pin.setup import Payload, Setup
+from calib_pin.spatial import invert, se3_exp, so3_log
+from calib_pin.tip_drift import absorbed, tip_drift
+
+LEFT = se3_exp(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2]))
+RIGHT = se3_exp(np.array([0.02, 0.03, -0.05, 0.2, 0.1, -0.3]))
+
+
+@pytest.fixture(scope="module")
+def poses():
+    chain = calib_pin.load_chain("space6")
+    return chain.poses(chain.random_configurations(50, np.random.default_rng(0)))
+
+
+def model_of(theta_of=lambda names: {}, setup=None, chain=None):
+    """A robot with parameter values by name."""
+    chain = chain or calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "pose", setup or Setup())
+    theta = problem.parameters.vector(theta_of(problem.parameters.names))
+    return CalibratedModel.create(problem, theta)
+
+
+# --- displacements -----------------------------------------------------------------
+
+
+@pytest.mark.parametrize(
+    ("L", "R", "left", "right"),
+    [
+        (LEFT, RIGHT, True, True),
+        (LEFT, np.eye(4), True, False),
+        (np.eye(4), RIGHT, False, True),
+        (np.eye(4), np.eye(4), False, False),
+    ],
+)
+def test_displacements_are_found(L, R, left, right, poses):
+    found = absorbed(poses, invert(L) @ poses @ invert(R), left=left, right=right)
+    np.testing.assert_allclose(found, poses, atol=1e-10)
+
+
+def test_what_is_known_is_not_absorbed(poses):
+    moved = LEFT @ poses
+    np.testing.assert_array_equal(
+        absorbed(poses, moved, left=False, right=False), moved
+    )
+    by_tool = absorbed(poses, moved, left=False, right=True)
+    assert np.linalg.norm((by_tool - poses)[:, :3, 3], axis=1).max() > 0.1
+
+
+@pytest.mark.parametrize("kind", ["revolute", "prismatic"])
+def test_a_single_joint_leaves_frames_that_do_alike(kind, urdf_of, chain_of):
+    joint = {"name": "j", "type": kind, "parent": "a", "child": "b"}
+    chain = chain_of(urdf_of(joint))
+    T = chain.poses(np.linspace(-1.0, 1.0, 20)[:, None])
+    found = absorbed(T, LEFT @ T @ RIGHT, left=True, right=True)
+    np.testing.assert_allclose(found, T, atol=1e-9)
+
+
+def test_positions_decide_and_orientations_follow(poses):
+    rng = np.random.default_rng(1)
+    B = poses @ se3_exp(rng.normal(size=(len(poses), 6)) * ([1e-4] * 3 + [3e-2] * 3))
+    found = absorbed(poses, B, left=True, right=True)
+
+    def missing(x):
+        moved = se3_exp(x[:6]) @ B @ se3_exp(np.append(x[6:], np.zeros(3)))
+        return (moved - poses)[:, :3, 3].ravel()
+
+    alone = least_squares(missing, np.zeros(9), xtol=1e-15, ftol=1e-15).fun
+    # A mean turn of hardly anything: what moves the tool must not move the base.
+    rms = np.sqrt(np.mean(np.sum((found - poses)[:, :3, 3] ** 2, axis=1)))
+    assert rms == pytest.approx(np.sqrt(np.sum(alone**2) / len(poses)), rel=1e-3)
+
+
+# --- robots ------------------------------------------------------------------------
+
+
+@pytest.mark.parametrize("name", ["joint_1.placement.rz", "joint_6.placement.rz"])
+def test_what_base_and_tool_can_absorb_is_no_drift(name):
+    nominal, moved = model_of(), model_of(lambda _: {name: 2e-3})
+    honest = tip_drift(nominal, moved, base=True, tool=True)
+    assert honest.position.max < 1e-10 and honest.orientation.max < 1e-10
+    assert honest.absorbed == ("base", "tool")
+    plain = tip_drift(nominal, moved, base=False, tool=False)
+    assert plain.orientation.max == pytest.approx(2e-3, rel=1e-6)
+    assert plain.absorbed == ()
+
+
+def test_a_drift_beyond_frames():
+    first, second = model_of(), model_of(lambda _: {"joint_3.placement.rz": 2e-3})
+    drift = tip_drift(first, second, base=False, tool=False, seed=3)
+    q, k = drift.q, drift.farthest
+    assert q.shape == (1000, 6) and drift.drift.shape == drift.turn.shape == (1000,)
+    T, moved = (model.poses(q) for model in (first, second))
+    np.testing.assert_allclose(drift.points, T[:, :3, 3], atol=1e-12)
+    sizes = np.linalg.norm((moved - T)[:, :3, 3], axis=1)
+    np.testing.assert_allclose(drift.drift, sizes, atol=1e-12)
+    turns = so3_log(invert(T)[:, :3, :3] @ moved[:, :3, :3])
+    np.testing.assert_allclose(drift.turn, np.linalg.norm(turns, axis=1), atol=1e-9)
+    assert drift.drift[k] == drift.position.max
+    again = tip_drift(first, second, base=False, tool=False, seed=4)
+    assert not np.array_equal(again.q, q)
+
+
+def test_both_carry_the_tool_of_the_first_and_stand_anywhere():
+    def placed(base, tool):
+        model = model_of()
+        frames = pin.SE3(base), pin.SE3(tool)
+        return replace(model, error=model.error.with_frames(*frames))
+
+    first, second = placed(LEFT, RIGHT), placed(RIGHT, LEFT)
+    drift = tip_drift(first, second, base=False, tool=False)
+    assert drift.position.max < 1e-12
+    expected = invert(LEFT) @ first.poses(drift.q)
+    np.testing.assert_allclose(drift.points, expected[:, :3, 3], atol=1e-12)
+
+
+def test_robots_with_other_payloads_are_compared_without():
+    def loaded(mass):
+        setup = Setup(
+            parameters=("compliance",), payloads={"p": Payload(mass, (0.0, 0.0, 0.2))}
+        )
+        chain = calib_pin.load_chain("pa10")
+        values = {f"{joint}.compliance.k": 1e-5 for joint in chain.joints}
+        return model_of(lambda _: values, setup, chain)
+
+    heavy, light = loaded(8.0), loaded(2.0)
+    assert tip_drift(heavy, light, base=False, tool=False).position.max < 1e-12
+    # With one and the same, what it bends counts.
+    stiff = replace(heavy, theta=np.zeros_like(heavy.theta))
+    assert tip_drift(heavy, stiff, base=False, tool=False).position.max > 1e-5

@@ -89,15 +89,18 @@ class RowErrors:
     def displacements(self) -> tuple[Floats, Floats] | None:
         """Errors of position in the base link before and after, shape (N, 3) [m].
 
-        NaN for rows that have none; None where no row has, since it was measured
-        otherwise.
+        NaN for rows that have none, or cannot be predicted; None where no row has,
+        since it was measured otherwise.
         """
         found: tuple[Floats, Floats] | None = None
         for quantity in self.quantities:
             columns = quantity.columns
             if quantity.unit != "m" or columns.stop - columns.start != 3:
                 continue
-            parts = [e[:, columns] @ self.to_base.T for e in (self.before, self.after)]
+            parts = [
+                np.where(np.isfinite(errors), errors, np.nan) @ self.to_base.T
+                for errors in (self.before[:, columns], self.after[:, columns])
+            ]
             if found is not None:  # Of mixed measurements, each row has one of them.
                 parts = [
                     np.where(np.isnan(first), second, first)

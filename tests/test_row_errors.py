@@ -108,3 +108,19 @@ def test_percentiles_of_what_cannot_be_predicted() -> None:
     sizes = np.array([1.0] * 18 + [2.0, np.inf])
     assert Accuracy.of(sizes).p95 == 2.0
     assert Accuracy.of(sizes[:1]).p95 == 1.0
+
+
+def test_of_an_infinite_error_no_direction_is_left(
+    position: CalibrationResult,
+) -> None:
+    errors = position.fitted.after.copy()
+    errors[3, 1] = np.inf
+    found = replace(position.fitted, after=errors).displacements
+    assert found is not None
+    assert np.isnan(found[1][3]).all() and np.isfinite(found[1][4:]).all()
+    assert (
+        replace(position.fitted, after=errors).sizes(position.fitted.quantities[0])[1][
+            3
+        ]
+        == np.inf
+    )

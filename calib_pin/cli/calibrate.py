@@ -3,13 +3,19 @@
 from __future__ import annotations
 
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, NamedTuple
+from typing import Annotated
 
 import typer
 
+from calib_pin.cli.figures import (
+    FigureFormat,
+    Figures,
+    draw_calibration,
+    figure_files,
+    write_figures,
+)
 from calib_pin.cli.files import (
     check_outputs,
-    exists,
     open_chain,
     open_measurements,
     open_setup,
@@ -30,9 +36,7 @@ from calib_pin.cli.options import (
     number,
 )
 from calib_pin.cli.printing import notice, progress_bar, show
-
-if TYPE_CHECKING:
-    from calib_pin.result import CalibrationResult
+from calib_pin.cli.results import Run, result_files, write_results
 
 __all__ = ["calibrate"]
 
@@ -110,15 +114,17 @@ def calibrate(
             rich_help_panel=FIT,
         ),
     ] = None,
+    figures: Figures = None,
+    figure_format: FigureFormat = "png",
     seed: Seed = 0,
     force: Force = False,
     quiet: Quiet = False,
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
-    DIR gets <robot name>.urdf and calibration.json, and residual_model.json where
-    something was learned. Without --validation, --holdout
-    or a column 'set' (train, validate) the fit is checked by five-fold
+    DIR gets <robot name>.urdf, calibration.json and report.html, which opens in a
+    browser, and residual_model.json where something was learned. Without --validation,
+    --holdout or a column 'set' (train, validate) the fit is checked by five-fold
     cross-validation. Exit status 2: the result must not be trusted, the reason comes
     first, and no URDF is written.
     """
@@ -144,10 +150,12 @@ def calibrate(
         notice(f"{name} does not use the options of the evolution in 'solver'")
     chain = open_chain(robot, stated)
     inputs = [robot, setup, validation, *measurements]
-    files = None if output is None else _outputs(output, chain.robot.name)
-    check_outputs(files or (), inputs, force)
+    files = None if output is None else result_files(output, chain.robot.name)
+    pictures = figure_files(figures, figure_format, "calibration")
+    check_outputs([*(files or ()), *pictures], inputs, force)
     require_distinct([*measurements, *([] if validation is None else [validation])])
-    rows = open_measurements(measurements, chain, stated, quiet=quiet)
+    with progress_bar(quiet=quiet) as bar:
+        rows = open_measurements(measurements, chain, stated, quiet=quiet, bar=bar)
     unseen = None
     if validation is not None:
         same = replace(stated, model=rows.model)
@@ -171,95 +179,21 @@ def calibrate(
             seed=seed,
             progress=bar,
         )
-    seconds = time.perf_counter() - start
-    tool = result.model.tool
-    better = remedies(chain, rows.model, stated, result, tool=tool, seed=seed)
-    written = []
-    if files is not None:
-        words = ("calib-pin", *context.obj)
-        written = _write(result, files, words, seconds, force)
+        fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
+        tool = result.model.tool
+        better = remedies(chain, rows.model, stated, result, tool=tool, seed=seed)
+        shown = files is not None or figures is not None
+        drawn = draw_calibration(result, bar) if shown else []
+        written = []
+        if files is not None:
+            written = write_results(
+                result, files, fitted, figures=drawn, remedies=better, force=force
+            )
+        pictured = write_figures(drawn, pictures, force)
     if not quiet:
         show(report(result, better))
-        for path in written:
-            typer.echo(f"wrote {path}")
+        for line in [*(f"wrote {path}" for path in written), *pictured]:
+            typer.echo(line)
     elif result.verdict != "good":
         notice(f"untrusted: {result.reason}")
     return 0 if result.verdict == "good" else 2
-
-
-class _Outputs(NamedTuple):
-    """Paths of the results."""
-
-    urdf: Path
-    json: Path
-    residual_model: Path
-
-
-def _outputs(folder: Path, robot: str) -> _Outputs:
-    """Where the results go."""
-    import re
-
-    from calib_pin.errors import OptionError
-    from calib_pin.io.residual_model import FILE_NAME
-
-    if exists(folder) and not folder.is_dir():
-        raise OptionError("is a file, not a folder", file=folder)
-    # The name comes from the file: it must not lead out of the folder.
-    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    return _Outputs(
-        folder / f"{name}.urdf", folder / "calibration.json", folder / FILE_NAME
-    )
-
-
-def _write(
-    result: CalibrationResult,
-    files: _Outputs,
-    words: tuple[str, ...],
-    seconds: float,
-    force: bool,
-) -> list[Path]:
-    """Write the corrected URDF, if it can be trusted, calibration and residual model.
-
-    What is there of an earlier run and not written now would pass for a result of this
-    one, so it is removed.
-    """
-    from datetime import UTC, datetime
-    from importlib.metadata import version
-
-    from calib_pin.io.documents import Provenance, calibration_document, encode
-    from calib_pin.io.files import write_atomically
-    from calib_pin.io.residual_model import encode_residual_model, reference
-    from calib_pin.io.results import write_urdf
-
-    provenance = Provenance(
-        command=words,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        seconds=seconds,
-        versions={
-            "calib_pin": version("calib-pin"),
-            "pinocchio": version("pin"),
-            "numpy": version("numpy"),
-        },
-    )
-    learned = encode_residual_model(result.model)
-    refers = None if learned is None else reference(learned)
-    document = encode(calibration_document(result, provenance, refers))
-    written = []
-    if result.geometry is not None:
-        write_urdf(result.geometry, files.urdf, force=force)
-        written.append(files.urdf)
-    if learned is not None:
-        write_atomically(files.residual_model, learned, force=force)
-        written.append(files.residual_model)
-    write_atomically(files.json, document, force=force)
-    written.append(files.json)
-    for path in files:
-        if path not in written and exists(path):
-            path.unlink()
-            notice(f"removed {path} of an earlier run")
-    if result.geometry is not None and result.geometry.tool_carries_tip:
-        notice(
-            f"'{result.model.chain.tip}' is the link of the last joint itself: the "
-            "error behind that joint stands in frames.tool of calibration.json"
-        )
-    return written

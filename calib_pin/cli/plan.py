@@ -10,6 +10,13 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib_pin.cli.figures import (
+    FigureFormat,
+    Figures,
+    draw_plan,
+    figure_files,
+    write_figures,
+)
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
@@ -181,6 +188,8 @@ def plan(
     base: Base = None,
     tip: Tip = None,
     parameters: Parameters = None,
+    figures: Figures = None,
+    figure_format: FigureFormat = "png",
     force: Force = False,
     quiet: Quiet = False,
     json: Json = False,
@@ -212,7 +221,9 @@ def plan(
     require_known("method", method, METHODS)
     wanted = _count(count, add, to)
     require_distinct(to or [])
-    check_outputs((output,), (robot, setup, srdf, tests, *(to or [])), force)
+    pictures = figure_files(figures, figure_format, "plan")
+    inputs = (robot, setup, srdf, tests, *(to or []))
+    check_outputs([output, *pictures], inputs, force)
     if ignore_collisions and (srdf is not None or package_dir or clearance is not None):
         raise OptionError(
             "--ignore-collisions leaves nothing to do for --srdf, --package-dir and "
@@ -223,7 +234,9 @@ def plan(
     stated = replace(stated, limits={**stated.limits, **narrower})
     rows = None
     if to:
-        rows = open_measurements(to, chain, stated, quiet=quiet).split()[0]
+        with progress_bar(quiet=quiet) as bar:
+            rows = open_measurements(to, chain, stated, quiet=quiet, bar=bar)
+        rows = rows.split()[0]
         stated = replace(stated, model=rows.model)
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.
@@ -254,6 +267,7 @@ def plan(
             seed=seed,
             progress=progress,
         )
+        drawn = draw_plan(found, bar) if pictures else []
     import shlex
 
     # `--force` is left out: it changes nothing of what follows.
@@ -267,11 +281,14 @@ def plan(
         comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
         force=force,
     )
+    pictured = write_figures(drawn, pictures, force)
     if json:
         typer.echo(encode(plan_document(found)).decode(), nl=False)
     elif not quiet:
         show(plan_report(found))
         typer.echo(f"wrote {len(found.q)} configurations to {output}")
+        for line in pictured:
+            typer.echo(line)
     if found.status is Status.STOPPED:
         notice("interrupted: this is the best plan found so far")
     return 0

@@ -51,7 +51,11 @@ def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]
     """
     pairs = result.identifiability.correlated
     if pairs:
-        entries = [f"{value:+.3f}  {a}  |  {b}" for a, b, value in pairs[:most]]
+        sums = {group.expression: f"sum {group.number}" for group in result.groups}
+        entries = [
+            f"{value:+.3f}  {sums.get(first, first)}  |  {sums.get(second, second)}"
+            for first, second, value in pairs[:most]
+        ]
         entries += _rest(len(pairs), most, "pairs")
         yield Names("Correlated above 0.95", entries)
 

@@ -8,10 +8,10 @@ from collections.abc import Iterator, Sequence
 from calib_pin.report.blocks import Cell, Column, Names, Table, columns
 from calib_pin.result import (
     Accuracy,
+    CalibrationResult,
     CoupledGroup,
     FoundDistance,
     Ladder,
-    Outlier,
     ParameterEstimate,
     QuantityErrors,
     Rung,
@@ -28,6 +28,7 @@ __all__ = [
     "listed",
     "number",
     "outlier_table",
+    "parameter_overview",
     "parameter_table",
     "quantity",
     "sizes",
@@ -165,18 +166,44 @@ def group_table(
     )
 
 
-def outlier_table(outliers: Sequence[Outlier], training: int) -> Table:
-    """Rows that do not fit, worst first.
+def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
+    """All parameters with what is known of each.
+
+    What is fixed or nothing can be known of has no value: it is that of the URDF.
+    """
+    rows = []
+    for p in parameters:
+        cells = list(_estimate(p, ESTIMATE))
+        if p.status in ("fixed", "unidentifiable"):
+            cells[0] = Cell("-")
+        groups = ", ".join(map(str, p.groups))
+        rows.append((Cell(p.name), *cells, Cell(p.status), Cell(groups)))
+    titles = (*ESTIMATE, "status", "in sums")
+    return Table("Parameters", columns("parameter", titles, {"in sums": "word"}), rows)
+
+
+def outlier_table(result: CalibrationResult, most: int) -> Table:
+    """Rows that do not fit with their errors, worst first.
 
     Args:
-        outliers: The rows.
-        training: Number of fitted rows.
+        result: The result.
+        most: Number of rows that are listed.
     """
-    return Table(
-        f"Rows that do not fit ({len(outliers)} of {training})",
-        columns("row", ("size [sigma]",)),
-        [(Cell(row.place), Cell(number(row.size), row.size)) for row in outliers],
-    )
+    found, errors = result.outliers, result.fitted
+    kept = found[:most]
+    cells = [[Cell(row.place), Cell(number(row.size), row.size)] for row in kept]
+    titles = ["size [sigma]"]
+    for of in errors.quantities:
+        unit = DISPLAY[of.unit][0]
+        titles += [f"{of.name}, nominal [{unit}]", f"calibrated [{unit}]"]
+        for row, own in zip(kept, cells, strict=True):
+            sizes = [float(stage[row.row]) for stage in errors.sizes(of)]
+            own += [
+                Cell("-") if math.isnan(size) else quantity(size, of.unit)
+                for size in sizes
+            ]
+    title = f"Rows that do not fit ({len(found)} of {result.training})"
+    return Table(title, columns("row", titles), cells)
 
 
 def _estimate(
@@ -187,9 +214,15 @@ def _estimate(
     deviation = Cell("-")
     if item.sigma is not None:
         deviation = Cell(f"{factor * item.sigma:.4f}", item.sigma)
-    value = Cell(f"{factor * item.value:+.4f}", item.value)
+    value = Cell(_signed(factor * item.value), item.value)
     cells = dict(zip(ESTIMATE, (value, deviation, Cell(unit)), strict=True))
     return (cells[column] for column in shown)
+
+
+def _signed(value: float) -> str:
+    """Four decimals with a sign, which zero has not."""
+    text = f"{value:+.4f}"
+    return text if float(text) else text[1:]
 
 
 def listed(meaning: str, names: Sequence[str]) -> Iterator[Names]:

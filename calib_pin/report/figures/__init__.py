@@ -1,0 +1,104 @@
+"""Figures of a calibration and of a plan, one module per kind; they touch no files."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Mapping
+from typing import TypeVar
+
+from calib_pin.planning.plan import Plan
+from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
+from calib_pin.report.figures.convergence import convergence
+from calib_pin.report.figures.correlations import correlations
+from calib_pin.report.figures.error_vectors import error_vectors
+from calib_pin.report.figures.intervals import parameter_intervals
+from calib_pin.report.figures.ladder import model_ladder
+from calib_pin.report.figures.plan_deviations import predicted_deviations
+from calib_pin.report.figures.plan_positions import planned_positions
+from calib_pin.report.figures.plan_steps import criterion_by_count
+from calib_pin.report.figures.residuals import residuals
+from calib_pin.report.figures.row_errors import errors_per_measurement
+from calib_pin.report.figures.singular_values import singular_values
+from calib_pin.report.figures.tip_accuracy import tip_by_count, tip_in_workspace
+from calib_pin.result import CalibrationResult
+
+__all__ = ["COLORS", "NAMES", "Drawn", "calibration_figures", "plan_figures"]
+
+OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
+    errors_per_measurement,
+    error_vectors,
+    residuals,
+    singular_values,
+    correlations,
+    parameter_intervals,
+    convergence,
+    tip_by_count,
+    tip_in_workspace,
+    model_ladder,
+)
+
+OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
+    criterion_by_count,
+    predicted_deviations,
+    planned_positions,
+)
+
+NAMES: Mapping[str, tuple[str, ...]] = {
+    "calibration": (
+        "errors-per-measurement",
+        "error-vectors",
+        "errors-in-workspace",
+        "residuals",
+        "singular-values",
+        "correlations",
+        "parameter-intervals",
+        "convergence",
+        "tip-error-by-count",
+        "tip-accuracy-in-workspace",
+        "model-ladder",
+    ),
+    "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
+}
+"""Names of all figures that there may be, by what they are of."""
+
+_Subject = TypeVar("_Subject")
+
+
+def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
+    """Figures of a calibration, those for which there is something to show.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space7")
+        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
+        >>> rows = calib_pin.read_measurements(
+        ...     calib_pin.robot_file("space7", "measurements.csv"), chain
+        ... )
+        >>> result = calib_pin.calibrate(chain, rows, setup)
+        >>> [figure.name for figure in calibration_figures(result)][:2]
+        ['errors-per-measurement', 'error-vectors']
+    """
+    yield from _drawn(OF_CALIBRATION, result)
+
+
+def plan_figures(plan: Plan) -> Iterator[Drawn]:
+    """Figures of a plan, those for which there is something to show.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> found = calib_pin.plan(chain, "position", 12, method="exchange")
+        >>> [figure.name for figure in plan_figures(found)]
+        ['criterion-by-count', 'predicted-deviations', 'planned-positions']
+    """
+    yield from _drawn(OF_PLAN, plan)
+
+
+def _drawn(
+    figures: Iterable[Callable[[_Subject], Drawn | None]], subject: _Subject
+) -> Iterator[Drawn]:
+    for draw in figures:
+        # Whoever takes the figures one by one keeps a style of their own.
+        with drawing():
+            drawn = draw(subject)
+        if drawn is not None:
+            yield drawn

@@ -1,0 +1,127 @@
+"""Errors of position in the workspace, as arrows or as colors."""
+
+from __future__ import annotations
+
+import math
+
+import numpy as np
+from matplotlib.figure import Figure
+
+from calib_pin.report.figures.canvas import AFTER, BEFORE, INK, WIDTH, Drawn, note
+from calib_pin.report.figures.labels import plain, unit_of
+from calib_pin.report.figures.strokes import arrows
+from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.figures.views import FOOT, LEFT, SCALE, SIDES, Sides, colored
+from calib_pin.report.tables import number
+from calib_pin.result import CalibrationResult
+from calib_pin.row_errors import RowErrors
+from calib_pin.spatial import Floats
+
+__all__ = ["error_vectors", "magnification"]
+
+ARROWS = 300
+"""Arrows of one kind: more hide each other."""
+
+POINTS = 5000
+"""Points that are drawn at most."""
+
+LENGTH = 0.3
+"""Length of a long arrow [inch]."""
+
+TITLE = 0.4
+"""Height of a title above views [inch]."""
+
+STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}
+
+
+def error_vectors(result: CalibrationResult) -> Drawn | None:
+    """Errors of the fitted rows where the tool was, from three sides."""
+    vectors = result.fitted.displacements
+    if vectors is None:
+        return _sizes(result.fitted)
+    usable = np.isfinite(np.column_stack(vectors)).all(axis=1)
+    if not usable.any():
+        return None
+    lengths = [np.linalg.norm(part[usable], axis=1) for part in vectors]
+    drawn = np.flatnonzero(usable)[thinned(int(usable.sum()), ARROWS, lengths)]
+    points = result.fitted.points[drawn]
+    views = Sides.of(points)
+    factor = magnification(np.concatenate(lengths), views.scale)
+
+    block = TITLE + views.height + FOOT
+    figure = Figure(figsize=(WIDTH, 2 * block + 0.05))
+    for k, ((title, color), part) in enumerate(
+        zip(STAGES.items(), vectors, strict=True)
+    ):
+        row = views.axes(figure, k * block + TITLE)
+        ends = points + factor * part[drawn]
+        for axes, side in zip(row, SIDES, strict=True):
+            ways = points[:, side], ends[:, side]
+            axes.add_artist(arrows(*ways, color, views.scale))
+        note(figure, LEFT, k * block + 0.25, title)
+    _scale_arrow(figure, views.scale, factor)
+    means = " and ".join(number(1e3 * size.mean()) for size in lengths)
+    return Drawn(
+        "error-vectors",
+        "Position errors in the workspace",
+        f"Arrows lead from where the tool is to where the error takes it, magnified "
+        f"{factor:g} times; mean length {means} mm before and after. Neighbors that "
+        "agree are errors of the robot, what is left at random is noise."
+        + thinning(len(drawn), len(lengths[0])),
+        figure,
+    )
+
+
+def magnification(lengths: Floats, scale: float) -> float:
+    """A round factor that makes most arrows short enough and the long ones seen.
+
+    Args:
+        lengths: Lengths of the vectors, shape (N,) [m].
+        scale: Inches per meter.
+    """
+    longest = float(np.quantile(lengths, 0.95))
+    return _round_down(LENGTH / (scale * longest)) if longest > 0.0 else 1.0
+
+
+def _round_down(value: float) -> float:
+    """The largest of 1, 2, 5, 10, ... that is not larger."""
+    power = 10.0 ** math.floor(math.log10(value))
+    return float(max(k * power for k in (1.0, 2.0, 5.0) if k * power <= value))
+
+
+def _scale_arrow(figure: Figure, scale: float, factor: float) -> None:
+    """An arrow of known length at the upper right corner."""
+    length = _round_down(0.6 / (scale * factor))
+    shown = factor * length * scale
+    start = np.array([[WIDTH - 0.2 - shown, figure.get_figheight() - 0.2]])
+    arrow = arrows(start, start + np.array([shown, 0.0]), INK, 1.0)
+    arrow.set_transform(figure.dpi_scale_trans)
+    figure.add_artist(arrow)
+    told = f"error of {plain(1e3 * length)} mm, magnified {plain(factor)} times"
+    note(figure, WIDTH - 0.28 - shown, 0.2, told, ha="right", va="center")
+
+
+def _sizes(rows: RowErrors) -> Drawn | None:
+    """What was measured otherwise: points colored by the error that is left."""
+    rated = [(q, rows.sizes(q)[1]) for q in rows.quantities]
+    rated = [(q, sizes) for q, sizes in rated if not np.isnan(sizes).all()]
+    if not rated:
+        return None
+    views = Sides.of(rows.points)
+    block = views.height + FOOT + SCALE
+    figure = Figure(figsize=(WIDTH, 0.1 + block * len(rated)))
+    note = ""
+    for k, (quantity, sizes) in enumerate(rated):
+        unit, factor = unit_of(quantity.unit)
+        own = np.flatnonzero(~np.isnan(sizes))
+        drawn = own[thinned(len(own), POINTS, [sizes[own]])]
+        values, label = factor * sizes[drawn], f"{quantity.name} error [{unit}]"
+        colored(figure, 0.1 + k * block, views, rows.points[drawn], values, label)
+        note = note or thinning(len(drawn), len(own))
+    return Drawn(
+        "errors-in-workspace",
+        "Errors in the workspace",
+        "Where the tool was, from three sides; the color is the error that is left "
+        f"after calibration. Regions of one color hint at what the model lacks.{note}",
+        figure,
+    )

@@ -1,0 +1,101 @@
+"""Text of figures: names that may hold anything, and plain numbers on log axes."""
+
+from __future__ import annotations
+
+import math
+from typing import Literal
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.ticker import MaxNLocator, NullLocator
+
+from calib_pin.spatial import Floats
+from calib_pin.units import DISPLAY
+
+__all__ = ["log_axis", "log_limits", "log_ticks", "plain", "shortened", "unit_of"]
+
+SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+DECADES = 18
+"""Decades below the largest value that a log axis shows at most."""
+
+
+def shortened(name: str, length: int = 40) -> str:
+    """A name of at most so many characters, shortened in the middle.
+
+    What does not print, a line break or what turns the direction of writing, is
+    replaced: not even all of it may stand in XML.
+
+    Example:
+        >>> shortened("left_arm_shoulder_lift_joint.placement.rx", 20)
+        'left_arm_…acement.rx'
+    """
+    name = "".join(c if c.isprintable() else "\N{REPLACEMENT CHARACTER}" for c in name)
+    if len(name) <= length:
+        return name
+    end = length // 2
+    return f"{name[: length - end - 1]}…{name[-end:]}"
+
+
+def unit_of(unit: str) -> tuple[str, float]:
+    """Unit that people read, and the factor to it; an unknown one is left alone."""
+    return DISPLAY.get(unit, (unit, 1.0))
+
+
+def plain(value: float) -> str:
+    """A tick of a log axis, as a power of ten where zeros would have to be counted.
+
+    Example:
+        >>> plain(0.002), plain(500.0), plain(1e-16), plain(2e7)
+        ('0.002', '500', '10⁻¹⁶', '2·10⁷')
+    """
+    if not math.isfinite(value) or value == 0.0 or 1e-4 < abs(value) < 99999.5:
+        return f"{value:g}"
+    exponent = math.floor(math.log10(abs(value)) + 1e-9)
+    factor = f"{value / 10.0**exponent:.2g}"
+    power = f"10{str(exponent).translate(SUPERSCRIPT)}"
+    return power if factor == "1" else f"{factor}·{power}"
+
+
+def log_limits(*values: Floats) -> tuple[float, float] | None:
+    """Limits of a log axis that shows what of some values it can; None for nothing."""
+    found = np.concatenate([np.ravel(part) for part in values])
+    found = found[np.isfinite(found) & (found > 0.0)]
+    if found.size == 0:
+        return None
+    high = float(found.max())
+    low = max(float(found.min()), high * 10.0**-DECADES)
+    room = max((high / low) ** 0.06, 1.15)
+    return low / room, high * room
+
+
+def log_axis(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float]) -> None:
+    """Make an axis logarithmic, with numbers as people write them.
+
+    Args:
+        axes: The axes.
+        which: Their x or their y axis.
+        limits: Its ends.
+    """
+    axis = axes.xaxis if which == "x" else axes.yaxis
+    axes.set(**{f"{which}scale": "log", f"{which}lim": limits})
+    ticks = log_ticks(*limits)
+    axis.set_minor_locator(NullLocator())
+    axis.set_ticks(ticks, [plain(tick) for tick in ticks])
+
+
+def log_ticks(low: float, high: float) -> list[float]:
+    """Three to eight round numbers between the ends of a log axis."""
+    first, last = math.log10(low), math.log10(high)
+    span = last - first
+    if span < 0.7:
+        ticks = [
+            float(tick)
+            for tick in MaxNLocator(5, steps=[1, 2, 5, 10]).tick_values(low, high)
+        ]
+    else:
+        step = max(1, round(span / 6.0))
+        digits = (1.0, 2.0, 5.0) if span < 1.7 else (1.0,)
+        decades = range(math.floor(first), math.ceil(last) + 1)
+        ticks = [d * 10.0**k for k in decades if k % step == 0 for d in digits]
+    return [tick for tick in ticks if low <= tick <= high]

@@ -1,0 +1,107 @@
+"""The model ladder: what every further part of the model is worth."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib_pin.report.figures.canvas import AFTER, MUTED, WIDTH, Drawn, marks, panel
+from calib_pin.report.figures.labels import (
+    log_axis,
+    log_limits,
+    shortened,
+    unit_of,
+)
+from calib_pin.report.figures.lists import beside
+from calib_pin.report.tables import number
+from calib_pin.result import CalibrationResult, Ladder, Rung
+
+__all__ = ["model_ladder"]
+
+LINE = 0.3
+"""Height of a rung [inch]."""
+
+LEFT = 2.45
+"""Width of the names [inch]."""
+
+RIGHT = 1.95
+"""Width of the errors [inch]."""
+
+DWARFS = 8.0
+"""Ratio of the largest to the smallest error from which the axis is logarithmic."""
+
+
+def model_ladder(result: CalibrationResult) -> Drawn | None:
+    """Mean error on unseen rows by rung, with its standard error."""
+    ladder = result.ladder
+    if ladder is None or not np.isfinite([r.score for r in ladder.rungs]).any():
+        return None
+    count = len(ladder.rungs)
+    height = LINE * (count + 0.4)
+    figure = Figure(figsize=(WIDTH, height + 0.65))
+    axes = panel(figure, LEFT, 0.1, WIDTH - LEFT - RIGHT, height)
+    _rungs(axes, ladder)
+    _scale(axes, [r for r in ladder.rungs if np.isfinite(r.score)])
+    kept = ladder.rungs[ladder.chosen]
+    return Drawn(
+        "model-ladder",
+        "Model ladder",
+        "Mean error on unseen rows, in standard deviations of the measurements, with "
+        "its standard error; at the right in units of each quantity. "
+        "Kept is the simplest model within one standard error of the best: "
+        f"{kept.name}.",
+        figure,
+    )
+
+
+def _rungs(axes: Axes, ladder: Ladder) -> None:
+    """A point with its standard error for every rung, the simplest at the top."""
+    for k, rung in enumerate(ladder.rungs):
+        if not np.isfinite(rung.score):
+            continue
+        kept = k == ladder.chosen
+        sign = marks(AFTER, "D", 6.0) if kept else marks(MUTED, "o", 6.0, hollow=True)
+        axes.errorbar(
+            *([rung.score], [k]),
+            xerr=[rung.deviation],
+            **sign,
+            capsize=3.0,
+            label=rung.name,
+        )
+    axes.set_ylim(len(ladder.rungs) - 0.3, -0.7)
+    axes.set_yticks([])
+    for k, rung in enumerate(ladder.rungs):
+        remark = " (kept)" if k == ladder.chosen else ""
+        beside(axes, k, f"{shortened(rung.name, 30)}{remark}", size=9.0)
+        place = axes.get_yaxis_transform()
+        axes.text(1.03, k, _errors(rung), va="center", transform=place)
+    axes.set_xlabel("mean error on unseen rows [standard deviations]")
+
+
+def _scale(axes: Axes, rungs: Sequence[Rung]) -> None:
+    """The axis of the errors, logarithmic where one rung dwarfs another."""
+    best = min(rungs, key=lambda rung: rung.score)
+    axes.axvline(best.score + best.deviation, color=MUTED, linestyle=":")
+    lows, highs = (
+        np.array([rung.score + sign * rung.deviation for rung in rungs])
+        for sign in (-1.0, 1.0)
+    )
+    limits = log_limits(lows, highs)
+    if limits is not None and lows.min() > 0.0 and highs.max() > DWARFS * lows.min():
+        log_axis(axes, "x", limits)
+    else:
+        axes.set_xlim(0.0, 1.08 * float(highs.max()) or 1.0)
+
+
+def _errors(rung: Rung) -> str:
+    """Mean errors in their own units, or why there are none."""
+    if rung.reason:
+        return "not tried"
+    parts = []
+    for _, unit, mean in rung.errors:
+        shown, factor = unit_of(unit)
+        parts.append(f"{number(factor * mean)} {shown}")
+    return ", ".join(parts)

@@ -1,0 +1,43 @@
+"""How well a plan is going to determine every parameter."""
+
+from __future__ import annotations
+
+import numpy as np
+
+from calib_pin.planning.plan import Plan
+from calib_pin.report.figures.canvas import AFTER, Drawn, marks
+from calib_pin.report.figures.estimated import of_robot
+from calib_pin.report.figures.labels import log_axis, log_limits
+from calib_pin.report.figures.lists import Listed, lists
+
+__all__ = ["predicted_deviations"]
+
+
+def predicted_deviations(plan: Plan) -> Drawn | None:
+    """Predicted standard deviations of what will be known, one panel per unit."""
+    estimates = of_robot(plan.parameters, plan.groups, plan.problem.error)
+    estimates = [estimate for estimate in estimates if estimate.sigma > 0.0]
+    if not estimates:
+        return None
+    figure, panels, remark = lists(estimates, lambda estimate: estimate.sigma)
+    for listed in panels:
+        _deviations(listed)
+    weak = sum(p.status == "weak" for p in plan.parameters)
+    told = f" {weak} parameters are too weak and not shown." if weak else ""
+    return Drawn(
+        "predicted-deviations",
+        "Predicted standard deviations",
+        "Standard deviation that each parameter and each sum will have, from base to "
+        f"tip; those far to the right profit most from further measurements.{told}"
+        f"{remark}",
+        figure,
+    )
+
+
+def _deviations(listed: Listed) -> None:
+    axes, lines = listed.axes, np.arange(len(listed.sigmas))
+    limits = log_limits(listed.sigmas)
+    assert limits is not None, "only drawn where something is positive"
+    axes.plot(listed.sigmas, lines, **marks(AFTER, "o", 5.0))
+    log_axis(axes, "x", limits)
+    axes.set_xlabel(f"standard deviation [{listed.unit}]")

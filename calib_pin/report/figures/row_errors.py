@@ -1,0 +1,207 @@
+"""Errors of every measurement, before and after, fitted and unseen."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+from numpy.typing import NDArray
+
+from calib_pin.report.figures.canvas import (
+    AFTER,
+    BEFORE,
+    INK,
+    WIDTH,
+    Drawn,
+    key,
+    marks,
+    panels,
+)
+from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
+from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.tables import number
+from calib_pin.result import CalibrationResult
+from calib_pin.row_errors import RowErrors
+from calib_pin.spatial import Floats
+
+__all__ = ["errors_per_measurement"]
+
+LIMIT = 20_000
+"""Rows that are drawn at most."""
+
+VECTORS = 500
+"""Points of one kind that are drawn as paths of their own."""
+
+HEAD = 0.65
+"""Height of the key and the first title [inch]."""
+
+ROW = 2.2
+"""Height of panels with the title of those below [inch]."""
+
+PANEL = 1.65
+"""Height of a panel [inch]."""
+
+FOOT = 0.1
+"""Height of what stands below the last row, less a title [inch]."""
+
+SIGNS: dict[str, dict[str, Any]] = {
+    "before": marks(BEFORE, "o", hollow=True),
+    "after": marks(AFTER, "s"),
+}
+"""Signs of the errors before and after."""
+
+RING = marks(INK, "o", 10.0, hollow=True)
+
+
+@dataclass(frozen=True)
+class _Pane:
+    """The errors of one quantity of the fitted or the unseen rows.
+
+    Attributes:
+        rows: `fitted` or `unseen`.
+        quantity: Name of the quantity.
+        unit: What people read.
+        sizes: Sizes before and after in that unit, shape (N,) each; NaN for rows that
+            do not have it.
+        drawn: Positions of the rows that are drawn, ascending, shape (M,).
+        rings: Positions of those among them that do not fit, shape (K,).
+    """
+
+    rows: str
+    quantity: str
+    unit: str
+    sizes: tuple[Floats, Floats]
+    drawn: NDArray[np.intp]
+    rings: NDArray[np.intp]
+
+    @property
+    def means(self) -> list[float]:
+        """Mean sizes before and after; nothing where no row has the quantity."""
+        sizes = [size[~np.isnan(size)] for size in self.sizes]
+        return [float(size.mean()) for size in sizes] if all(map(len, sizes)) else []
+
+
+def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
+    """Sizes of the errors of every row: one row of panels per quantity."""
+    parts = [_panes("fitted", result.fitted, [o.row for o in result.outliers])]
+    if result.unseen is not None:
+        parts.append(_panes("unseen", result.unseen, []))
+    rows = [panes for panes in zip(*parts, strict=True) if panes[0].means]
+    if not rows:
+        return None
+    figure = Figure(figsize=(WIDTH, HEAD + ROW * len(rows) + FOOT))
+    entries = {
+        "before (nominal robot)": SIGNS["before"],
+        "after (calibrated)": SIGNS["after"],
+    }
+    key(figure, {**entries, **({"does not fit": RING} if result.outliers else {})}, 0.7)
+    for k, panes in enumerate(rows):
+        row = panels(figure, len(panes), HEAD + k * ROW, PANEL, right=0.3, gap=0.4)
+        _scale(row, panes)
+        for axes, pane in zip(row, panes, strict=True):
+            _points(axes, pane)
+            if panes is rows[-1]:
+                axes.set_xlabel("measurement")
+    return Drawn(
+        "errors-per-measurement",
+        "Errors per measurement",
+        " ".join(_reading(result, rows)),
+        figure,
+    )
+
+
+def _panes(name: str, rows: RowErrors, outliers: Sequence[int]) -> list[_Pane]:
+    """What there is to draw of some rows; the most important ones, if they are many."""
+    sizes = [rows.sizes(quantity) for quantity in rows.quantities]
+    drawn = thinned(
+        len(rows), LIMIT, [size for pair in sizes for size in pair], outliers
+    )
+    rings = np.intersect1d(drawn, np.asarray(outliers, np.intp))
+    panes = []
+    for quantity, (before, after) in zip(rows.quantities, sizes, strict=True):
+        unit, factor = unit_of(quantity.unit)
+        shown = factor * before, factor * after
+        panes.append(_Pane(name, quantity.name, unit, shown, drawn, rings))
+    return panes
+
+
+def _scale(row: Sequence[Axes], panes: Sequence[_Pane]) -> None:
+    """The same log axis for all panels of a quantity."""
+    limits = log_limits(*(size for pane in panes for size in pane.sizes))
+    for axes in row:
+        if limits is None:
+            axes.set_yticks([])
+        else:
+            log_axis(axes, "y", limits)
+        axes.tick_params(labelleft=axes is row[0])
+    row[0].set_ylabel(f"{panes[0].quantity} error [{panes[0].unit}]")
+
+
+def _points(axes: Axes, pane: _Pane) -> None:
+    """Errors before and after; what no log axis can show stands at its ends."""
+    count = len(pane.sizes[0])
+    width = float(np.clip(50.0 / np.sqrt(count), 1.8, 4.5))
+    for (stage, sign), sizes in zip(SIGNS.items(), pane.sizes, strict=True):
+        shown, style = sizes[pane.drawn], {**sign, "markersize": width}
+        inside = np.isfinite(shown) & (shown > 0.0)
+        axes.plot(
+            *(pane.drawn[inside] + 1, shown[inside]),
+            **style,
+            label=stage,
+            rasterized=bool(inside.sum() > VECTORS),
+        )
+        _at_end(
+            axes, pane.drawn[np.isposinf(shown)] + 1, {**style, "marker": "^"}, 0.97
+        )
+        _at_end(axes, pane.drawn[shown == 0.0] + 1, {**style, "marker": "v"}, 0.03)
+    ringed = pane.sizes[1][pane.rings]
+    inside = np.isfinite(ringed) & (ringed > 0.0)
+    if inside.any():
+        style = {**RING, "markersize": width + 5.0, "label": "outliers"}
+        axes.plot(pane.rings[inside] + 1, ringed[inside], **style)
+    axes.locator_params(axis="x", nbins=6, integer=True)
+    room = 0.02 * count + 0.5
+    axes.set_xlim(1 - room, count + room)
+    if pane.means:
+        means = " → ".join(map(number, pane.means))
+        axes.set_title(f"{pane.rows}: mean {means} {pane.unit}")
+
+
+def _at_end(
+    axes: Axes, at: NDArray[np.intp], style: Mapping[str, Any], height: float
+) -> None:
+    """Marks of some rows at the upper or the lower end of the axis."""
+    if len(at):
+        axes.plot(
+            *(at, np.full(len(at), height)),
+            **style,
+            transform=axes.get_xaxis_transform(),
+            rasterized=len(at) > VECTORS,
+        )
+
+
+def _reading(
+    result: CalibrationResult, rows: Sequence[Sequence[_Pane]]
+) -> Iterator[str]:
+    pane = rows[0][-1]
+    if means := [number(mean) for mean in pane.means]:
+        of = "fitted rows"
+        if pane.rows == "unseen":
+            of = f"rows that the fit has not seen ({result.validation})"
+        yield (
+            f"On {of} the mean {pane.quantity} error goes from {means[0]} to "
+            f"{means[1]} {pane.unit}."
+        )
+    if len(rows[0]) > 1:
+        yield "Fitted and unseen rows should look alike."
+    if result.outliers:
+        yield f"{len(result.outliers)} ringed rows do not fit."
+    if any(np.isinf(size).any() for row in rows for p in row for size in p.sizes):
+        yield "Triangles at the upper edge are rows that cannot be predicted."
+    for p in rows[0]:
+        if note := thinning(len(p.drawn), len(p.sizes[0])):
+            yield f"{p.rows.capitalize()}:{note}"

@@ -1,0 +1,49 @@
+"""Which of very many rows are drawn: evenly some, and always those that matter."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.spatial import Floats
+
+__all__ = ["thinned", "thinning"]
+
+LARGEST = 100
+"""Largest errors of every kind that are always drawn."""
+
+
+def thinned(
+    count: int, limit: int, sizes: Sequence[Floats], always: Sequence[int] = ()
+) -> NDArray[np.intp]:
+    """Positions of the rows that are drawn, ascending, shape (M,).
+
+    Args:
+        count: Number N of rows.
+        limit: Number of rows that are drawn at most.
+        sizes: Sizes of errors, shape (N,) each, NaN where a row has none; the largest
+            are drawn.
+        always: Rows that are drawn as well, the most important ones first; they may
+            take a half of all.
+    """
+    if count <= limit:
+        return np.arange(count)
+    least = max(1, limit // (4 * max(len(sizes), 1)))
+    largest = min(LARGEST, least)
+    parts = [np.asarray(always[: limit // 2], np.intp)]
+    for size in sizes:
+        filled = np.where(np.isnan(size), -np.inf, size)
+        parts.append(np.argpartition(filled, -largest)[-largest:])
+    kept = np.unique(np.concatenate(parts))
+    rest = np.setdiff1d(np.arange(count), kept)
+    evenly = np.linspace(0, len(rest) - 1, limit - len(kept)).round().astype(np.intp)
+    return np.sort(np.concatenate([kept, rest[evenly]]))
+
+
+def thinning(shown: int, count: int) -> str:
+    """What to say where rows are left out; empty where none is."""
+    if shown == count:
+        return ""
+    return f" {shown} of {count} rows are drawn, the largest errors among them."

@@ -1,0 +1,224 @@
+"""`report.html`: one file that opens from disk, on a phone, in the dark, on paper.
+
+It shows the blocks of the terminal's report, so that the numbers are the same, with
+figures between them. Whatever comes from the user's files is escaped.
+"""
+
+from __future__ import annotations
+
+import shlex
+from collections.abc import Iterator, Mapping, Sequence
+from dataclasses import dataclass
+from importlib.resources import files
+from typing import Any
+
+from jinja2 import Environment, StrictUndefined
+from markupsafe import Markup
+
+from calib_pin.remedies import Remedy
+from calib_pin.report.accuracy import accuracy, beyond, moves, subject, verdict
+from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
+from calib_pin.report.figures import Drawn
+from calib_pin.report.identification import ranks, remedied, unknown
+from calib_pin.report.statistics import correlated, statistics
+from calib_pin.report.tables import (
+    group_table,
+    listed,
+    outlier_table,
+    parameter_overview,
+    quantity,
+)
+from calib_pin.result import CalibrationResult
+from calib_pin.units import DISPLAY
+
+__all__ = ["html_report"]
+
+LISTED = 200
+"""Outliers and correlated pairs that the page lists; the file has all of them."""
+
+OF_ROWS = (
+    *("errors-per-measurement", "error-vectors", "errors-in-workspace"),
+    "model-ladder",
+)
+OF_RANKS = (
+    *("singular-values", "correlations"),
+    *("tip-error-by-count", "tip-accuracy-in-workspace"),
+)
+SECTIONS = {
+    "accuracy": ("Accuracy", OF_ROWS),
+    "identifiability": (
+        "What can be known",
+        OF_RANKS,
+    ),
+    "parameters": ("Parameters", ("parameter-intervals",)),
+    "residuals": ("Rows that do not fit", ("residuals",)),
+    "provenance": ("What was done", ("convergence",)),
+}
+"""Title and figures of each section, by its key; other figures come last."""
+
+
+@dataclass(frozen=True)
+class _Tile:
+    """The accuracy of one quantity in large letters."""
+
+    label: str
+    before: Cell
+    after: Cell
+    unit: str
+    remark: str
+
+
+@dataclass(frozen=True)
+class _Section:
+    """A part of the page; the table of parameters can be sorted."""
+
+    key: str
+    title: str
+    blocks: Sequence[Block]
+    figures: Sequence[Mapping[str, str]]
+    parameters: Table | None = None
+    statuses: Sequence[str] = ()
+
+
+def html_report(
+    result: CalibrationResult,
+    document: Mapping[str, Any],
+    *,
+    figures: Sequence[Drawn] = (),
+    remedies: Sequence[Remedy] = (),
+) -> bytes:
+    """The report of a calibration as a page.
+
+    Args:
+        result: The result.
+        document: Its `calibration.json`, which knows the files and their hashes.
+        figures: What is drawn of it.
+        remedies: What would tell more of the robot.
+
+    Returns:
+        UTF-8 text of one HTML file without references to any other.
+    """
+    environment = Environment(
+        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
+    )
+    environment.filters["kind"] = lambda block: type(block).__name__
+    environment.filters["exact"] = repr
+    page = environment.from_string(_file("report.html"))
+    name = result.model.chain.robot.name
+    return page.render(
+        title=f"Calibration of {name}",
+        subject=subject(result).text,
+        verdict=verdict(result),
+        tiles=list(_tiles(result)),
+        sections=list(_sections(result, document, figures, remedies)),
+        style=Markup(_file("style.css")),
+        script=Markup(_file("script.js")),
+        version=document["provenance"]["calib_pin"],
+    ).encode("utf-8", "backslashreplace")
+
+
+def _file(name: str) -> str:
+    return (files("calib_pin.report") / "page" / name).read_text("utf-8")
+
+
+def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
+    for error in result.errors:
+        before, after, rows = error.before, error.after, "fitted rows"
+        if error.validation_before and error.validation_after:
+            before, after = error.validation_before, error.validation_after
+            rows = "unseen rows"
+        unit = error.unit
+        yield _Tile(
+            label=f"mean {error.name} error, {rows}",
+            before=quantity(before.mean, unit),
+            after=quantity(after.mean, unit),
+            unit=DISPLAY[unit][0],
+            remark=f"95 % below {quantity(after.p95, unit).text}, "
+            f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
+        )
+
+
+def _sections(
+    result: CalibrationResult,
+    document: Mapping[str, Any],
+    figures: Sequence[Drawn],
+    remedies: Sequence[Remedy],
+) -> Iterator[_Section]:
+    blocks: dict[str, list[Block]] = {
+        "accuracy": [*accuracy(result), *moves(result), *beyond(result)],
+        "identifiability": list(_known(result, remedies)),
+        "parameters": list(listed("at a bound", result.at_bounds)),
+        "residuals": list(_residuals(result)),
+        "provenance": list(_provenance(document)),
+    }
+    places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
+    for key, (title, _) in SECTIONS.items():
+        drawn = [f for f in figures if places.get(f.name, "provenance") == key]
+        yield _Section(
+            key=key,
+            title=title,
+            blocks=blocks[key],
+            figures=[
+                {
+                    "name": f.name,
+                    "title": f.title,
+                    "reading": f.reading,
+                    "svg": Markup(f.svg()),
+                }
+                for f in drawn
+            ],
+            parameters=parameter_overview(result.parameters)
+            if key == "parameters"
+            else None,
+            statuses=tuple(dict.fromkeys(p.status for p in result.parameters)),
+        )
+
+
+def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Block]:
+    yield ranks(result.identifiability, fitted=True)
+    if result.groups:
+        yield group_table(result.groups)
+    yield from unknown(result)
+    yield from remedied(result, remedies)
+    yield from correlated(result, LISTED)
+
+
+def _residuals(result: CalibrationResult) -> Iterator[Block]:
+    if result.outliers:
+        yield outlier_table(result, LISTED)
+        if len(result.outliers) > LISTED:
+            more = len(result.outliers) - LISTED
+            yield Line(f"{more} more are in calibration.json.", "note")
+    else:
+        yield Line("None: no row is further off than chance allows.")
+    yield from statistics(result)
+
+
+def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
+    """Command, files with their hashes, versions and seed, as the document has them."""
+    about, solver = document["provenance"], document["solver"]
+    robot, measured = document["robot"], document["measurements"]
+    used = [("robot", robot["file"], robot["sha256"])]
+    used += [("measurements", f["file"], f["sha256"]) for f in measured["files"]]
+    if document["residual_model"] is not None:
+        learned = document["residual_model"]
+        used.append(("residual model", learned["file"], learned["sha256"]))
+    versions = {k: v for k, v in about.items() if k not in ("command", "created")}
+    yield Facts(
+        "",
+        [
+            ("command", shlex.join(about["command"])),
+            ("written", about["created"]),
+            ("versions", ", ".join(f"{k} {v}" for k, v in versions.items())),
+            ("chain", f"{robot['base']} to {robot['tip']}"),
+            ("seed", str(solver["seed"])),
+            ("solver", f"{solver['name']}: {solver['status']}"),
+            ("steps", f"{solver['iterations']} ({solver['evaluations']} evaluations)"),
+            ("time", f"{solver['seconds']:.2f} s"),
+        ],
+    )
+    yield Table(
+        "Files",
+        (Column("", "word"), Column("file", "name"), Column("SHA-256", "name")),
+        [(Cell(what), Cell(file), Cell(content)) for what, file, content in used],
+    )

@@ -1,0 +1,82 @@
+"""Figures of a plan."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib_pin.planning.plan import Plan
+from calib_pin.report.figures.canvas import Drawn
+from calib_pin.report.figures.plan_deviations import predicted_deviations
+from calib_pin.report.figures.plan_positions import (
+    planned_positions,
+    tool_positions,
+)
+from calib_pin.report.figures.plan_steps import criterion_by_count
+
+
+def test_the_plan_and_chance_are_marked(
+    planned: Plan, draw: Callable[..., Drawn]
+) -> None:
+    drawn = draw(criterion_by_count, planned)
+    (axes,) = drawn.figure.axes
+    curve, own, random = axes.lines
+    steps = planned.steps
+    np.testing.assert_allclose(curve.get_xdata(), [step.count for step in steps])
+    np.testing.assert_allclose(curve.get_ydata(), [1e3 * step.value for step in steps])
+    np.testing.assert_allclose(own.get_data(), [[12], [1e3 * planned.value]])
+    np.testing.assert_allclose(random.get_data(), [[12], [1e3 * planned.random]])
+    assert axes.get_ylabel() == "tip error [mm], rms"
+    assert "to be small" in drawn.reading and "12 at random" in str(random.get_label())
+
+
+def test_another_criterion_stands_beside_the_tip_error(
+    planned: Plan, draw: Callable[..., Drawn]
+) -> None:
+    plan = replace(planned, criterion="O1", random=np.inf)
+    drawn = draw(criterion_by_count, plan)
+    left, right = drawn.figure.axes
+    assert left.get_ylabel() == "O1" and "to be large" in drawn.reading
+    np.testing.assert_allclose(
+        right.lines[0].get_ydata(), [1e3 * step.position for step in plan.steps]
+    )
+    assert criterion_by_count(replace(planned, steps=planned.steps[:1])) is None
+
+
+def test_deviations_are_those_predicted(
+    planned: Plan, draw: Callable[..., Drawn]
+) -> None:
+    drawn = draw(predicted_deviations, planned)
+    units = {"[mm]": ("m", 1e3), "[deg]": ("rad", 180.0 / np.pi)}
+    for axes in drawn.figure.axes:
+        unit, factor = units[axes.get_xlabel().split()[-1]]
+        found = set(np.asarray(axes.lines[0].get_xdata()).round(9))
+        known = {
+            round(factor * p.sigma, 9)
+            for p in planned.parameters
+            if p.status == "identifiable" and p.unit == unit and p.sigma
+        }
+        assert known and known <= found
+    assert predicted_deviations(replace(planned, parameters=(), groups=())) is None
+
+
+def test_positions_are_those_of_the_nominal_robot(
+    planned: Plan, draw: Callable[..., Drawn]
+) -> None:
+    points = tool_positions(planned)
+    chain, error = planned.problem.error.chain, planned.problem.error
+    tool = error.tool.translation
+    for point, T in zip(points, chain.poses(planned.q), strict=True):
+        np.testing.assert_allclose(point, T[:3, :3] @ tool + T[:3, 3], atol=1e-9)
+    drawn = draw(planned_positions, planned)
+    for axes, side in zip(drawn.figure.axes, ((0, 1), (0, 2), (1, 2)), strict=True):
+        way, stops, first = axes.lines
+        np.testing.assert_allclose(way.get_data(), points[:, side].T)
+        np.testing.assert_allclose(stops.get_data(), points[:, side].T)
+        np.testing.assert_allclose(first.get_data(), points[:1, side].T)
+        numbers = [text.get_text() for text in axes.texts]
+        assert numbers[0] == "1" and set(numbers) <= {str(k) for k in range(1, 13)}
+    assert planned_positions(replace(planned, q=planned.q[:0], target=())) is None
+    assert draw(planned_positions, replace(planned, q=planned.q[:1])).svg()

@@ -1,0 +1,46 @@
+"""The gap stands where the structural rank is."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+
+import numpy as np
+
+from calib_pin.report.figures.canvas import Drawn
+from calib_pin.report.figures.singular_values import singular_values
+from calib_pin.result import CalibrationResult
+
+
+def test_the_gap_is_at_the_rank(
+    calibrated: CalibrationResult, draw: Callable[..., Drawn]
+) -> None:
+    drawn = draw(singular_values, calibrated)
+    ranks = calibrated.identifiability
+    left, right = drawn.figure.axes
+    kept, rounding = left.lines[:2]
+    assert np.asarray(kept.get_xdata()).tolist() == list(range(1, 35))
+    np.testing.assert_allclose(kept.get_ydata(), ranks.structural_values[:34])
+    np.testing.assert_allclose(rounding.get_ydata(), ranks.structural_values[34:])
+    low, high = left.get_ylim()
+    assert low < min(ranks.structural_values) and high > max(ranks.structural_values)
+    told = [text for text in left.texts if text.get_text().startswith("gap ")]
+    assert len(told) == 1 and told[0].get_position()[0] == 34.5
+    assert told[0].get_text().strip() == "gap 1.4·10¹⁴"
+    np.testing.assert_allclose(right.lines[0].get_ydata(), ranks.singular_values)
+
+
+def test_zeros_are_drawn_at_the_lower_end(
+    calibrated: CalibrationResult, draw: Callable[..., Drawn]
+) -> None:
+    ranks = replace(
+        calibrated.identifiability,
+        structural_values=(2.0, 1.0, 0.0),
+        structural_rank=2,
+        gap=np.inf,
+        singular_values=(),
+    )
+    drawn = draw(singular_values, replace(calibrated, identifiability=ranks))
+    (left,) = drawn.figure.axes
+    assert np.asarray(left.lines[1].get_ydata())[0] == left.get_ylim()[0]
+    assert any("the rest is zero" in text.get_text() for text in left.texts)

@@ -1,0 +1,388 @@
+"""The page of a calibration: complete, alone, escaped, and alive in a browser."""
+
+from __future__ import annotations
+
+import json
+import re
+from dataclasses import replace
+from html.parser import HTMLParser
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.chain import Chain
+from calib_pin.formulation import nominal_problem
+from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.urdf import parse_robot
+from calib_pin.remedies import remedies
+from calib_pin.report.blocks import Block, Cell, Table
+from calib_pin.report.figures import NAMES, calibration_figures
+from calib_pin.report.html import LISTED, html_report
+from calib_pin.report.tables import accuracy_table, group_table, parameter_overview
+from calib_pin.report.terminal import plain_text
+from calib_pin.report.text import report
+from calib_pin.result import CalibrationResult, Outlier
+from calib_pin.row_errors import RowErrors
+from calib_pin.setup import Setup
+from calib_pin.simulation import draw_errors, simulate
+
+ARM = """<robot name="{0}">
+  <link name="base"/><link name="a"/><link name="b"/><link name="c"/>
+  <joint name="{1}" type="revolute">
+    <origin xyz="0 0 0.4"/><parent link="base"/><child link="a"/><axis xyz="0 0 1"/>
+    <limit lower="-2.5" upper="2.5" effort="1" velocity="1"/>
+  </joint>
+  <joint name="lift" type="revolute">
+    <origin xyz="0.1 0.3 0"/><parent link="a"/><child link="b"/><axis xyz="0 1 0"/>
+    <limit lower="-2" upper="2" effort="1" velocity="1"/>
+  </joint>
+  <joint name="slide" type="prismatic">
+    <origin xyz="0.5 0 0.05" rpy="0.5 0.1 0"/>
+    <parent link="b"/><child link="c"/><axis xyz="0 0 1"/>
+    <limit lower="0" upper="0.4" effort="1" velocity="1"/>
+  </joint>
+</robot>
+"""
+HOSTILE = "&lt;script&gt;alert(1)&lt;/script&gt;"
+"""A name as it stands in the XML of a URDF."""
+
+PROVENANCE = Provenance(
+    ("calib-pin", "calibrate", "<img src=x onerror=alert(2)>.urdf", "a b.csv"),
+    "2026-01-01T00:00:00+00:00",
+    1.25,
+    {"calib_pin": "0.1.0", "pinocchio": "4.1", "numpy": "2.4"},
+)
+
+
+class Page(HTMLParser):
+    """What a browser would see: text, tags, and the numbers behind cells."""
+
+    VOID = ("meta", "link", "input", "br", "img")
+
+    def __init__(self, page: bytes) -> None:
+        super().__init__()
+        self.open: list[str] = []
+        self.values: list[float] = []
+        self.tags: list[tuple[str, dict[str, str | None]]] = []
+        self.text = ""
+        self.feed(page.decode())
+        assert self.open == []
+
+    def handle_starttag(self, tag: str, attrs: list[tuple[str, str | None]]) -> None:
+        found = dict(attrs)
+        self.tags.append((tag, found))
+        if tag not in self.VOID:
+            self.open.append(tag)
+        if "data-value" in found:
+            self.values.append(float(found["data-value"] or "nan"))
+
+    def handle_endtag(self, tag: str) -> None:
+        assert self.open.pop() == tag
+
+    def handle_data(self, data: str) -> None:
+        if "style" not in self.open and "script" not in self.open:
+            self.text += data
+
+
+def solved(
+    robot: str = "arm", joint: str = "turn", count: int = 30, **options: Any
+) -> tuple[Chain, CalibrationResult]:
+    chain = Chain(parse_robot(ARM.format(robot, joint).encode(), "arm.urdf"))
+    setup = options.pop("setup", Setup())
+    problem = nominal_problem(chain, "pose", setup)
+    rng = np.random.default_rng(1)
+    theta = draw_errors(problem.parameters, rng)
+    rows = simulate(problem, theta, rng, count=count)
+    return chain, calib_pin.calibrate(chain, rows, setup, **options)
+
+
+def page_of(
+    chain: Chain, result: CalibrationResult, *, figures: bool = True
+) -> tuple[bytes, dict[str, Any]]:
+    document = calibration_document(result, PROVENANCE)
+    better = remedies(chain, "pose", Setup(), result, tool=result.model.tool)
+    drawn = list(calibration_figures(result)) if figures else []
+    page = html_report(result, document, figures=drawn, remedies=better)
+    return page, json.loads(encode(document))
+
+
+@pytest.fixture(scope="module")
+def arm() -> tuple[Chain, CalibrationResult]:
+    return solved()
+
+
+@pytest.fixture(scope="module")
+def page(arm: tuple[Chain, CalibrationResult]) -> tuple[bytes, dict[str, Any]]:
+    return page_of(*arm)
+
+
+# --- content -----------------------------------------------------------------------
+
+
+def test_sections_in_order(page: tuple[bytes, dict[str, Any]]) -> None:
+    found = [
+        attributes["id"]
+        for tag, attributes in Page(page[0]).tags
+        if attributes.get("id") in ("verdict", "accuracy", "identifiability")
+        or attributes.get("id") in ("parameters", "residuals", "provenance")
+    ]
+    assert found == [
+        *("verdict", "accuracy", "identifiability", "parameters"),
+        *("residuals", "provenance"),
+    ]
+
+
+def test_the_verdict_comes_with_its_reason(
+    arm: tuple[Chain, CalibrationResult], page: tuple[bytes, dict[str, Any]]
+) -> None:
+    chain, result = arm
+    bad = replace(result, verdict="untrusted", reason="it did not converge")
+    text = Page(page_of(chain, bad, figures=False)[0]).text
+    assert "UNTRUSTED: it did not converge." in text
+    assert "GOOD: the fit converged" in Page(page[0]).text
+
+
+def cells(blocks: list[Block]) -> list[Cell]:
+    tables = [block for block in blocks if isinstance(block, Table)]
+    return [cell for table in tables for row in table.rows for cell in row]
+
+
+def test_numbers_are_those_of_the_terminal_and_of_the_file(
+    arm: tuple[Chain, CalibrationResult], page: tuple[bytes, dict[str, Any]]
+) -> None:
+    """One builder makes the tables; behind every cell is the number of the file."""
+    _, result = arm
+    content, document = page
+    values = set(Page(content).values)
+    for error in document["errors"].values():
+        for rows in ("training", "validation"):
+            for stage in ("before", "after"):
+                assert set(error[rows][stage].values()) <= values
+    for entry in document["parameters"]:
+        if entry["status"] not in ("fixed", "unidentifiable"):
+            assert entry["value"] in values
+        if entry["sigma"] is not None:
+            assert entry["sigma"] in values
+    for group in document["identifiability"]["coupled"]:
+        assert {group["value"], group["sigma"]} <= values
+    text, shown = Page(content).text, plain_text(report(result))
+    for table in (accuracy_table(result.errors), group_table(result.groups)):
+        for cell in cells([table]):
+            assert cell.text in text
+            if cell.value is not None:
+                assert cell.text in shown
+    # What a cell says is its number in the unit beside it.
+    for row in parameter_overview(result.parameters).rows:
+        value, unit = row[1], row[3].text
+        if value.value is not None:
+            factor = {"mm": 1e3, "deg": np.degrees(1.0)}[unit]
+            assert float(value.text) == pytest.approx(factor * value.value, abs=5.1e-5)
+
+
+def test_every_parameter_has_a_row(
+    arm: tuple[Chain, CalibrationResult], page: tuple[bytes, dict[str, Any]]
+) -> None:
+    text = Page(page[0]).text
+    for parameter in arm[1].parameters:
+        assert parameter.name in text
+    for status in {p.status for p in arm[1].parameters}:
+        assert status in text
+
+
+def test_what_was_done(page: tuple[bytes, dict[str, Any]]) -> None:
+    content, document = page
+    text = Page(content).text
+    assert "calib-pin calibrate '<img src=x onerror=alert(2)>.urdf' 'a b.csv'" in text
+    assert document["robot"]["sha256"] in text
+    for words in ("2026-01-01T00:00:00+00:00", "pinocchio 4.1", "1.25 s", "converged"):
+        assert words in text
+
+
+def test_outliers_by_row(arm: tuple[Chain, CalibrationResult]) -> None:
+    chain, result = arm
+    rows = tuple(Outlier(f"rows.csv:{k}", k % 30, 90.0 - 0.1 * k) for k in range(250))
+    many = replace(result, outliers=rows)
+    text = Page(page_of(chain, many, figures=False)[0]).text
+    assert f"Rows that do not fit ({len(rows)} of 30)" in text
+    assert "rows.csv:199" in text and "rows.csv:200" not in text
+    assert f"{len(rows) - LISTED} more are in calibration.json." in text
+
+
+def test_the_same_bytes_again(
+    arm: tuple[Chain, CalibrationResult], page: tuple[bytes, dict[str, Any]]
+) -> None:
+    assert page_of(*arm)[0] == page[0]
+
+
+# --- alone and escaped -------------------------------------------------------------
+
+
+def test_no_reference_to_anything_else(page: tuple[bytes, dict[str, Any]]) -> None:
+    for tag, attributes in Page(page[0]).tags:
+        assert tag not in ("iframe", "object", "embed", "base")
+        for key in ("src", "href", "xlink:href", "data", "poster", "action"):
+            value = attributes.get(key)
+            assert value is None or value.startswith(("#", "data:")), (tag, value)
+        assert not re.search(r"url\((?!#)", attributes.get("style") or "")
+    assert b"@import" not in page[0]
+    assert b'http-equiv="Content-Security-Policy"' in page[0]
+
+
+def test_names_from_files_are_text() -> None:
+    """A joint named like markup, a robot as well, and a file in the command."""
+    chain, result = solved(HOSTILE, HOSTILE)
+    content, _ = page_of(chain, result)
+    found = Page(content)
+    assert sum(tag == "script" for tag, _ in found.tags) == 1
+    assert not any(tag == "img" for tag, _ in found.tags)
+    assert not any(key.startswith("on") for _, a in found.tags for key in a)
+    assert "<script>alert(1)</script>.placement.x" in found.text
+    assert "Calibration of <script>alert(1)</script>" in found.text
+
+
+def test_results_that_say_little() -> None:
+    """Too few rows for any statistics: a page all the same, with the reason."""
+    chain, result = solved(count=2)
+    assert result.verdict == "untrusted"
+    text = Page(page_of(chain, result)[0]).text
+    assert "UNTRUSTED" in text and "cannot determine" in text
+
+
+def section(page: bytes, name: str) -> str:
+    """The words below a figure."""
+    found = re.search(
+        rf'<figure id="figure-{name}">.*?<figcaption>(.*?)</figcaption>'.encode(),
+        page,
+        re.DOTALL,
+    )
+    assert found is not None
+    return found[1].decode()
+
+
+# --- many rows ---------------------------------------------------------------------
+
+
+def repeated(errors: RowErrors, count: int) -> RowErrors:
+    """As many rows, made of a few and scattered."""
+    order = np.arange(count) % len(errors)
+    rng = np.random.default_rng(2)
+    return replace(
+        errors,
+        rows=errors.rows.rows(order),
+        before=errors.before[order] * rng.uniform(0.5, 1.5, (count, 1)),
+        after=errors.after[order] * rng.uniform(0.5, 1.5, (count, 1)),
+        sigma=errors.sigma[order],
+        points=errors.points[order] + rng.normal(0.0, 0.3, (count, 3)),
+    )
+
+
+@pytest.mark.parametrize("count", [10_000, 100_000])
+def test_many_rows_make_a_small_page(
+    count: int, arm: tuple[Chain, CalibrationResult]
+) -> None:
+    chain, result = arm
+    assert result.unseen is not None
+    many = replace(
+        result,
+        fitted=repeated(result.fitted, count),
+        unseen=repeated(result.unseen, count),
+        training=count,
+    )
+    content, _ = page_of(chain, many)
+    assert len(content) < 3e6
+    said = re.search(r"[^.]*are drawn[^.]*", section(content, "errors-per-measurement"))
+    assert (said is not None) == (count > 20_000)
+    assert said is None or f"of {count} rows" in said[0]
+
+
+# --- in a browser ------------------------------------------------------------------
+
+
+@pytest.fixture
+def opened(page: tuple[bytes, dict[str, Any]], tmp_path: Path, browser: Any) -> Any:
+    """The page as a tab, with what it complains about and asks for."""
+    file = tmp_path / "report.html"
+    file.write_bytes(page[0])
+    context = browser.new_context(viewport={"width": 1280, "height": 900})
+    tab = context.new_page()
+    tab.complaints, tab.asked = [], []
+    tab.on("console", lambda message: tab.complaints.append(message.text))
+    tab.on("pageerror", lambda error: tab.complaints.append(str(error)))
+    tab.on("request", lambda request: tab.asked.append(request.url))
+    tab.goto(file.as_uri())
+    yield tab
+    assert tab.complaints == []
+    assert [url for url in tab.asked if not url.startswith("data:")] == [file.as_uri()]
+    context.close()
+
+
+def column(tab: Any, number: int) -> list[str]:
+    rows = "#parameter-table tbody tr:not([hidden])"
+    return list(
+        tab.eval_on_selector_all(
+            rows, f"rows => rows.map(row => row.cells[{number}].textContent)"
+        )
+    )
+
+
+def test_tables_are_sorted_and_filtered(
+    opened: Any, arm: tuple[Chain, CalibrationResult]
+) -> None:
+    parameters = arm[1].parameters
+    assert column(opened, 0) == [p.name for p in parameters]
+    head = opened.locator("#parameter-table th", has_text="std. dev.")
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "ascending"
+    known = sorted(p.sigma for p in parameters if p.sigma is not None)
+    first = "#parameter-table tbody tr td:nth-child(3)"
+    values = opened.eval_on_selector_all(first, "c => c.map(c => c.dataset.value)")
+    assert [float(v) for v in values if v is not None] == known
+    assert values[len(known) :] == [None] * (len(parameters) - len(known))
+    head.locator("button").click()
+    assert head.get_attribute("aria-sort") == "descending"
+    opened.fill("#filter", "LIFT rx")
+    assert column(opened, 0) == ["lift.placement.rx"]
+    assert opened.inner_text("#count") == f"1 of {len(parameters)}"
+    opened.fill("#filter", "")
+    opened.select_option("#status", "coupled")
+    assert set(column(opened, 4)) == {"coupled"}
+
+
+def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
+    drawn = [figure.name for figure in calibration_figures(arm[1])]
+    others = {"convergence", "model-ladder", "errors-in-workspace"}
+    assert set(drawn) == set(NAMES["calibration"]) - others
+    for name in drawn:
+        box = opened.locator(f"#figure-{name} svg").bounding_box()
+        assert box["width"] > 400 and box["height"] > 150
+        assert opened.locator(f"#figure-{name} figcaption").inner_text()
+
+
+@pytest.mark.parametrize("width", [1280, 400])
+def test_nothing_sticks_out(opened: Any, width: int) -> None:
+    opened.set_viewport_size({"width": width, "height": 900})
+    assert opened.evaluate("document.documentElement.scrollWidth") <= width
+
+
+def test_light_dark_and_paper(opened: Any) -> None:
+    """By the system's choice, by the button, and always light on paper."""
+
+    def shade(what: str, selector: str = "body") -> float:
+        code = f"e => getComputedStyle(e).{what}.match(/\\d+/g).map(Number)"
+        return sum(opened.eval_on_selector(selector, code)[:3]) / 3
+
+    ink = "#figure-errors-per-measurement svg text"
+    assert shade("backgroundColor") > 230 and shade("fill", ink) < 90
+    opened.click("#theme")
+    assert shade("backgroundColor") < 50 and shade("fill", ink) > 200
+    opened.click("#theme")
+    opened.emulate_media(color_scheme="dark")
+    opened.reload()
+    assert shade("backgroundColor") < 50 and shade("color") > 200
+    opened.asked.pop()
+    opened.emulate_media(media="print", color_scheme="dark")
+    assert shade("backgroundColor") > 230 and shade("color") < 50
+    assert not opened.locator("#theme").is_visible()

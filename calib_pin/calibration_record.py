@@ -37,6 +37,8 @@ class CalibrationRecord:
         predicted: Error of the tip over the workspace that the noise of the rows
             leaves, root-mean-square of position [m] and orientation [rad]; None where
             the file does not say.
+        predicted_robot: The same with what a displacement of base and tool can absorb
+            taken away.
         noise: Errors that are left of the fitted rows, in standard deviations that
             the rows state; None where they state none.
         rows: Number of fitted rows.
@@ -53,6 +55,7 @@ class CalibrationRecord:
     errors: tuple[QuantityErrors, ...]
     validation: str
     predicted: tuple[float, float] | None
+    predicted_robot: tuple[float, float] | None
     noise: float | None
     rows: int
     hashes: tuple[str, ...]

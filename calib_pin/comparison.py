@@ -141,7 +141,12 @@ class Comparison:
     @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        first, second = self.first.predicted, self.second.predicted
+        first, second = (
+            record.predicted_robot
+            if len(self.drift.absorbed) == 2 and record.predicted_robot is not None
+            else record.predicted
+            for record in (self.first, self.second)
+        )
         if first is None or second is None:
             return None
         return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])

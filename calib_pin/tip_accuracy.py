@@ -13,7 +13,7 @@ from calib_pin.planning.information import Information
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 
-__all__ = ["TipAccuracy", "tip_accuracy"]
+__all__ = ["LEVER", "TipAccuracy", "tip_accuracy"]
 
 SAMPLES = 400
 """Configurations of the workspace."""
@@ -23,6 +23,14 @@ ROWS = 400
 
 COUNTS = 16
 """Numbers of rows at which it is looked at."""
+
+
+LEVER = 1e-4
+"""What a radian weighs where frames are fitted to poses [m].
+
+So little that positions decide, and orientations only what positions leave open: where
+only positions were measured, orientations are known poorly or not at all.
+"""
 
 
 @dataclass(frozen=True)
@@ -39,6 +47,8 @@ class TipAccuracy:
         position: Standard deviation of these, the root of the sum over the axes,
             shape (N,) [m].
         orientation: That of the rotation vectors, shape (N,) [rad].
+        of_robot: Root-mean-square of both with what a displacement of base and tool
+            can absorb taken away [m] and [rad].
         counts: Numbers of measurements, ascending, shape (K,).
         by_count: Root-mean-square of `position` with as many, shape (K,) [m].
     """
@@ -47,17 +57,14 @@ class TipAccuracy:
     points: Floats
     position: Floats
     orientation: Floats
+    of_robot: tuple[float, float]
     counts: Floats
     by_count: Floats
 
     @property
     def rms(self) -> tuple[float, float]:
         """Of position [m] and orientation [rad] over the workspace."""
-        position, orientation = (
-            float(np.sqrt(np.mean(sizes**2)))
-            for sizes in (self.position, self.orientation)
-        )
-        return position, orientation
+        return _rms(self.position), _rms(self.orientation)
 
 
 def tip_accuracy(
@@ -81,10 +88,8 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     C = fitted.covariance[:of_error, :of_error]
-    position, orientation = (
-        np.sqrt(np.maximum(np.einsum("ndi,ij,ndj->n", part, C, part, optimize=True), 0))
-        for part in (J[:, :3], J[:, 3:])
-    )
+    position, orientation = _deviations(J, C)
+    alone = _deviations(_without_frames(J), C)
     counts, by_count = _by_count(fitted, problem, theta, J[:, :3], rng)
     to_base = error.base.inverse().homogeneous
     return TipAccuracy(
@@ -92,9 +97,37 @@ def tip_accuracy(
         points=T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3],
         position=position,
         orientation=orientation,
+        of_robot=(_rms(alone[0]), _rms(alone[1])),
         counts=np.array([*counts, len(problem.data)]),
-        by_count=np.array([*by_count, np.sqrt(np.mean(position**2))]),
+        by_count=np.array([*by_count, _rms(position)]),
     )
+
+
+def _deviations(J: Floats, C: Floats) -> tuple[Floats, Floats]:
+    """Of position and orientation, by the derivative of twists and the covariance."""
+    position, orientation = (
+        np.sqrt(np.maximum(np.einsum("ndi,ij,ndj->n", part, C, part, optimize=True), 0))
+        for part in (J[:, :3], J[:, 3:])
+    )
+    return position, orientation
+
+
+def _without_frames(J: Floats) -> Floats:
+    """Twists of the tool without what base and tool could absorb of each.
+
+    Args:
+        J: Body twists by parameters, the first six of the base and the last six of the
+            tool, shape (N, 6, P).
+    """
+    weighted = J * np.repeat([1.0, LEVER], 3)[:, None]
+    rows = weighted.reshape(-1, J.shape[2])
+    frames = np.r_[0:6, -6:0]
+    absorbed = np.linalg.lstsq(rows[:, frames], rows, rcond=1e-9)[0]
+    return np.asarray(J - J[:, :, frames] @ absorbed)
+
+
+def _rms(sizes: Floats) -> float:
+    return float(np.sqrt(np.mean(sizes**2)))
 
 
 def _by_count(

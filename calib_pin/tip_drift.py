@@ -9,18 +9,12 @@ import numpy as np
 from calib_pin.parameterizations import NOTHING
 from calib_pin.result import Accuracy, CalibratedModel
 from calib_pin.spatial import Floats, invert, se3_exp, skew, so3_log
+from calib_pin.tip_accuracy import LEVER
 
 __all__ = ["TipDrift", "absorbed", "tip_drift"]
 
 SAMPLES = 1000
 """Configurations of the workspace."""
-
-LEVER = 1e-4
-"""What a radian weighs when frames are fitted [m].
-
-So little that positions decide, and orientations only what positions leave open: where
-only positions were measured, orientations are known poorly or not at all.
-"""
 
 STEPS = 50
 """Steps after which the fit of the frames ends at the latest; a few are enough."""

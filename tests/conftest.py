@@ -333,6 +333,7 @@ def recorded() -> Callable[..., CalibrationRecord]:
             errors=result.errors,
             validation=result.validation,
             predicted=None if result.tip is None else result.tip.rms,
+            predicted_robot=None if result.tip is None else result.tip.of_robot,
             noise=result.sigma0 if result.stated_sigma else None,
             rows=result.training,
             hashes=(f"rows {seed}",),

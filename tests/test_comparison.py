@@ -132,7 +132,9 @@ def true_drift(chain, changes, q):
 def test_a_change_that_noise_hides_at_the_tip(record):
     later = record(1, changes=(("joint_5.placement.rz", 2e-3),))
     # As with a base that is poorly known.
-    found = compare(record(0), replace(later, predicted=(1e-3, 2e-3)))
+    found = compare(
+        record(0), replace(later, predicted=(1e-3, 2e-3), predicted_robot=(1e-3, 2e-3))
+    )
     assert found.drifted is False
     assert found.changed
     assert found.differences[0].name == "joint_5.placement.rz + joint_6.placement.ry"
@@ -275,7 +277,7 @@ def test_differences_are_sorted_and_independent(record):
 
 
 def test_files_that_do_not_say_what_noise_explains(record):
-    found = compare(record(0), replace(record(1), predicted=None))
+    found = compare(record(0), replace(record(1), predicted=None, predicted_robot=None))
     assert found.explained is None and found.drifted is None
     assert not found.identical
 

@@ -7,8 +7,15 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli.files import exists, require_distinct
-from calib_pin.cli.options import Json, seed
+from calib_pin.cli.figures import (
+    FigureFormat,
+    Figures,
+    draw_comparison,
+    figure_files,
+    write_figures,
+)
+from calib_pin.cli.files import check_outputs, exists, require_distinct
+from calib_pin.cli.options import Force, Json, seed
 from calib_pin.cli.printing import show
 
 __all__ = ["compare"]
@@ -30,6 +37,9 @@ def compare(
     seed: Annotated[
         int, seed(WORKSPACE, "Seed of the configurations at which tips are compared.")
     ] = 0,
+    figures: Figures = None,
+    figure_format: FigureFormat = "png",
+    force: Force = False,
     json: Json = False,
 ) -> int:
     """Print what moved between two calibrations, beyond their uncertainty.
@@ -53,10 +63,16 @@ def compare(
         if exists(inside):
             raise OptionError("is a folder", file=file, allowed=str(inside))
     require_distinct(files)
+    pictures = figure_files(figures, figure_format, "comparison")
+    check_outputs(pictures, files, force)
     A, B = map(read_record, files)
     found = run(A, B, seed=seed)
+    drawn = draw_comparison(found) if pictures else []
+    pictured = write_figures(drawn, pictures, force)
     if json:
         typer.echo(encode(comparison_document(found)).decode(), nl=False)
     else:
         show(comparison_report(found))
+        for line in pictured:
+            typer.echo(line)
     return 0 if A.verdict == B.verdict == "good" else 2

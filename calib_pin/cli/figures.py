@@ -13,6 +13,7 @@ from calib_pin.cli.options import OUTPUT
 from calib_pin.cli.printing import Bar, notice
 
 if TYPE_CHECKING:
+    from calib_pin.comparison import Comparison
     from calib_pin.planning.plan import Plan
     from calib_pin.report.figures import Drawn
     from calib_pin.result import CalibrationResult
@@ -21,6 +22,7 @@ __all__ = [
     "FigureFormat",
     "Figures",
     "draw_calibration",
+    "draw_comparison",
     "draw_plan",
     "figure_files",
     "write_figures",
@@ -64,7 +66,7 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     Args:
         folder: The folder.
         kind: One of `FORMATS`.
-        of: What they are figures of, `calibration` or `plan`.
+        of: What they are figures of, `calibration`, `plan` or `comparison`.
 
     Raises:
         OptionError: If a file stands in the place of the folder.
@@ -93,6 +95,13 @@ def draw_plan(plan: Plan, bar: Bar | None) -> list[Drawn]:
     from calib_pin.report.figures import NAMES, plan_figures
 
     return _told(plan_figures(plan), len(NAMES["plan"]), bar)
+
+
+def draw_comparison(found: Comparison) -> list[Drawn]:
+    """The figures of a comparison."""
+    from calib_pin.report.figures import comparison_figures
+
+    return list(comparison_figures(found.drift))
 
 
 def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:

@@ -258,7 +258,12 @@ def _predicted(result: CalibrationResult) -> Json | None:
     """The error of the tip over the workspace that the noise leaves, by the fit."""
     if result.tip is None:
         return None
-    return {"position": result.tip.rms[0], "orientation": result.tip.rms[1]}
+    (position, orientation), alone = result.tip.rms, result.tip.of_robot
+    return {
+        "position": position,
+        "orientation": orientation,
+        "robot": {"position": alone[0], "orientation": alone[1]},
+    }
 
 
 def _urdf(urdf: UrdfResult, method: str) -> Json:

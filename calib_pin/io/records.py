@@ -56,6 +56,7 @@ def _record(file: str, model: CalibratedModel, document: Json) -> CalibrationRec
         errors=tuple(errors for errors, _ in stated),
         validation=stated[0][1] if stated else "none",
         predicted=_predicted(document.get("predicted")),
+        predicted_robot=_predicted((document.get("predicted") or {}).get("robot")),
         noise=_noise(document["statistics"]),
         rows=int(rows),
         hashes=tuple(_hashes(about["files"])),

@@ -65,7 +65,8 @@ def _how(found: Comparison) -> Iterator[str]:
         )
     if found.explained is None:
         return
-    yield "Noise is that of both, base and tool included."
+    known = "" if len(absorbed) == 2 else ", base and tool included"
+    yield f"Noise is that of both{known}."
     statuses = {
         p.status
         for record in (found.first, found.second)

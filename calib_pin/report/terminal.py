@@ -78,9 +78,8 @@ def _rendered(block: Block) -> Iterator[RenderableType]:
 
 def _table(table: Table) -> rich_table.Table:
     result = rich_table.Table(
-        title=Text(table.title) if table.title else None,
+        title=Text(table.title, style="bold") if table.title else None,
         title_justify="left",
-        title_style="bold",
         box=None,
         pad_edge=False,
         show_header=table.headed,

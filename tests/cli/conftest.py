@@ -53,6 +53,9 @@ planes:
   wall: {normal: [1, 0.2, 0.3], offset: -1.8}
 """
 
+DRAW = "calib_pin.cli.calibrate.draw_calibration"
+"""What a command draws the figures of a calibration with."""
+
 SETUP = "tip: tool\nparameters: [joint-offset]\nnoise: {position: 1.0e-4}\n"
 
 
@@ -81,6 +84,7 @@ def workshop(tmp_path_factory: pytest.TempPathFactory) -> Path:
     position = "--model position --noise 1e-4"
     with pytest.MonkeyPatch.context() as patch:
         patch.chdir(folder)
+        patch.setattr(DRAW, lambda *about: [])
         for words in (
             f"simulate arm.urdf {position} --count 40 --errors errors.yaml "
             "--parameters joint-offset -o rows.csv --truth truth.urdf",
@@ -103,6 +107,18 @@ def here(workshop: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Pat
     shutil.copytree(workshop, folder)
     monkeypatch.chdir(folder)
     return folder
+
+
+@pytest.fixture(autouse=True)
+def undrawn(request: pytest.FixtureRequest, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Pages without figures, unless a test asks for `drawn`: they take the longest."""
+    if "drawn" not in request.fixturenames:
+        monkeypatch.setattr(DRAW, lambda *about: [])
+
+
+@pytest.fixture
+def drawn() -> None:
+    """Pages and folders with their figures."""
 
 
 @pytest.fixture

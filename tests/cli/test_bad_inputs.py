@@ -119,6 +119,7 @@ SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
+TRUSTED_OR_NOT = {"calibration.json", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
@@ -1033,8 +1034,9 @@ def test_untrusted(prepare, parts, here, run):
     assert ".." not in verdict
     for part in parts.split("|"):
         assert part in verdict
-    assert result.out.endswith("wrote out/calibration.json\n")
-    assert [path.name for path in Path("out").iterdir()] == ["calibration.json"]
+    assert result.out.endswith("wrote out/calibration.json\nwrote out/report.html\n")
+    assert {path.name for path in Path("out").iterdir()} == TRUSTED_OR_NOT
+    assert f"UNTRUSTED: {first.split()[1]}" in Path("out/report.html").read_text()
     document = json.loads(Path("out/calibration.json").read_text())
     assert document["verdict"]["status"] == "untrusted"
     assert document["verdict"]["reason"].rstrip(".") in verdict
@@ -1053,7 +1055,7 @@ def test_the_robot_of_an_earlier_run_does_not_stay(here, run):
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml -o done --force")
     assert result.status == 2
     assert result.err == "calib-pin: note: removed done/arm.urdf of an earlier run\n"
-    assert [path.name for path in Path("done").iterdir()] == ["calibration.json"]
+    assert {path.name for path in Path("done").iterdir()} == TRUSTED_OR_NOT
 
 
 def test_identification_of_too_few_rows(here, run):

@@ -47,6 +47,7 @@ def test_as_processes(here):
     assert {path.name for path in Path("out").iterdir()} == {
         "arm.urdf",
         "calibration.json",
+        "report.html",
     }
 
     result = process(*POSITION.split(), "-o", "out", code=1)
@@ -302,7 +303,9 @@ def check_form(value, form, place="document"):
 def test_what_is_written(command, quantities, here, run):
     result = run(f"{command} -o out --seed 7")
     assert (result.status, result.err) == (0, "")
-    assert result.out.endswith("wrote out/arm.urdf\nwrote out/calibration.json\n")
+    assert result.out.endswith(
+        "wrote out/arm.urdf\nwrote out/calibration.json\nwrote out/report.html\n"
+    )
 
     found = document("out")
     check_form(found, CONTRACT)
@@ -438,7 +441,7 @@ def test_force_replaces(here, run):
     assert result.status == 0
     assert document("done")["measurements"]["files"][0]["file"] == "new.csv"
     assert Path("done/calibration.json").read_bytes() != old
-    assert len(list(Path("done").iterdir())) == 2
+    assert len(list(Path("done").iterdir())) == 3
 
 
 def test_options_win_over_the_setup_file(here, run):
@@ -543,6 +546,7 @@ def test_names_that_a_file_system_cannot_hold(here, run):
     assert {path.name for path in Path("out").iterdir()} == {
         "__red__ärm__1.urdf",
         "calibration.json",
+        "report.html",
     }
     assert document("out")["robot"]["name"] == "../[red] ärm: 1"
 
@@ -908,7 +912,10 @@ def test_no_urdf_that_is_worse_than_the_nominal_one(tmp_path, monkeypatch, run):
     said = " ".join(result.out.split())
     assert "A URDF cannot hold compliance. None is written: " in said
     assert result.err == "calib-pin: note: removed out/pa10.urdf of an earlier run\n"
-    assert {path.name for path in Path("out").iterdir()} == {"calibration.json"}
+    assert {path.name for path in Path("out").iterdir()} == {
+        "calibration.json",
+        "report.html",
+    }
     assert document("out")["urdf"]["reason"]
 
     words = "calibrate pa10 rows.csv --setup setup.yaml --parameters compliance -o bare"

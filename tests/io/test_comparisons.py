@@ -61,7 +61,9 @@ def test_numbers(found):
 
 def test_what_is_unknown_is_null(found):
     (position, _) = found.second.errors
-    less = replace(found.second, predicted=None, errors=(position,))
+    less = replace(
+        found.second, predicted=None, predicted_robot=None, errors=(position,)
+    )
     document = comparison_document(replace(found, second=less, displacements=()))
     assert document["drifted"] is None
     assert document["tip"]["orientation"] is None

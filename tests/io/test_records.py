@@ -54,6 +54,7 @@ def test_all_comes_back(document, result):
     assert found.groups == result.groups
     assert found.errors == result.errors
     assert found.predicted == result.tip.rms
+    assert found.predicted_robot == result.tip.of_robot
     assert found.noise == result.sigma0
     assert (found.validation, found.rows) == ("5-fold", 40)
     assert (found.verdict, found.reason, found.file) == ("good", "", "c.json")

@@ -76,10 +76,16 @@ def test_a_move(moved):
     [
         ({"noise": None}, "The robot moved, or was measured at other configurations:"),
         ({"hashes": ("rows 0",)}, "The two do not agree on the tip: it differs by 0."),
-        ({"predicted": None}, r"The tips are 0\.\d+ mm and 0\.\d+ deg rms apart; how"),
-        ({"predicted": (1.0, 1.0)}, r"The robot changed, .*joint_4.*; the tip differs"),
         (
-            {"predicted": (1.0, 1.0), "noise": 2.0},
+            {"predicted": None, "predicted_robot": None},
+            r"The tips are 0\.\d+ mm and 0\.\d+ deg rms apart; how",
+        ),
+        (
+            {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0)},
+            r"The robot changed, .*joint_4.*; the tip differs",
+        ),
+        (
+            {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0), "noise": 2.0},
             "No drift beyond what the noise of both explains",
         ),
     ],

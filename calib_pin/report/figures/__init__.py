@@ -18,10 +18,22 @@ from calib_pin.report.figures.plan_steps import criterion_by_count
 from calib_pin.report.figures.residuals import residuals
 from calib_pin.report.figures.row_errors import errors_per_measurement
 from calib_pin.report.figures.singular_values import singular_values
-from calib_pin.report.figures.tip_accuracy import tip_by_count, tip_in_workspace
+from calib_pin.report.figures.tip_accuracy import (
+    drift_in_workspace,
+    tip_by_count,
+    tip_in_workspace,
+)
 from calib_pin.result import CalibrationResult
+from calib_pin.tip_drift import TipDrift
 
-__all__ = ["COLORS", "NAMES", "Drawn", "calibration_figures", "plan_figures"]
+__all__ = [
+    "COLORS",
+    "NAMES",
+    "Drawn",
+    "calibration_figures",
+    "comparison_figures",
+    "plan_figures",
+]
 
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     errors_per_measurement,
@@ -57,8 +69,11 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "model-ladder",
     ),
     "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
+    "comparison": ("tip-drift",),
 }
 """Names of all figures that there may be, by what they are of."""
+
+OF_DRIFT: tuple[Callable[[TipDrift], Drawn | None], ...] = (drift_in_workspace,)
 
 _Subject = TypeVar("_Subject")
 
@@ -91,6 +106,11 @@ def plan_figures(plan: Plan) -> Iterator[Drawn]:
         ['criterion-by-count', 'predicted-deviations', 'planned-positions']
     """
     yield from _drawn(OF_PLAN, plan)
+
+
+def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
+    """Figures of what differs between two calibrations."""
+    yield from _drawn(OF_DRIFT, drift)
 
 
 def _drawn(

@@ -18,8 +18,10 @@ from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.figures.views import FOOT, SCALE, Sides, colored
 from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
+from calib_pin.spatial import Floats
+from calib_pin.tip_drift import TipDrift
 
-__all__ = ["tip_by_count", "tip_in_workspace"]
+__all__ = ["drift_in_workspace", "tip_by_count", "tip_in_workspace"]
 
 
 def tip_by_count(result: CalibrationResult) -> Drawn | None:
@@ -72,19 +74,48 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     tip = result.tip
     if tip is None or len(tip.points) == 0 or not np.isfinite(tip.position).all():
         return None
-    unit, factor = unit_of("m")
-    views = Sides.of(tip.points)
-    figure = Figure(figsize=(WIDTH, 0.1 + views.height + FOOT + SCALE))
-    values = factor * tip.position
-    colored(figure, 0.1, views, tip.points, values, f"tip error [{unit}], rms")
-    worst = tip.points[int(values.argmax())]
-    place = ", ".join(f"{value:.2f}" for value in worst)
+    figure, words = _over_workspace(tip.points, tip.position, "tip error", ", rms")
     return Drawn(
         "tip-accuracy-in-workspace",
         "Tip accuracy over the workspace",
-        f"Error of the tip that noise leaves at {len(values)} random configurations: "
-        f"rms {number(factor * tip.rms[0])} {unit}, from {number(values.min())} to "
-        f"{number(values.max())} {unit}, the largest at ({place}) m. What no parameter "
-        "of the model describes is not in it.",
+        f"Error of the tip that noise leaves {words}. What no parameter of the model "
+        "describes is not in it.",
         figure,
+    )
+
+
+def drift_in_workspace(drift: TipDrift) -> Drawn:
+    """How far the tips of two calibrations are apart, from three sides."""
+    figure, words = _over_workspace(drift.points, drift.drift, "distance", "")
+    return Drawn(
+        "tip-drift",
+        "Distance of the tips over the workspace",
+        f"How far the tips of both calibrations are apart {words}. What a frame can "
+        "absorb that one of them estimated is fitted away.",
+        figure,
+    )
+
+
+def _over_workspace(
+    points: Floats, sizes: Floats, name: str, kind: str
+) -> tuple[Figure, str]:
+    """Points colored by a size, and the sizes in words.
+
+    Args:
+        points: Where the tips are, shape (N, 3) [m].
+        sizes: What is shown of each, shape (N,) [m].
+        name: What that is.
+        kind: What kind of mean, after the unit.
+    """
+    unit, factor = unit_of("m")
+    views = Sides.of(points)
+    figure = Figure(figsize=(WIDTH, 0.1 + views.height + FOOT + SCALE))
+    values = factor * sizes
+    colored(figure, 0.1, views, points, values, f"{name} [{unit}]{kind}")
+    place = ", ".join(f"{value:.2f}" for value in points[int(values.argmax())])
+    rms = float(np.sqrt(np.mean(values**2)))
+    return figure, (
+        f"at {len(values)} random configurations: rms {number(rms)} {unit}, from "
+        f"{number(values.min())} to {number(values.max())} {unit}, the largest at "
+        f"({place}) m"
     )

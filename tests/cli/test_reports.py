@@ -1,0 +1,172 @@
+"""What people look at, asked for by options: pages, pictures, colors, progress."""
+
+from __future__ import annotations
+
+import json
+import os
+import re
+import sys
+from pathlib import Path
+from subprocess import PIPE, Popen
+
+import pytest
+
+from calib_pin.report.figures import NAMES
+
+CALIBRATE = "calibrate arm.urdf rows.csv --setup setup.yaml"
+PLAN = "plan arm.urdf --model position --count 8 --candidates 60 --method greedy"
+MAGIC = {"png": b"\x89PNG", "pdf": b"%PDF-", "svg": b"<?xml"}
+
+
+def names(folder: str) -> set[str]:
+    return {path.name for path in Path(folder).iterdir()}
+
+
+# --- the page ----------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("drawn")
+def test_a_page_with_figures_and_the_words_of_the_terminal(here, run):
+    result = run(f"{CALIBRATE} -o out --figures out/figures")
+    assert (result.status, result.err) == (0, "")
+    page = Path("out/report.html").read_text()
+    pictures = {path.stem for path in Path("out/figures").iterdir()}
+    assert pictures <= set(NAMES["calibration"]) and len(pictures) >= 7
+    assert {*re.findall(r'<figure id="figure-([\w-]+)">', page)} == pictures
+    words = result.out.splitlines()
+    assert f"wrote {len(pictures)} figures to out/figures" == words[-1]
+    assert words[0] in page
+    assert "--figures out/figures" in page
+    for line in result.out.split("Accuracy\n")[1].splitlines()[1:5]:
+        for cell in line.split():
+            assert f">{cell}<" in page
+    stored = json.loads(Path("out/calibration.json").read_text())
+    for file in [stored["robot"], *stored["measurements"]["files"]]:
+        assert file["sha256"] in page
+
+
+def test_the_same_page_again(here, run):
+    pages = []
+    for _ in range(2):
+        assert run(f"{CALIBRATE} -o out --force").status == 0
+        page = Path("out/report.html").read_text()
+        page = re.sub(r"\d{4}-\d\d-\d\dT[\d:]+\+00:00", "", page)
+        pages.append(re.sub(r"<dt>time</dt><dd>[\d.]+ s</dd>", "", page))
+    assert pages[0] == pages[1]
+
+
+def test_nothing_is_drawn_for_nobody(here, run, monkeypatch):
+    def draw(*about: object) -> list[object]:
+        raise AssertionError
+
+    monkeypatch.setattr("calib_pin.cli.calibrate.draw_calibration", draw)
+    assert run(CALIBRATE).status == 0
+
+
+# --- pictures ----------------------------------------------------------------------
+
+
+@pytest.mark.usefixtures("drawn")
+@pytest.mark.parametrize("kind", MAGIC)
+def test_pictures_of_a_plan(kind, here, run):
+    result = run(f"{PLAN} -o plan.csv --figures figures --figure-format {kind}")
+    assert (result.status, result.err.count("\n")) == (0, 1)
+    assert names("figures") == {f"{name}.{kind}" for name in NAMES["plan"]}
+    assert all(
+        p.read_bytes()[:5].startswith(MAGIC[kind]) for p in Path("figures").iterdir()
+    )
+    assert result.out.endswith("wrote 3 figures to figures\n")
+
+
+@pytest.mark.usefixtures("drawn")
+def test_pictures_of_an_earlier_run(here, run):
+    """They are not replaced unasked, and what is not drawn now does not stay."""
+    Path("figures").mkdir()
+    old = Path("figures/tip-drift.png")
+    old.write_text("of an earlier run")
+    later = Path("later")
+    assert run(f"calibrate arm.urdf new.csv --setup setup.yaml -o {later}").status == 0
+    words = "compare done/calibration.json later/calibration.json --figures figures"
+    result = run(words)
+    assert result.status == 1
+    assert "figures/tip-drift.png: exists already; --force" in result.err
+    assert old.read_text() == "of an earlier run"
+    result = run(f"{words} --force")
+    assert result.status == 0
+    assert old.read_bytes().startswith(MAGIC["png"])
+    stale = Path("figures/convergence.png")
+    stale.write_text("of an earlier run")
+    result = run(f"{CALIBRATE} --figures figures --force")
+    assert f"calib-pin: note: removed {stale} of an earlier run" in result.err
+    assert "convergence.png" not in names("figures")
+
+
+@pytest.mark.parametrize(
+    ("words", "parts"),
+    [
+        (f"{CALIBRATE} --figures rows.csv", "rows.csv|is a file, not a folder"),
+        (
+            f"{CALIBRATE} --figures figures --figure-format gif",
+            "unknown figure format 'gif'|png, pdf, svg",
+        ),
+        (f"{PLAN} -o plan.csv --figures rows.csv", "rows.csv|is a file, not a folder"),
+    ],
+)
+def test_wrong_options(words, parts, here, run, listing):
+    before = listing(here)
+    result = run(words)
+    assert (result.status, result.out) == (1, "")
+    assert result.err.count("\n") == 1
+    for part in parts.split("|"):
+        assert part in result.err
+    assert listing(here) == before
+
+
+# --- terminals ---------------------------------------------------------------------
+
+
+def on_terminal(words: str, stream: str, **environment: str) -> bytes:
+    """What a process writes to a terminal, which is its output or its error stream."""
+    main, side = os.openpty()
+    streams = {"stdout": PIPE, "stderr": PIPE, stream: side}
+    process = Popen(
+        [sys.executable, "-m", "calib_pin.cli", *words.split()],
+        stdin=PIPE,
+        env={**os.environ, "TERM": "xterm-256color", "COLUMNS": "80", **environment},
+        **streams,  # type: ignore[arg-type]
+    )
+    os.close(side)
+    shown = b""
+    try:
+        while part := os.read(main, 4096):
+            shown += part
+    except OSError:  # How the end of a terminal shows on Linux.
+        pass
+    finally:
+        process.communicate(timeout=60.0)
+        os.close(main)
+    assert process.returncode == 0
+    return shown
+
+
+def test_colors_unless_unwanted(here):
+    words = "evaluate done/calibration.json new.csv"
+    assert b"\x1b[1mAccuracy" in on_terminal(words, "stdout", NO_COLOR="")
+    plain = on_terminal(words, "stdout", NO_COLOR="1")
+    assert b"Accuracy" in plain
+    # Bold is no color; colors of text are 30 to 37 and 90 to 97.
+    assert not re.search(rb"\x1b\[(\d+;)*(3|9)[0-7](;\d+)*m", plain)
+
+
+@pytest.mark.parametrize(
+    ("words", "stage"),
+    [
+        ("evaluate done/calibration.json new.csv", b"evaluate"),
+        ("simulate arm.urdf --model position --count 9 -o out.csv", b"write"),
+    ],
+)
+def test_progress_on_the_error_stream(words, stage, here):
+    assert stage in on_terminal(words, "stderr")
+    if "-o" in words:
+        words += " --force"
+    assert b"\x1b[?25l" not in on_terminal(words, "stdout")

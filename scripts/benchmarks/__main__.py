@@ -4,7 +4,16 @@ from __future__ import annotations
 
 import sys
 
-from benchmarks import basic, beyond, camera, evolution, planning, recovery, rows
+from benchmarks import (
+    basic,
+    beyond,
+    camera,
+    evolution,
+    planning,
+    recovery,
+    report,
+    rows,
+)
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
@@ -16,6 +25,7 @@ BENCHMARKS = {
     "planning": planning.main,
     "beyond": beyond.main,
     "recovery": recovery.main,
+    "report": report.main,
 }
 
 

@@ -1,0 +1,76 @@
+"""The page of a calibration of very many rows: how long it takes, and how large it is.
+
+It is compared with what a single scatter plot of the same rows takes as SVG.
+"""
+
+from __future__ import annotations
+
+import io
+from dataclasses import replace
+
+import matplotlib as mpl
+import numpy as np
+from matplotlib.figure import Figure
+
+import calib_pin
+from benchmarks.timing import best, show
+from calib_pin.formulation import nominal_problem
+from calib_pin.io.documents import Provenance, calibration_document
+from calib_pin.remedies import remedies
+from calib_pin.report.figures import calibration_figures
+from calib_pin.report.html import html_report
+from calib_pin.result import CalibrationResult
+from calib_pin.setup import FrameSetup, Setup
+
+__all__ = ["main"]
+
+ROWS = (10_000, 100_000)
+"""Numbers of fitted rows; as many others check the fit."""
+
+TOOL = FrameSetup((0.05, 0.03, 0.1))
+PROVENANCE = Provenance((), "", 0.0, {"calib_pin": "", "pinocchio": "", "numpy": ""})
+
+
+def main() -> None:
+    """Print time and size of the page."""
+    for count in ROWS:
+        result = _result(count)
+        pages: list[bytes] = []
+        seconds = best(lambda result=result: pages.append(_page(result)), 3)
+        other = best(lambda result=result: _scatter(result), 2)
+        show(f"page, {count} + {count} poses", seconds, "one scatter as SVG", other)
+        print(f"{'size':<40}{len(pages[-1]) / 1e6:9.2f} MB")
+
+
+def _result(count: int) -> CalibrationResult:
+    chain = calib_pin.load_chain("pa10")
+    problem = nominal_problem(chain, "pose", Setup(tool_frame=TOOL))
+    rng = np.random.default_rng(1)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=2 * count)
+    marked = replace(rows, validate=np.arange(2 * count) % 2 == 1)
+    return calib_pin.calibrate(chain, marked)
+
+
+def _page(result: CalibrationResult) -> bytes:
+    """All that a command does for the page."""
+    chain = result.model.chain
+    return html_report(
+        result,
+        calibration_document(result, PROVENANCE),
+        figures=list(calibration_figures(result)),
+        remedies=remedies(chain, "pose", Setup(), result, tool=result.model.tool),
+    )
+
+
+def _scatter(result: CalibrationResult) -> bytes:
+    sizes = result.fitted.sizes(result.fitted.quantities[0])
+    stream = io.BytesIO()
+    with mpl.rc_context({"svg.fonttype": "none"}):
+        figure = Figure(figsize=(7.2, 3.0), layout="constrained")
+        axes = figure.add_subplot()
+        axes.set_yscale("log")
+        for errors in sizes:
+            axes.plot(errors, ".")
+        figure.savefig(stream, format="svg")
+    return stream.getvalue()

@@ -35,11 +35,11 @@ def main() -> None:
     """Print time and size of the page."""
     for count in ROWS:
         result = _result(count)
-        pages: list[bytes] = []
-        seconds = best(lambda result=result: pages.append(_page(result)), 3)
+        size = len(_page(result))
+        seconds = best(lambda result=result: _page(result), 3)
         other = best(lambda result=result: _scatter(result), 2)
-        show(f"page, {count} + {count} poses", seconds, "one scatter as SVG", other)
-        print(f"{'size':<40}{len(pages[-1]) / 1e6:9.2f} MB")
+        name = f"page of {size / 1e6:.2f} MB, {count} + {count} poses"
+        show(name, seconds, "one scatter as SVG", other)
 
 
 def _result(count: int) -> CalibrationResult:

@@ -7,6 +7,7 @@ import warnings
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import dataclass
+from textwrap import fill
 from typing import Any
 
 import matplotlib as mpl
@@ -54,6 +55,9 @@ COLORS: Mapping[str, str] = {
 
 GROUPS = (AFTER, "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 """Colors of things side by side, of the palette of Okabe and Ito."""
+
+LINE = 100
+"""Letters in a line below a picture."""
 
 WIDTH = 7.2
 """Width of every figure [inch]."""
@@ -137,28 +141,30 @@ class Drawn:
         names = {color: name for name, color in COLORS.items()}
         return inlined(self._saved("svg", "none"), self.name, self.title, names)
 
-    def png(self) -> bytes:
-        """A picture on white."""
-        return self.picture("png")
-
-    def pdf(self) -> bytes:
-        """A page of its own, on white."""
-        return self.picture("pdf")
-
     def picture(self, kind: str) -> bytes:
-        """A file of its own, on white.
+        """A file of its own, on white, with its heading and what to look for.
 
         Args:
             kind: One of `KINDS`.
         """
-        return self._saved(kind, PAPER)
+        figure, apart = self.figure, 0.12 / self.figure.get_figheight()
+        with drawing():
+            title = figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11)
+            below = fill(self.reading, LINE)
+            reading = figure.text(0.01, -apart, below, va="top", color=MUTED)
+            try:
+                # Cut to what is there: the words stand outside of the figure.
+                return self._saved(kind, PAPER, bbox_inches="tight", pad_inches=0.12)
+            finally:
+                title.remove()
+                reading.remove()
 
-    def _saved(self, kind: str, paper: str) -> bytes:
+    def _saved(self, kind: str, paper: str, **more: Any) -> bytes:
         metadata, dpi = KINDS[kind]
         stream = io.BytesIO()
         with drawing():
             self.figure.savefig(
-                stream, format=kind, dpi=dpi, metadata=metadata, facecolor=paper
+                stream, format=kind, dpi=dpi, metadata=metadata, facecolor=paper, **more
             )
         return stream.getvalue()
 

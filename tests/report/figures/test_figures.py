@@ -48,6 +48,17 @@ def test_all_figures_are_there_in_order(drawn: list[Drawn]) -> None:
         assert figure.reading.endswith(".") and "  " not in figure.reading
 
 
+def test_pictures_have_a_heading_and_say_what_to_look_for(drawn: list[Drawn]) -> None:
+    """In a page they stand around the figure, which has to be as it was."""
+    figure = drawn[-1]
+    before = figure.svg()
+    words = "".join(ElementTree.fromstring(figure.picture("svg")).itertext())
+    assert figure.title in words
+    assert all(word in words for word in figure.reading.split())
+    assert figure.svg() == before
+    assert figure.reading[:20] not in "".join(ElementTree.fromstring(before).itertext())
+
+
 def test_figures_are_part_of_a_page(drawn: list[Drawn], inline: list[str]) -> None:
     found: list[str] = []
     for figure, svg in zip(drawn, inline, strict=True):
@@ -123,8 +134,8 @@ def test_names_are_taken_as_they_are(draw: Callable[..., Drawn]) -> None:
         shown = "".join(ElementTree.fromstring(drawn.svg()).itertext())
         assert "$\\a^{2$_<b>&\"']]>\u4e2d" in shown
         assert "\u202e" not in shown and hostile[:60] not in shown
-        assert drawn.png()
-    assert draw(correlations, result).pdf()
+        assert drawn.picture("png")
+    assert draw(correlations, result).picture("pdf")
 
 
 def one_row(result: CalibrationResult) -> CalibrationResult:

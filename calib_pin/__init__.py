@@ -17,9 +17,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib_pin.calibration import calibrate, evaluate, identify
+    from calib_pin.calibration import calibrate, identify
     from calib_pin.chain import Chain
     from calib_pin.errors import CalibPinError
+    from calib_pin.evaluation import evaluate
     from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
     from calib_pin.io.results import read_calibration, write_urdf
@@ -63,7 +64,7 @@ _HOMES = {
     "Setup": "setup",
     "calibrate": "calibration",
     "draw_errors": "simulation",
-    "evaluate": "calibration",
+    "evaluate": "evaluation",
     "format_report": "report.text",
     "identify": "calibration",
     "load_chain": "io.urdf",

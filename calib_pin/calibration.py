@@ -1,14 +1,12 @@
 """Calibrate a robot from measurements and judge the result.
 
 `calibrate` fits all training rows, checks the fit on rows it has not seen and says
-what of the robot can be known. `evaluate` measures the accuracy of a robot or a
-calibration on other data. `identify` looks at the structure without measurements.
+what of the robot can be known. `identify` looks at the structure without measurements.
 """
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 
@@ -17,15 +15,14 @@ from calib_pin.assessment import (
     estimates,
     fitted_ranks,
     outliers,
-    registration_reason,
     structural_ranks,
     unexplained,
     verdict,
 )
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, nearest
-from calib_pin.fit import analyze_structure, register
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.fit import analyze_structure
+from calib_pin.formulation import nominal_problem
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
@@ -34,7 +31,6 @@ from calib_pin.result import (
     Accuracy,
     CalibratedModel,
     CalibrationResult,
-    Evaluation,
     Identification,
     QuantityErrors,
     UrdfResult,
@@ -48,11 +44,10 @@ from calib_pin.training import (
     Unseen,
     cross_validate,
     geometry_alone,
-    placed,
     train,
 )
 
-__all__ = ["calibrate", "evaluate", "identify"]
+__all__ = ["calibrate", "identify"]
 
 
 def calibrate(
@@ -202,74 +197,6 @@ def calibrate(
         + tuple(distance for check in checks for distance in check.distances),
         placed=tuple(dict.fromkeys(name for check in checks for name in check.placed)),
         spoiled=spoiled,
-    )
-
-
-def evaluate(
-    robot: Chain | CalibratedModel,
-    measurements: Measurements,
-    setup: Setup | None = None,
-    *,
-    registration: bool = False,
-) -> Evaluation:
-    """Accuracy of a robot on measurements, all rows counted.
-
-    A chain knows no frames: base, tool and instrument are registered on these rows. A
-    calibrated model is taken as it is, unless registration is asked for.
-
-    Args:
-        robot: A chain, nominal or corrected, or a calibrated model.
-        measurements: The rows.
-        setup: What is known of frames and instrument, for a chain.
-        registration: Register a calibrated model on these rows.
-
-    Raises:
-        InputError: If the measurements do not fit the model.
-    """
-    outside = 0
-    if isinstance(robot, CalibratedModel):
-        measurements = measurements.among(robot.measurement.name)
-        problem = robot.problem(measurements)
-        outside = int(robot.outside(measurements.q).sum())
-        theta = np.concatenate(
-            [robot.theta, np.zeros(len(robot.measurement.parameters))]
-        )
-    else:
-        setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
-        problem = make_problem(robot, measurements, setup)
-        theta = np.zeros(len(problem.parameters))
-        registration = True
-    if len(measurements) == 0:
-        raise InputError("there are no rows to evaluate")
-    reason = ""
-    known = {feature.name for feature in problem.measurement.features}
-    if registration:
-        if isinstance(robot, CalibratedModel):
-            problem, theta = problem.extended(theta, measurements)
-        problem, result = register(problem, theta)
-        theta = result.x
-        reason = registration_reason(problem, result)
-    problem, theta = placed(problem, theta, measurements)
-    residual = problem.shown(theta)
-    found = [(q, q.errors(residual)) for q in problem.measurement.quantities]
-    # Of mixed measurements, these may all be of another model.
-    found = [(quantity, sizes) for quantity, sizes in found if len(sizes)]
-    return Evaluation(
-        errors=tuple(
-            (quantity.name, quantity.unit, Accuracy.of(sizes))
-            for quantity, sizes in found
-        ),
-        rows=len(measurements),
-        counts=tuple(len(sizes) for _, sizes in found),
-        registered=registration,
-        verdict="untrusted" if reason else "good",
-        reason=reason,
-        outside=outside,
-        placed=tuple(
-            feature.name
-            for feature in problem.measurement.features
-            if feature.name not in known
-        ),
     )
 
 

@@ -27,7 +27,7 @@ LAYERS = (
     ),
     (
         *("assessment", "calibration", "calibration_record", "comparison"),
-        *("compensation", "fit", "parameter_changes", "tip_drift"),
+        *("compensation", "evaluation", "fit", "parameter_changes", "tip_drift"),
         *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
         *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
         *("training", "trajectory"),

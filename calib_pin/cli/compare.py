@@ -14,7 +14,7 @@ from calib_pin.cli.figures import (
     figure_files,
     write_figures,
 )
-from calib_pin.cli.files import check_outputs, exists, require_distinct
+from calib_pin.cli.files import check_outputs, require_distinct, require_file
 from calib_pin.cli.options import Force, Json, seed
 from calib_pin.cli.printing import show
 
@@ -51,7 +51,6 @@ def compare(
     trusted.
     """
     from calib_pin.comparison import compare as run
-    from calib_pin.errors import OptionError
     from calib_pin.io.comparisons import comparison_document
     from calib_pin.io.documents import encode
     from calib_pin.io.records import read_record
@@ -59,9 +58,7 @@ def compare(
 
     files = (first, second)
     for file in files:
-        inside = file / "calibration.json"
-        if exists(inside):
-            raise OptionError("is a folder", file=file, allowed=str(inside))
+        require_file(file)
     require_distinct(files)
     pictures = figure_files(figures, figure_format, "comparison")
     check_outputs(pictures, files, force)

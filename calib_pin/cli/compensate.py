@@ -8,7 +8,12 @@ from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
-from calib_pin.cli.files import check_outputs, exists, open_setup
+from calib_pin.cli.files import (
+    check_outputs,
+    open_setup,
+    require_file,
+    require_joints_only,
+)
 from calib_pin.cli.options import Force, Json, Quiet, SetupFile, csv_file
 from calib_pin.cli.printing import notice, progress_bar, show, stage
 
@@ -108,18 +113,12 @@ def compensate(
         compensation_report,
         line_list,
     )
-    from calib_pin.setup import Setup
 
     require_known("frame", frame or FRAMES[0], FRAMES)
     require_known("point", point or POINTS[0], POINTS)
     stated = open_setup(setup)
-    if setup is not None and stated != Setup(joints=stated.joints):
-        raise OptionError(
-            "a calibration has its own setup", file=setup, allowed="joints"
-        )
-    inside = calibration / "calibration.json"
-    if exists(inside):
-        raise OptionError("is a folder", file=calibration, allowed=str(inside))
+    require_joints_only(setup, stated)
+    require_file(calibration)
     check_outputs((output,), (calibration, targets, setup), force)
     doubts: list[str] = []
     model = read_calibration(calibration, notice=doubts.append)

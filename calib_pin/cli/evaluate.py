@@ -8,11 +8,12 @@ from typing import Annotated
 import typer
 
 from calib_pin.cli.files import (
-    exists,
+    open_calibration,
     open_chain,
     open_measurements,
     open_setup,
     require_distinct,
+    require_file,
 )
 from calib_pin.cli.options import (
     FIT,
@@ -60,32 +61,19 @@ def evaluate(
     """
     from dataclasses import asdict, replace
 
-    from calib_pin.calibration import evaluate as run
     from calib_pin.chain import Chain
-    from calib_pin.errors import OptionError
+    from calib_pin.evaluation import evaluate as run
     from calib_pin.io.documents import encode
-    from calib_pin.io.results import read_calibration
     from calib_pin.report.accuracy import evaluated
     from calib_pin.result import CalibratedModel
-    from calib_pin.setup import Setup
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     subject: Chain | CalibratedModel
     doubts: list[str] = []
-    inside = Path(robot, "calibration.json")
-    if exists(inside):
-        raise OptionError("is a folder", file=robot, allowed=f"{inside}, or a robot")
+    require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        if base is not None or tip is not None or model is not None:
-            raise OptionError("a calibration has its own base, tip and model")
-        subject = read_calibration(robot, notice=doubts.append)
-        if setup is not None and stated != Setup(joints=stated.joints):
-            raise OptionError(
-                "a calibration has its own setup", file=setup, allowed="joints"
-            )
+        subject, stated = open_calibration(robot, setup, stated, doubts.append)
         chain = subject.chain
-        joints = stated.joints or subject.setup.joints
-        stated = replace(stated, model=subject.measurement.name, joints=joints)
     else:
         subject = chain = open_chain(robot, stated)
     require_distinct(measurements)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,15 +11,19 @@ from calib_pin.cli.printing import Bar, notice, stage
 if TYPE_CHECKING:
     from calib_pin.chain import Chain
     from calib_pin.measurements import Measurements
+    from calib_pin.result import CalibratedModel
     from calib_pin.setup import Setup
 
 __all__ = [
     "check_outputs",
     "exists",
+    "open_calibration",
     "open_chain",
     "open_measurements",
     "open_setup",
     "require_distinct",
+    "require_file",
+    "require_joints_only",
     "require_model",
 ]
 
@@ -111,6 +115,66 @@ def open_chain(robot: str, setup: Setup) -> Chain:
             allowed="a URDF file, such as the corrected one",
         )
     return Chain(load_robot(robot), setup.base, setup.tip)
+
+
+def open_calibration(
+    name: str, file: Path | None, setup: Setup, doubted: Callable[[str], None]
+) -> tuple[CalibratedModel, Setup]:
+    """A calibration, and the setup with which rows are read for it.
+
+    Args:
+        name: The `calibration.json`.
+        file: The setup file, if there is one.
+        setup: What it states, with the options on top.
+        doubted: Told if the calibration must not be trusted.
+
+    Raises:
+        InputError: If it cannot be used.
+        OptionError: If something is stated that a calibration has of its own.
+    """
+    from dataclasses import replace
+
+    from calib_pin.errors import OptionError
+    from calib_pin.io.results import read_calibration
+
+    if file is None and (setup.base or setup.tip or setup.model):
+        raise OptionError("a calibration has its own base, tip and model")
+    require_joints_only(file, setup)
+    model = read_calibration(name, notice=doubted)
+    joints = setup.joints or model.setup.joints
+    return model, replace(model.setup, model=model.measurement.name, joints=joints)
+
+
+def require_joints_only(file: Path | None, setup: Setup) -> None:
+    """Refuse a setup file that states what a calibration has of its own.
+
+    Raises:
+        OptionError: If it does.
+    """
+    from calib_pin.errors import OptionError
+    from calib_pin.setup import Setup
+
+    if file is not None and setup != Setup(joints=setup.joints):
+        raise OptionError(
+            "a calibration has its own setup", file=file, allowed="joints"
+        )
+
+
+def require_file(path: str | Path, other: str = "") -> None:
+    """Refuse the folder of a calibration in its place.
+
+    Args:
+        path: What was given.
+        other: What else might have been meant.
+
+    Raises:
+        OptionError: If it is such a folder.
+    """
+    from calib_pin.errors import OptionError
+
+    inside = Path(path, "calibration.json")
+    if exists(inside):
+        raise OptionError("is a folder", file=path, allowed=f"{inside}{other}")
 
 
 def open_measurements(

@@ -9,11 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 import typer
 
 from calib_pin.cli.files import (
-    exists,
+    open_calibration,
     open_chain,
     open_measurements,
     open_setup,
     require_distinct,
+    require_file,
 )
 from calib_pin.cli.options import Base, Model, SetupFile, Tip, number
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
@@ -89,15 +90,11 @@ def view(
     those of the nominal robot, with base and tool registered on these rows (before),
     and those of the calibration as it is (after). Only this machine can look.
     """
-    from calib_pin.errors import OptionError
-
     _require_viser()
     from calib_pin.viewer.server import Window
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
-    inside = Path(robot, "calibration.json")
-    if exists(inside):
-        raise OptionError("is a folder", file=robot, allowed=f"{inside}, or a robot")
+    require_file(robot, ", or a robot")
     scene = _open(robot, measurements or [], plan, package_dir or [], setup, stated)
     window = Window(scene, port)
     try:
@@ -154,7 +151,7 @@ def _open(
     require_distinct(measurements)
     model, chain, rows, planned = None, None, None, None
     if name.endswith(".json"):
-        model, setup = _calibration(name, file, setup)
+        model, setup = open_calibration(name, file, setup, notice)
         chain = model.chain
     elif measurements or plan is not None or setup.base or setup.tip:
         chain = open_chain(name, setup)
@@ -182,32 +179,6 @@ def _note_missing(meshes: Sequence[str]) -> None:
     )
 
 
-def _calibration(
-    name: str, file: Path | None, setup: Setup
-) -> tuple[CalibratedModel, Setup]:
-    """A calibration, and the setup with which rows are read.
-
-    Raises:
-        InputError: If it cannot be used.
-        OptionError: If something is stated that it has of its own.
-    """
-    from dataclasses import replace
-
-    from calib_pin.errors import OptionError
-    from calib_pin.io.results import read_calibration
-    from calib_pin.setup import Setup
-
-    if file is None and setup != Setup():
-        raise OptionError("a calibration has its own base, tip and model")
-    if setup != Setup(joints=setup.joints):
-        raise OptionError(
-            "a calibration has its own setup", file=file, allowed="joints"
-        )
-    model = read_calibration(name, notice=notice)
-    joints = setup.joints or model.setup.joints
-    return model, replace(model.setup, model=model.measurement.name, joints=joints)
-
-
 def _rows(
     model: CalibratedModel | None,
     chain: Chain,
@@ -216,7 +187,8 @@ def _rows(
     bar: Bar | None,
 ) -> Rows:
     """Measurements, and the errors of the nominal and of the calibrated robot."""
-    from calib_pin.viewer.errors import calibrated_errors, registered_errors
+    from calib_pin.evaluation import prepared
+    from calib_pin.viewer.errors import stage_errors
     from calib_pin.viewer.scene import Rows
 
     sockets = () if model is None else (f.name for f in model.measurement.features)
@@ -224,10 +196,10 @@ def _rows(
     if model is not None:
         rows = rows.among(model.measurement.name)
     stage(bar, "errors")
-    before, reason = registered_errors(chain, rows, setup)
-    if reason:
-        notice(f"errors before cannot be trusted: {reason}")
-    stages = {"before": before}
+    before = prepared(chain, rows, setup)
+    if before.reason:
+        notice(f"errors before cannot be trusted: {before.reason}")
+    stages = {"before": stage_errors(before)}
     if model is not None:
-        stages["after"] = calibrated_errors(model, rows)
+        stages["after"] = stage_errors(prepared(model, rows))
     return Rows(rows, stages)

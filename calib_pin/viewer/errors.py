@@ -3,25 +3,18 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.assessment import registration_reason
-from calib_pin.chain import Chain
-from calib_pin.fit import register
-from calib_pin.formulation import make_problem
+from calib_pin.evaluation import Prepared
 from calib_pin.measurement_models import MeasurementModel, Mixed
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.result import CalibratedModel
-from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
-from calib_pin.training import placed
 
-__all__ = ["ErrorSizes", "StageErrors", "calibrated_errors", "registered_errors"]
+__all__ = ["ErrorSizes", "StageErrors", "stage_errors"]
 
 
 @dataclass(frozen=True)
@@ -64,46 +57,9 @@ class StageErrors:
         return self.points - self.vectors
 
 
-def registered_errors(
-    chain: Chain, rows: Measurements, setup: Setup
-) -> tuple[StageErrors, str]:
-    """Errors of the nominal robot, with base, tool and instrument fitted to the rows.
-
-    Args:
-        chain: The nominal chain.
-        rows: The rows.
-        setup: What is known of frames and instrument.
-
-    Returns:
-        The errors, and why the registration must not be trusted; empty where it may.
-
-    Raises:
-        InputError: If the measurements do not fit the model.
-    """
-    setup = replace(setup, parameters=(), fixed=(), bounds={}, prior={})
-    problem = make_problem(chain, rows, setup)
-    problem, result = register(problem, np.zeros(len(problem.parameters)))
-    reason = registration_reason(problem, result)
-    return _errors(*placed(problem, result.x, rows)), reason
-
-
-def calibrated_errors(model: CalibratedModel, rows: Measurements) -> StageErrors:
-    """Errors of a calibrated robot, which is taken as it is.
-
-    Args:
-        model: The robot.
-        rows: The rows.
-
-    Raises:
-        InputError: If the measurements do not fit the model.
-    """
-    problem = model.problem(rows)
-    own = np.zeros(len(model.measurement.parameters))
-    return _errors(*placed(problem, np.concatenate([model.theta, own]), rows))
-
-
-def _errors(problem: Problem, theta: Floats) -> StageErrors:
-    problem, theta = problem.at(theta)
+def stage_errors(robot: Prepared) -> StageErrors:
+    """Errors of the rows that a robot is prepared for."""
+    problem, theta = robot.problem.at(robot.theta)
     error, data, of_robot = problem.error, problem.data, problem.split(theta)[0]
     residual = problem.shown(theta)
     # Of relative measurements as well: where the tool is, not how it has moved.

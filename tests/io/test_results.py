@@ -12,9 +12,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib_pin.calibration import calibrate, evaluate
+from calib_pin.calibration import calibrate
 from calib_pin.chain import Chain
 from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
+from calib_pin.evaluation import evaluate
 from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.results import read_accuracy, read_calibration, write_urdf

@@ -10,8 +10,9 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calib_pin.calibration import calibrate, evaluate, identify
+from calib_pin.calibration import calibrate, identify
 from calib_pin.chain import Chain
+from calib_pin.evaluation import evaluate
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot, parse_robot
 from calib_pin.report.accuracy import evaluated

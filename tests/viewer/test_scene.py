@@ -11,6 +11,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.chain import Chain
+from calib_pin.evaluation import prepared
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain, load_robot, parse_robot
 from calib_pin.measurement_models import Mixed
@@ -23,7 +24,7 @@ from calib_pin.measurements import Measurements
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import Payload
 from calib_pin.spatial import invert
-from calib_pin.viewer.errors import calibrated_errors, registered_errors
+from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import Plan, Scene, figures_of, floor_height, tip_path
 from calib_pin.viewer.shapes import robot_shapes
@@ -147,7 +148,7 @@ def test_vectors_end_where_the_robot_has_its_point(
     for measurement in (Position(), Pose()):
         model = calibrated(panda, measurement)
         rows = measured_rows(model, 12)
-        errors = calibrated_errors(model, rows)
+        errors = stage_errors(prepared(model, rows))
         to_base = model.error.base.inverse()
         measured = rows.values[:, :3] @ to_base.rotation.T + to_base.translation
         predicted = (to_base.homogeneous @ model.poses(rows.q))[:, :3, 3]
@@ -167,14 +168,15 @@ def test_the_nominal_robot_is_registered(
 ) -> None:
     model = calibrated(panda, Position())
     rows = measured_rows(model, 30)
-    before, reason = registered_errors(panda, rows, model.setup)
+    ready = prepared(panda, rows, model.setup)
+    before, reason = stage_errors(ready), ready.reason
     assert reason == ""
-    after = calibrated_errors(model, rows)
+    after = stage_errors(prepared(model, rows))
     sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
     assert sizes[0] > 1.3 * sizes[1]
     # The tracker stands where the nominal robot puts it, within its own errors.
     assert np.abs(before.measured - after.measured).max() < 0.02
-    _, reason = registered_errors(panda, rows.rows(np.arange(2)), model.setup)
+    reason = prepared(panda, rows.rows(np.arange(2)), model.setup).reason
     assert "used up" in reason
 
 
@@ -186,13 +188,13 @@ def test_named_points_and_sockets(
     probe = Point("probe", "target", np.array([0.0, 0.1, 0.2]))
     model = calibrated(panda, Position(points=(probe,), origin=False))
     rows = measured_rows(model, 5, ("probe",) * 5)
-    errors = calibrated_errors(model, rows)
+    errors = stage_errors(prepared(model, rows))
     np.testing.assert_allclose(np.linalg.norm(errors.vectors, axis=1), 1e-3, atol=5e-3)
     ball = Point("ball", "target", np.array([0.0, 0.0, 0.1]))
     places = tuple(Point(k, "socket", np.array([0.4, y, 0.3])) for k, y in SOCKETS)
     model = calibrated(panda, FixedPoint(points=(ball,), places=places))
     rows = replace(measured_rows(model, 4, TARGETS), model="fixed-point")
-    errors = calibrated_errors(model, rows)
+    errors = stage_errors(prepared(model, rows))
     centers = np.array([place.xyz for place in places])[[0, 1, 1, 0]]
     to_base = model.error.base.inverse()
     np.testing.assert_allclose(
@@ -208,7 +210,7 @@ def test_other_measurements_have_sizes_only(
     wall = Plane("wall", np.array([1.0, 0.0, 0.0]), -2.0)
     ranger = calibrated(panda, PlaneDistance((wall,)))
     rows = measured_rows(ranger, 200, ("wall",) * 200)
-    errors = calibrated_errors(ranger, rows)
+    errors = stage_errors(prepared(ranger, rows))
     assert np.isnan(errors.vectors).all()
     (sizes,) = errors.quantities.values()
     assert sizes.shown.any() and sizes.unit == "m"
@@ -216,7 +218,7 @@ def test_other_measurements_have_sizes_only(
     model = replace(ranger, measurement=mixed)
     seen = rows.rows(sizes.shown).rows(np.arange(3))
     tracked = measured_rows(replace(ranger, measurement=Position()), 4)
-    errors = calibrated_errors(model, Measurements.concatenate([tracked, seen]))
+    errors = stage_errors(prepared(model, Measurements.concatenate([tracked, seen])))
     assert np.isfinite(errors.vectors).all(axis=1).tolist() == [True] * 4 + [False] * 3
     position, distance = errors.quantities.values()
     assert position.shown.tolist() == [True] * 4 + [False] * 3

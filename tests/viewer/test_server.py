@@ -18,11 +18,12 @@ import viser
 
 from calib_pin.chain import Chain
 from calib_pin.cli import main
+from calib_pin.evaluation import prepared
 from calib_pin.measurement_models.position import Position
 from calib_pin.viewer.colors import STAGES, scaled
 from calib_pin.viewer.controls import Controls
 from calib_pin.viewer.drawings import lines
-from calib_pin.viewer.errors import calibrated_errors
+from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.joints import Joints
 from calib_pin.viewer.player import Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, figures_of, tip_path
@@ -162,7 +163,7 @@ def scene(
     """Triangles for links: what is asked for is not their looks."""
     model = calibrated(panda, Position())
     rows = measured_rows(model, 6)
-    errors = calibrated_errors(model, rows)
+    errors = stage_errors(prepared(model, rows))
     q = rows.q[:3]
     small = Surface(np.eye(3), np.array([[0, 1, 2]]))
     return Scene(

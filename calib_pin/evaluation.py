@@ -1,0 +1,128 @@
+"""Accuracy of a robot or a calibration on rows that were not fitted."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.assessment import registration_reason
+from calib_pin.chain import Chain
+from calib_pin.errors import InputError
+from calib_pin.fit import register
+from calib_pin.formulation import make_problem
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.result import Accuracy, CalibratedModel, Evaluation
+from calib_pin.setup import Setup
+from calib_pin.spatial import Floats
+from calib_pin.training import placed
+
+__all__ = ["Prepared", "evaluate", "prepared"]
+
+
+def evaluate(
+    robot: Chain | CalibratedModel,
+    measurements: Measurements,
+    setup: Setup | None = None,
+    *,
+    registration: bool = False,
+) -> Evaluation:
+    """Accuracy of a robot on measurements, all rows counted.
+
+    A chain knows no frames: base, tool and instrument are registered on these rows. A
+    calibrated model is taken as it is, unless registration is asked for.
+
+    Args:
+        robot: A chain, nominal or corrected, or a calibrated model.
+        measurements: The rows.
+        setup: What is known of frames and instrument, for a chain.
+        registration: Register a calibrated model on these rows.
+
+    Raises:
+        InputError: If the measurements do not fit the model.
+    """
+    outside = 0
+    if isinstance(robot, CalibratedModel):
+        outside = int(robot.outside(measurements.q).sum())
+    ready = prepared(robot, measurements, setup, registration=registration)
+    residual = ready.problem.shown(ready.theta)
+    quantities = ready.problem.measurement.quantities
+    found = [(quantity, quantity.errors(residual)) for quantity in quantities]
+    # Of mixed measurements, these may all be of another model.
+    found = [(quantity, sizes) for quantity, sizes in found if len(sizes)]
+    return Evaluation(
+        errors=tuple(
+            (quantity.name, quantity.unit, Accuracy.of(sizes))
+            for quantity, sizes in found
+        ),
+        rows=len(measurements),
+        counts=tuple(len(sizes) for _, sizes in found),
+        registered=ready.registered,
+        verdict="untrusted" if ready.reason else "good",
+        reason=ready.reason,
+        outside=outside,
+        placed=ready.placed,
+    )
+
+
+@dataclass(frozen=True)
+class Prepared:
+    """A robot ready to be compared with rows.
+
+    Attributes:
+        problem: The problem of these rows, with a place for all that they name.
+        theta: Its parameter values, shape (P,).
+        registered: Whether base, tool and instrument were fitted to the rows.
+        reason: Why that must not be trusted; empty where it may.
+        placed: Names of places, such as sockets, that were not there before and stand
+            where the rows put them.
+    """
+
+    problem: Problem
+    theta: Floats
+    registered: bool
+    reason: str
+    placed: tuple[str, ...]
+
+
+def prepared(
+    robot: Chain | CalibratedModel,
+    rows: Measurements,
+    setup: Setup | None = None,
+    *,
+    registration: bool = False,
+) -> Prepared:
+    """Prepare a robot for rows: what is unknown of its frames is fitted to them.
+
+    Args:
+        robot: A chain, whose frames are always registered, or a calibrated model.
+        rows: The rows.
+        setup: What is known of frames and instrument, for a chain.
+        registration: Whether those of a calibrated model are registered as well.
+
+    Raises:
+        InputError: If there are no rows, or they do not fit the model.
+    """
+    if isinstance(robot, CalibratedModel):
+        rows = rows.among(robot.measurement.name)
+        problem = robot.problem(rows)
+        own = np.zeros(len(robot.measurement.parameters))
+        theta = np.concatenate([robot.theta, own])
+    else:
+        setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
+        problem = make_problem(robot, rows, setup)
+        theta = np.zeros(len(problem.parameters))
+        registration = True
+    if len(rows) == 0:
+        raise InputError("there are no rows to evaluate")
+    reason, known = "", {feature.name for feature in problem.measurement.features}
+    if registration:
+        if isinstance(robot, CalibratedModel):
+            problem, theta = problem.extended(theta, rows)
+        problem, result = register(problem, theta)
+        theta = result.x
+        reason = registration_reason(problem, result)
+    problem, theta = placed(problem, theta, rows)
+    new = [f.name for f in problem.measurement.features if f.name not in known]
+    return Prepared(problem, theta, registration, reason, tuple(new))

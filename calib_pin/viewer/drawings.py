@@ -85,13 +85,13 @@ class RowsDrawing:
     Attributes:
         behind: Carries the measured points.
         measured: The measured points.
-        map: The residual map.
+        map: Carries the residual map.
         vectors: Error vectors by stage; none where nothing is measured as a position.
     """
 
     def __init__(self, api: viser.SceneApi, rows: Rows, size: float) -> None:
         """Draw them; vectors as long as they are, and a map without points."""
-        self._rows = rows
+        self._api, self._rows, self._size = api, rows, size
         self._last = list(rows.stages.values())[-1]
         measured = self._last.measured
         self.behind = api.add_frame("/behind", show_axes=False)
@@ -103,14 +103,7 @@ class RowsDrawing:
             point_shape="circle",
             precision="float32",
         )
-        self.map = api.add_point_cloud(
-            "/map",
-            np.zeros((0, 3), np.float32),
-            np.zeros((0, 3), np.uint8),
-            point_size=0.014 * size,
-            point_shape="circle",
-            precision="float32",
-        )
+        self.map = api.add_frame("/map", show_axes=False)
         self._mark = api.add_icosphere(
             "/row", radius=0.012 * size, color=MARK, cast_shadow=False
         )
@@ -135,8 +128,15 @@ class RowsDrawing:
         """Color the tool points of a stage by the error of a quantity."""
         errors = self._rows.stages[stage]
         found = errors.quantities[quantity]
-        self.map.points = errors.points[found.shown].astype(np.float32)
-        self.map.colors = scaled(found.sizes[found.shown])
+        # Points and colors in one: a browser may draw between two messages.
+        self._api.add_point_cloud(
+            "/map/points",
+            errors.points[found.shown].astype(np.float32),
+            scaled(found.sizes[found.shown]) if found.shown.any() else MEASURED,
+            point_size=0.014 * self._size,
+            point_shape="circle",
+            precision="float32",
+        )
 
     def mark(self, row: int) -> None:
         """Mark the tool point of a row."""

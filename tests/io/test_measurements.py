@@ -20,6 +20,7 @@ from hypothesis.extra.numpy import arrays
 
 from calib_pin.chain import Chain, Robot
 from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.io.columns import read_table
 from calib_pin.io.measured_columns import COMPONENTS, VALUES
 from calib_pin.io.measurements import (
     read_configurations,
@@ -1573,3 +1574,19 @@ def test_real_sockets(tmp_path, number, count):
     written = tmp_path / "again.csv"
     write_measurements(written, data)
     assert same(data, read_measurements(written, chain, model="fixed-point"))
+
+
+def test_progress_of_reading_and_writing(tmp_path):
+    """It grows to all, in parts of thousands of lines, and changes no byte."""
+    rng = np.random.default_rng(0)
+    q = rng.uniform(-1.0, 1.0, (12_000, 1))
+    rows = Measurements(("lift",), q, "plane-distance", rng.uniform(0.5, 2.0, q.shape))
+    written: list[float] = []
+    write_measurements(tmp_path / "a.csv", rows, progress=written.append)
+    write_measurements(tmp_path / "b.csv", rows)
+    assert (tmp_path / "a.csv").read_bytes() == (tmp_path / "b.csv").read_bytes()
+    assert written == sorted(written) and len(written) == 3
+    assert written[0] >= 0.0 and written[-1] <= 1.0
+    seen: list[float] = []
+    read_table(tmp_path / "a.csv", seen.append)
+    assert seen == sorted(seen) and len(seen) == 3 and seen[-1] == 1.0

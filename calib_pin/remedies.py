@@ -2,28 +2,34 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.calibration import identify
 from calib_pin.chain import Chain
+from calib_pin.errors import CalibPinError
 from calib_pin.formulation import nominal_problem, restricted
+from calib_pin.measurement_models.features import Frame
+from calib_pin.measurements import PLUS
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.result import Identification
+from calib_pin.result import CalibratedModel, Identification
 from calib_pin.setup import Setup
 
-__all__ = ["Remedy", "remedies"]
+__all__ = ["Remedy", "as_found", "remedies"]
 
-TRACKED = ("position", "pose")
+TRACKED = {"position", "pose"}
 """Models that look at the tool from a frame of their own."""
-
-ALL = "all of these"
 
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """From a tool that may sit on the last axis to one that does not [m]."""
+
+POSES = "measure full poses, positions and orientations"
+
+EVERYTHING = "measure full poses with base and tool known"
 
 
 @dataclass(frozen=True)
@@ -34,96 +40,132 @@ class Remedy:
         change: What is to be done.
         count: Number of independent errors of the robot that can be known then.
         parameters: Names of those of its parameters that become identifiable.
+        complete: Whether no measurement of the tool tells more: what is in sums then
+            moves it only together.
     """
 
     change: str
     count: int
     parameters: tuple[str, ...]
+    complete: bool
 
 
-@dataclass(frozen=True)
-class _Change:
-    """A way to measure, and whether its frames would be known."""
-
-    words: str
-    model: str
-    base: bool
-    tool: bool
-    beside: bool = False
+def as_found(model: CalibratedModel) -> Setup:
+    """The setup of a calibration with everything where the fit has found it."""
+    sections: dict[str, Any] = {}
+    camera = model.setup.camera
+    for feature in model.measurement.features:
+        if feature.section == "camera":
+            camera = feature.stated()  # type: ignore[assignment]
+        elif not isinstance(feature, Frame):
+            sections.setdefault(feature.section, {})[feature.name] = feature.stated()
+    free = model.error.parameters.free
+    return replace(
+        model.setup,
+        base_frame=frame_setup(model.error.base, known=not free[:6].any()),
+        tool_frame=frame_setup(model.tool, known=not free[-6:].any()),
+        camera=camera,
+        **sections,
+    )
 
 
 def remedies(
-    chain: Chain,
-    model: str,
-    setup: Setup,
-    found: Identification,
-    *,
-    tool: pin.SE3 | None = None,
-    seed: int = 0,
+    chain: Chain, model: str, setup: Setup, found: Identification, *, seed: int = 0
 ) -> tuple[Remedy, ...]:
     """Changes by which more errors of the robot could be known, from the structure.
 
     Args:
         chain: The nominal chain.
         model: Name of the measurement model.
-        setup: What is estimated and what is known.
+        setup: What is estimated and what is known; of a fit see `as_found`.
         found: What can be known now.
-        tool: Where the tool sits in the tip, by a fit; default where the setup says.
         seed: Seed of the random configurations.
 
     Returns:
-        Those that gain anything, all together last. What is still in sums then moves
-        the tool only together: no measurement of the tool can take it apart.
+        Those that gain anything; all that a measurement of the tool can tell is last.
     """
-    tool = frame_pose(setup.tool_frame) if tool is None else tool
     known = {p.name for p in found.parameters if p.status == "identifiable"}
+    now = found.identifiability.robot_rank
+    others = {}
+    for words, measured, stated in _changes(model, setup, found):
+        other = _identified(chain, measured, stated, setup.fixed, seed)
+        if other is not None and other.identifiability.robot_rank > now:
+            others[words] = other
+    most = max((o.identifiability.robot_rank for o in others.values()), default=now)
     result = []
-    for change in _changes(model, found):
-        stated = Setup(
-            parameters=setup.parameters,
-            base_frame=frame_setup(pin.SE3.Identity(), known=change.base),
-            tool_frame=frame_setup(
-                tool * BESIDE if change.beside else tool, known=change.tool
-            ),
-            gravity=setup.gravity,
-            payloads=setup.payloads,
-            gear_ratios=setup.gear_ratios,
-        )
-        names = nominal_problem(chain, change.model, stated).parameters.names
-        stated = restricted(replace(stated, fixed=setup.fixed), names)
-        other = identify(chain, change.model, stated, seed=seed)
+    for words, other in others.items():
         count = other.identifiability.robot_rank
-        if count > found.identifiability.robot_rank:
-            gained = tuple(
-                p.name
-                for p in other.parameters
-                if p.status == "identifiable" and p.name not in known
-            )
-            result.append(Remedy(change.words, count, gained))
-    alone = len(result) == 2 and result[1].change == ALL
-    return tuple(result[:1] if alone else result)
+        gained = tuple(
+            p.name
+            for p in other.parameters
+            if p.status == "identifiable" and p.name not in known
+        )
+        result.append(Remedy(words, count, gained, EVERYTHING in others))
+    complete = [replace(r, complete=r.complete and r.count == most) for r in result]
+    # Where one of the others tells as much, that is simpler.
+    simpler = any(r.complete and r.change != EVERYTHING for r in complete)
+    return tuple(r for r in complete if not (simpler and r.change == EVERYTHING))
 
 
-def _changes(model: str, found: Identification) -> Iterator[_Change]:
-    """What could be done otherwise."""
-    free = {p.name.rpartition(".")[0] for p in found.parameters if p.status != "fixed"}
-    base, tool = "base.frame" not in free, "tool.frame" not in free
-    poses = "measure full poses, positions and orientations"
-    if model not in TRACKED:
-        yield _Change("measure positions of the tool", "position", False, False)
-        yield _Change(poses, "pose", False, False)
-        return
-    changes = []
-    if model == "position":
-        words = "put the target beside the last axis"
-        changes.append(_Change(words, model, base, tool, beside=True))
-        changes.append(_Change(poses, "pose", base, tool))
-    if not base:
-        words = "know where the base link stands in the measuring frame (frames.base)"
-        changes.append(_Change(words, model, True, tool))
-    if not tool:
-        words = "know where the tool sits on the robot (frames.tool)"
-        changes.append(_Change(words, model, base, True))
-    yield from changes
-    if changes:
-        yield _Change(ALL, "pose", True, True)
+def _changes(
+    model: str, setup: Setup, found: Identification
+) -> Iterator[tuple[str, str, Setup]]:
+    """What could be done otherwise: words, measurement model, and setup."""
+    free = [p.name.rsplit(".", 2) for p in found.parameters if p.status != "fixed"]
+    owners = {f"{owner}.{kind}" for owner, kind, _ in free}
+    points = any(kind == "target" for _, kind, _ in free)
+    base, tool = "base.frame" not in owners, "tool.frame" not in owners
+    stand, place = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
+    plain = Setup(
+        parameters=setup.parameters,
+        base_frame=frame_setup(stand, known=base),
+        tool_frame=frame_setup(place, known=tool and not points),
+        gravity=setup.gravity,
+        payloads=setup.payloads,
+        gear_ratios=setup.gear_ratios,
+    )
+    parts = set(model.split(PLUS))
+    if not parts & TRACKED:
+        tracker = replace(plain, base_frame=frame_setup(stand, known=False))
+        yield "measure positions of the tool", "position", tracker
+        yield POSES, "pose", tracker
+    else:
+        if "pose" not in parts:
+            if not setup.targets:
+                beside = frame_setup(place * BESIDE, known=tool)
+                words = "put the target beside the last axis"
+                yield words, model, replace(setup, tool_frame=beside)
+            yield POSES, "pose", plain
+        if not base:
+            words = "know where the base link stands in the measuring frame"
+            held = frame_setup(stand, known=True)
+            yield f"{words} (frames.base)", model, replace(setup, base_frame=held)
+        if points:
+            words = "know where the points sit on the tool (targets)"
+            held = frame_setup(place, known=True)
+            fixed = _held(setup.targets)
+            yield words, model, replace(setup, targets=fixed, tool_frame=held)
+        elif not tool:
+            words = "know where the tool sits on the robot (frames.tool)"
+            held = frame_setup(place, known=True)
+            yield words, model, replace(setup, tool_frame=held)
+    at_ends = (frame_setup(stand, known=True), frame_setup(place, known=True))
+    everything = replace(plain, base_frame=at_ends[0], tool_frame=at_ends[1])
+    yield EVERYTHING, "pose", everything
+
+
+def _held(points: Mapping[str, Any]) -> dict[str, Any]:
+    return {name: replace(point, estimate=False) for name, point in points.items()}
+
+
+def _identified(
+    chain: Chain, model: str, setup: Setup, fixed: tuple[str, ...], seed: int
+) -> Identification | None:
+    """What could be known then; None where the setup does not suffice to say."""
+    stated = replace(setup, learned=None, fixed=(), bounds={}, prior={})
+    try:
+        names = nominal_problem(chain, model, stated).parameters.names
+        stated = restricted(replace(stated, fixed=fixed), names)
+        return identify(chain, model, stated, seed=seed)
+    except CalibPinError:
+        return None

@@ -5,28 +5,26 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import calib_pin
 from calib_pin.formulation import nominal_problem
-from calib_pin.parameterizations import frame_pose
-from calib_pin.remedies import remedies
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.remedies import as_found, remedies
+from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 
 CHAIN = calib_pin.load_chain("space6")
 BASE = FrameSetup((0, 0, 0), (0, 0, 0), estimate=False)
 TOOL = FrameSetup((0.1, 0.05, 0.2), (0.1, 0.2, 0.3), estimate=False)
 
 
-def found(model: str, setup: Setup, tool: pin.SE3 | None = None) -> dict[str, int]:
-    if tool is not None:
-        placed = replace(TOOL, xyz=tuple(tool.translation), rpy=(0, 0, 0))
-        setup = replace(setup, tool_frame=replace(placed, estimate=None))
+def found(model: str, setup: Setup) -> dict[str, int]:
     known = calib_pin.identify(CHAIN, model, setup)
-    plain = replace(setup, tool_frame=FrameSetup())
-    stated = setup if tool is None else plain
-    return {r.change: r.count for r in remedies(CHAIN, model, stated, known, tool=tool)}
+    return {r.change: r.count for r in remedies(CHAIN, model, setup, known)}
+
+
+def beside() -> Setup:
+    """A tool that is estimated, and known to sit beside the last axis."""
+    return Setup(tool_frame=replace(TOOL, estimate=True))
 
 
 def test_positions_of_an_arm() -> None:
@@ -35,17 +33,65 @@ def test_positions_of_an_arm() -> None:
     assert known.identifiability.robot_rank == 16
     gains = found("position", Setup())
     assert [*gains.values()] == [18, 18, 22, 17, 26]
-    beside, poses, base, tool, last = gains
-    assert "beside the last axis" in beside and "poses" in poses
+    away, poses, base, tool, last = gains
+    assert "beside the last axis" in away and "poses" in poses
     assert "frames.base" in base and "frames.tool" in tool
-    assert last == "all of these"
+    assert last == "measure full poses with base and tool known"
 
 
 def test_a_target_beside_the_last_axis() -> None:
-    """Where it sits there already, a fit says so, poses show no more of the robot."""
-    gains = found("position", Setup(), pin.SE3(np.eye(3), np.array([0.1, 0.05, 0.2])))
+    """Where it sits there already, poses alone show no more of the robot."""
+    gains = found("position", beside())
     assert [*gains.values()] == [24, 20, 26]
-    assert not any("beside" in change or "poses" in change for change in gains)
+    assert not any("beside" in change for change in gains)
+
+
+def test_points_on_the_tool_take_the_place_of_its_frame() -> None:
+    """They stay what is measured where something else is known."""
+    places = ((0.1, 0.0, 0.0), (0.0, 0.1, 0.0), (0.0, 0.0, 0.1))
+    points = {f"p{k}": PointSetup(xyz, True) for k, xyz in enumerate(places)}
+    gains = found("position", Setup(targets=points))
+    known = calib_pin.identify(
+        CHAIN, "position", Setup(targets=points, base_frame=BASE)
+    )
+    base = next(count for change, count in gains.items() if "frames.base" in change)
+    assert base == known.identifiability.robot_rank
+    assert any("(targets)" in change for change in gains)
+    assert not any("frames.tool" in c or "beside" in c for c in gains)
+
+
+def test_what_gains_only_together() -> None:
+    """Of joint offsets the last is seen by full poses with a known tool alone."""
+    gains = found("position", Setup(parameters=("joint-offset",)))
+    assert [*gains.values()][-1] == 6 > max([*gains.values()][:-1])
+
+
+@pytest.mark.parametrize("model", ["position+pose", "relative-distance"])
+def test_all_that_can_be_told_is_last(model: str) -> None:
+    """However it is measured now: that is the robot's, not the instrument's."""
+    known = calib_pin.identify(CHAIN, model, beside())
+    *others, last = remedies(CHAIN, model, beside(), known)
+    assert last.count == 26 and last.complete
+    assert not any(remedy.complete for remedy in others)
+
+
+def test_a_fit_is_taken_as_it_found_things() -> None:
+    chain = calib_pin.load_chain("heavy6")
+    setup = calib_pin.read_setup(calib_pin.robot_file("heavy6", "setup.yaml"))
+    file = calib_pin.robot_file("heavy6", "measurements.csv")
+    rows = calib_pin.read_measurements(file, chain)
+    result = calib_pin.calibrate(chain, rows, setup, validate=False)
+    stood = as_found(result.model)
+    features = {f.name: f for f in result.model.measurement.features}
+    assert stood.targets.keys() == features.keys()
+    for name, point in stood.targets.items():
+        assert point.xyz == pytest.approx(features[name].stated().xyz)
+    base = stood.base_frame
+    assert base.estimate and base.xyz == pytest.approx(
+        result.model.error.base.translation
+    )
+    changes = [r.change for r in remedies(chain, rows.model, stood, result)]
+    assert any("(targets)" in change for change in changes)
 
 
 def test_what_becomes_identifiable() -> None:
@@ -82,15 +128,14 @@ def test_distances_gain_by_a_tracker() -> None:
     known = calib_pin.identify(CHAIN, "plane-distance", setup)
     gains = found("plane-distance", setup)
     assert all(count > known.identifiability.robot_rank for count in gains.values())
-    assert not any("all of" in change for change in gains)
+    assert [*gains][-1] == "measure full poses with base and tool known"
 
 
 @pytest.mark.parametrize("model", ["position", "pose"])
 def test_the_promise_is_kept_by_a_fit(model: str) -> None:
     """Rows with a known base estimate as many errors of the robot as was said."""
     setup = Setup(base_frame=BASE)
-    tool = frame_pose(TOOL)
-    gains = found(model, Setup(), tool)
+    gains = found(model, beside())
     promised = next(count for change, count in gains.items() if "base" in change)
     problem = nominal_problem(CHAIN, model, replace(setup, tool_frame=TOOL))
     rng = np.random.default_rng(1)

@@ -133,7 +133,7 @@ def calibrate(
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.measurements import AT
-    from calib_pin.remedies import remedies
+    from calib_pin.remedies import as_found, remedies
     from calib_pin.report.text import report
 
     stated = open_setup(
@@ -180,8 +180,8 @@ def calibrate(
             progress=bar,
         )
         fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
-        tool = result.model.tool
-        better = remedies(chain, rows.model, stated, result, tool=tool, seed=seed)
+        stood = as_found(result.model)
+        better = remedies(chain, rows.model, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
         written = []

@@ -56,7 +56,7 @@ def identify(
     from calib_pin.calibration import calibrate as run
     from calib_pin.calibration import identify as structural
     from calib_pin.io.documents import encode, identification_document
-    from calib_pin.remedies import remedies
+    from calib_pin.remedies import as_found, remedies
     from calib_pin.report.accuracy import untrusted
     from calib_pin.report.identification import identified
     from calib_pin.result import Identification
@@ -71,17 +71,17 @@ def identify(
         with progress_bar() as bar:
             rows = open_measurements(measurements, chain, stated, bar=bar)
             result = run(chain, rows, stated, validate=False, seed=seed, progress=bar)
-        stated = replace(stated, model=rows.model)
+        stated = replace(as_found(result.model), model=rows.model)
         found, verdict, reason = result, result.verdict, result.reason
     else:
         found = structural(chain, require_model(stated), stated, seed=seed)
         verdict, reason = "good", ""
+    better = remedies(chain, require_model(stated), stated, found, seed=seed)
     if json:
-        document = identification_document(found)
+        document = identification_document(found, better)
         document["verdict"] = {"status": verdict, "reason": reason}
         typer.echo(encode(document).decode(), nl=False)
     else:
-        better = remedies(chain, require_model(stated), stated, found, seed=seed)
         doubts = [] if verdict == "good" else [untrusted(reason)]
         fitted = bool(measurements)
         show([*doubts, *identified(found, fitted=fitted, remedies=better)])

@@ -79,7 +79,7 @@ def write_results(
     from calib_pin.report.html import html_report
 
     learned = encode_residual_model(result.model)
-    document, encoded = _document(result, run, learned)
+    document, encoded = _document(result, run, learned, remedies)
     page = html_report(result, document, figures=figures, remedies=remedies)
     contents = {files.json: encoded, files.report: page}
     if learned is not None:
@@ -104,7 +104,10 @@ def write_results(
 
 
 def _document(
-    result: CalibrationResult, run: Run, learned: bytes | None
+    result: CalibrationResult,
+    run: Run,
+    learned: bytes | None,
+    remedies: Sequence[Remedy],
 ) -> tuple[dict[str, Any], bytes]:
     """`calibration.json`, and its bytes."""
     from datetime import UTC, datetime
@@ -124,5 +127,5 @@ def _document(
         },
     )
     refers = None if learned is None else reference(learned)
-    document = calibration_document(result, provenance, refers)
+    document = calibration_document(result, provenance, refers, remedies)
     return document, encode(document)

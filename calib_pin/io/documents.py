@@ -5,7 +5,7 @@ from __future__ import annotations
 import hashlib
 import json
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import asdict, dataclass
 from pathlib import Path
 from typing import Any
@@ -19,6 +19,7 @@ from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
 from calib_pin.measurement_models.features import Frame
 from calib_pin.planning.plan import Plan
+from calib_pin.remedies import Remedy
 from calib_pin.result import (
     Accuracy,
     CalibrationResult,
@@ -105,8 +106,15 @@ def require_format(
     return document
 
 
-def identification_document(found: Identification) -> Json:
-    """The parts `parameters` and `identifiability` of section 8 of the contract."""
+def identification_document(
+    found: Identification, remedies: Sequence[Remedy] = ()
+) -> Json:
+    """The parts `parameters` and `identifiability` of section 8 of the contract.
+
+    Args:
+        found: What can be known.
+        remedies: What would tell more.
+    """
     ranks = found.identifiability
     return {
         "parameters": [
@@ -132,6 +140,7 @@ def identification_document(found: Identification) -> Json:
                 {"first": first, "second": second, "correlation": value}
                 for first, second, value in ranks.correlated
             ],
+            "remedies": [asdict(remedy) for remedy in remedies],
         },
     }
 
@@ -169,6 +178,7 @@ def calibration_document(
     result: CalibrationResult,
     provenance: Provenance,
     residual_model: Mapping[str, str] | None = None,
+    remedies: Sequence[Remedy] = (),
 ) -> Json:
     """A result as the JSON document of version 1.
 
@@ -176,6 +186,7 @@ def calibration_document(
         result: The result.
         provenance: How it came about.
         residual_model: Where what was learned is written, see `io.residual_model`.
+        remedies: What would tell more of the robot.
 
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
@@ -205,7 +216,7 @@ def calibration_document(
             "validation": result.validated,
             "placed_by_validation": list(result.placed),
         },
-        **identification_document(result),
+        **identification_document(result, remedies),
         "errors": {e.name: _errors(e, result.validation) for e in result.errors},
         "predicted": _predicted(result),
         "statistics": {
@@ -246,6 +257,7 @@ def calibration_document(
         "model_ladder": None if result.ladder is None else _ladder(result.ladder),
         "urdf": None if result.urdf is None else _urdf(result.urdf, result.validation),
         "setup": setup_document(model.setup),
+        "setup_file": _setup_file(model.setup.file),
         "provenance": {
             **provenance.versions,
             "command": list(provenance.command),
@@ -302,6 +314,10 @@ def _group(group: CoupledGroup) -> Json:
             for name, coefficient in group.terms
         ],
     }
+
+
+def _setup_file(file: str) -> Json | None:
+    return {"file": file, "sha256": _sha256_of(file)} if file else None
 
 
 def _sha256_of(file: str) -> str:

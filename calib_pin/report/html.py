@@ -175,11 +175,13 @@ def _sections(
 
 
 def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Block]:
-    yield ranks(result.identifiability, fitted=True)
+    yield ranks(result, fitted=True)
     if result.groups:
         yield group_table(result.groups)
     yield from unknown(result)
     yield from remedied(result, remedies)
+    for remedy in remedies:
+        yield from listed(f"identifiable then: {remedy.change}", remedy.parameters)
     yield from correlated(result, LISTED)
 
 
@@ -199,6 +201,9 @@ def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
     about, solver = document["provenance"], document["solver"]
     robot, measured = document["robot"], document["measurements"]
     used = [("robot", robot["file"], robot["sha256"])]
+    if document["setup_file"] is not None:
+        stated = document["setup_file"]
+        used.append(("setup", stated["file"], stated["sha256"]))
     used += [("measurements", f["file"], f["sha256"]) for f in measured["files"]]
     if document["residual_model"] is not None:
         learned = document["residual_model"]

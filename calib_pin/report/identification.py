@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator, Sequence
 
 from calib_pin.remedies import Remedy
@@ -13,7 +14,7 @@ from calib_pin.report.tables import (
     number,
     parameter_table,
 )
-from calib_pin.result import CoupledGroup, Identifiability, Identification
+from calib_pin.result import CoupledGroup, Identification
 
 __all__ = ["identified", "of_place", "ranks", "remedied", "unknown"]
 
@@ -35,7 +36,7 @@ def identified(
         fitted: Whether there are estimates to show.
         remedies: What would tell more.
     """
-    yield ranks(found.identifiability, fitted=fitted)
+    yield ranks(found, fitted=fitted)
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
     if identifiable and fitted:
         yield parameter_table(identifiable)
@@ -83,7 +84,7 @@ def remedied(found: Identification, remedies: Sequence[Remedy]) -> Iterator[Bloc
             (Column("", "remark"), Column("robot errors known")),
             [(Cell(words), Cell(str(count), count)) for words, count in rows],
         )
-    if remedies:
+    if any(remedy.complete for remedy in remedies):
         yield Line(
             "Sums that are left then move the tool only together: no measurement of "
             "the tool can take them apart, and no use of the robot needs to.",
@@ -91,10 +92,13 @@ def remedied(found: Identification, remedies: Sequence[Remedy]) -> Iterator[Bloc
         )
 
 
-def ranks(found: Identifiability, *, fitted: bool) -> Facts:
+def ranks(known: Identification, *, fitted: bool) -> Facts:
     """Counts of what is free, what can be known, and what these rows tell."""
+    found = known.identifiability
+    status = Counter(p.status for p in known.parameters if p.status != "fixed")
+    counts = ", ".join(f"{count} {name}" for name, count in status.items())
     entries = [
-        ("free parameters", f"{found.parameters}"),
+        ("free parameters", f"{found.parameters}   ({counts})"),
         (
             "structural rank",
             f"{found.structural_rank}   (gap {number(found.gap)}; Everett's count "

@@ -16,7 +16,7 @@ import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document
-from calib_pin.remedies import remedies
+from calib_pin.remedies import as_found, remedies
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
 from calib_pin.result import CalibrationResult
@@ -59,7 +59,7 @@ def _page(result: CalibrationResult) -> bytes:
         result,
         calibration_document(result, PROVENANCE),
         figures=list(calibration_figures(result)),
-        remedies=remedies(chain, "pose", Setup(), result, tool=result.model.tool),
+        remedies=remedies(chain, "pose", as_found(result.model), result),
     )
 
 

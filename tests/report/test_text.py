@@ -232,7 +232,9 @@ def test_ranks(result):
     lines = section(format_report(result), "Identifiability")
     text = " ".join(" ".join(lines).split())
     ranks = result.identifiability
-    assert f"free parameters {ranks.parameters} structural rank" in text
+    known = sum(p.status == "identifiable" for p in result.parameters)
+    assert f"free parameters {ranks.parameters} (" in text
+    assert f"{known} identifiable" in text
     # 4 * 2 + 2 * 1 + 6, of which three rotations of the base are held.
     assert "Everett's count 4R + 2P + 6 = 16, geometry and full poses" in text
     assert f"practical rank {ranks.rank} " in text

@@ -68,6 +68,9 @@ CHECK = (
 )
 """What to do about rows that nothing explains."""
 
+EXACT = 1e-6
+"""Scatter, in standard deviations, below which rows differ by rounding alone."""
+
 UNEXPLAINED = 20.0
 """Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
@@ -343,7 +346,7 @@ def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
     """
     from scipy.special import chdtri
 
-    if not np.isfinite(fitted.sigma0) or fitted.sigma0 == 0.0:
+    if not fitted.sigma0 > EXACT:
         return ()
     data = fitted.problem.data
     whitened = errors / fitted.problem.sigma

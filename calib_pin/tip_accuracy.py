@@ -70,7 +70,7 @@ class TipAccuracy:
 def tip_accuracy(
     fitted: Fit, problem: Problem, theta: Floats, seed: int
 ) -> TipAccuracy | None:
-    """Predict the accuracy of the tip; None where the fit gives no covariance.
+    """Predict the accuracy of the tip; None for a fit without redundancy.
 
     Args:
         fitted: The fit.
@@ -78,7 +78,8 @@ def tip_accuracy(
         theta: Parameter values about that, shape (P,).
         seed: Seed of the configurations, and of the order in which rows are counted.
     """
-    if not np.isfinite(fitted.covariance).all() or fitted.directions.count == 0:
+    known = np.isfinite(fitted.covariance).all() and fitted.dof > 0
+    if not known or fitted.directions.count == 0:
         return None
     rng = np.random.default_rng(seed)
     error = problem.error

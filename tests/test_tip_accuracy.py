@@ -100,7 +100,7 @@ def test_points_are_those_of_the_tool_in_the_base_link() -> None:
 
 def test_without_redundancy_nothing_is_predicted() -> None:
     *_, rows = simulated(4, 5)
-    assert fit(rows).tip is not None
+    assert fit(rows).tip is None
     assert fit(replace(rows, sigma=None)).tip is None
 
 

@@ -184,12 +184,12 @@ def calibrate(
         better = remedies(chain, rows.model, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
+        pictured = write_figures(drawn, pictures, force)
         written = []
         if files is not None:
             written = write_results(
                 result, files, fitted, figures=drawn, remedies=better, force=force
             )
-        pictured = write_figures(drawn, pictures, force)
     if not quiet:
         show(report(result, better))
         for line in [*(f"wrote {path}" for path in written), *pictured]:

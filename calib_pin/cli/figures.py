@@ -69,14 +69,20 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
         of: What they are figures of, `calibration`, `plan` or `comparison`.
 
     Raises:
-        OptionError: If a file stands in the place of the folder.
+        OptionError: If there can be no such folder.
     """
+    import os
+
     from calib_pin.errors import OptionError
 
     if folder is None:
         return []
-    if exists(folder) and not folder.is_dir():
-        raise OptionError("is a file, not a folder", file=folder)
+    # Known before the work, not after it.
+    place = next(filter(exists, (folder, *folder.absolute().parents)))
+    if not place.is_dir():
+        raise OptionError("is a file, not a folder", file=place)
+    if not os.access(place, os.W_OK):
+        raise OptionError("is a folder in which nothing can be written", file=place)
     # It takes half a second to load what draws.
     from calib_pin.report.figures import NAMES
 
@@ -117,7 +123,7 @@ def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:
 def write_figures(
     drawn: Sequence[Drawn], files: Sequence[Path], force: bool
 ) -> list[str]:
-    """Write figures; what is there of an earlier run and not drawn now is removed.
+    """Write figures, and tell of those that may pass for some of this run.
 
     Args:
         drawn: The figures.
@@ -135,6 +141,5 @@ def write_figures(
         if figure is not None:
             write_atomically(path, figure.picture(path.suffix[1:]), force=force)
         elif exists(path):
-            path.unlink()
-            notice(f"removed {path} of an earlier run")
+            notice(f"{path} is not of this run, which has no such figure")
     return [f"wrote {len(drawn)} figures to {files[0].parent}"] if files else []

@@ -23,6 +23,7 @@ __all__ = [
     "open_setup",
     "require_distinct",
     "require_file",
+    "require_folders",
     "require_joints_only",
     "require_model",
 ]
@@ -215,6 +216,21 @@ def open_measurements(
     )
 
 
+def require_folders(folders: Sequence[Path]) -> None:
+    """Refuse folders that are not there.
+
+    Raises:
+        OptionError: If one is missing, or is a file.
+    """
+    from calib_pin.errors import OptionError
+
+    for folder in folders:
+        if not exists(folder):
+            raise OptionError("no such folder", file=folder)
+        if not folder.is_dir():
+            raise OptionError("is a file, not a folder", file=folder)
+
+
 def require_distinct(files: Sequence[Path]) -> None:
     """Refuse rows that would count twice.
 
@@ -242,7 +258,7 @@ def check_outputs(
 
     Raises:
         OptionError: If an output exists without `force`, is a folder or an input, or
-            is given twice.
+            is given twice, or would be the folder of another.
     """
     from calib_pin.errors import OptionError
     from calib_pin.io.urdf import locate_robot
@@ -265,6 +281,10 @@ def check_outputs(
         if exists(path) and not force:
             raise OptionError("exists already; --force replaces it", file=path)
         written.append(path)
+    for path in written:
+        if any(path.absolute() in other.absolute().parents for other in written):
+            reason = "is an output of this run, and cannot be a folder for others"
+            raise OptionError(reason, file=path)
 
 
 def _same(first: Path, second: Path) -> bool:

@@ -23,6 +23,7 @@ from calib_pin.cli.files import (
     open_measurements,
     open_setup,
     require_distinct,
+    require_folders,
     require_model,
 )
 from calib_pin.cli.options import (
@@ -221,6 +222,7 @@ def plan(
     require_known("method", method, METHODS)
     wanted = _count(count, add, to)
     require_distinct(to or [])
+    require_folders(package_dir or [])
     pictures = figure_files(figures, figure_format, "plan")
     inputs = (robot, setup, srdf, tests, *(to or []))
     check_outputs([output, *pictures], inputs, force)
@@ -268,6 +270,7 @@ def plan(
             progress=progress,
         )
         drawn = draw_plan(found, bar) if pictures else []
+    pictured = write_figures(drawn, pictures, force)
     import shlex
 
     # `--force` is left out: it changes nothing of what follows.
@@ -281,7 +284,6 @@ def plan(
         comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
         force=force,
     )
-    pictured = write_figures(drawn, pictures, force)
     if json:
         typer.echo(encode(plan_document(found)).decode(), nl=False)
     elif not quiet:

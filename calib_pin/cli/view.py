@@ -15,6 +15,7 @@ from calib_pin.cli.files import (
     open_setup,
     require_distinct,
     require_file,
+    require_folders,
 )
 from calib_pin.cli.options import Base, Model, SetupFile, Tip, number
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
@@ -95,6 +96,7 @@ def view(
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     require_file(robot, ", or a robot")
+    require_folders(package_dir or [])
     scene = _open(robot, measurements or [], plan, package_dir or [], setup, stated)
     window = Window(scene, port)
     try:

@@ -76,7 +76,8 @@ def _better(error: QuantityErrors) -> bool:
 def subject(result: CalibrationResult) -> Line:
     """Which robot was measured in which way."""
     model = result.model
-    chain, rows = model.chain, f"{result.training} rows"
+    chain, count = model.chain, result.training
+    rows = f"{count} row{'s' if count != 1 else ''}"
     search = ""
     if result.history:
         search = (

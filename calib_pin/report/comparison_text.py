@@ -65,7 +65,8 @@ def _verdict(found: Comparison) -> Line:
 
 def _cause(found: Comparison) -> str:
     """What has made a drift, as far as it can be known."""
-    if found.same_rows or not found.same_parameters:
+    trusted = found.first.verdict == found.second.verdict == "good"
+    if found.same_rows or not found.same_parameters or not trusted:
         return "The two do not agree on the tip: it differs by"
     if not found.described:
         return "The robot moved, or was measured at other configurations: tip drift"
@@ -100,6 +101,9 @@ def _doubts(found: Comparison) -> Iterator[Line]:
             "not compared, only the tips.",
             "note",
         )
+    if found.same_rows and found.identical:
+        yield Line("Both are of the same measurements, fitted in the same way.", "note")
+        return
     if found.same_rows:
         yield Line(
             "Both are of the same measurements: not the robot moved, but they were "
@@ -117,7 +121,12 @@ def _doubts(found: Comparison) -> Iterator[Line]:
         yield Line(
             "They share a measurement file: their noise is not independent.", "note"
         )
-    elif found.drifted and found.same_parameters and not found.described:
+    elif (
+        found.drifted
+        and found.same_parameters
+        and None not in (found.first.noise, found.second.noise)
+        and not found.described
+    ):
         yield Line(
             "Errors that no parameter describes are part of both fits, and they are "
             "others at other configurations: rows at the same ones would tell.",

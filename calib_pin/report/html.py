@@ -36,25 +36,30 @@ __all__ = ["html_report"]
 LISTED = 200
 """Outliers and correlated pairs that the page lists; the file has all of them."""
 
-OF_ROWS = (
-    *("errors-per-measurement", "error-vectors", "errors-in-workspace"),
-    "model-ladder",
-)
-OF_RANKS = (
-    *("singular-values", "correlations"),
-    *("tip-error-by-count", "tip-accuracy-in-workspace"),
-)
-SECTIONS = {
-    "accuracy": ("Accuracy", OF_ROWS),
+SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
+    "accuracy": (
+        "Accuracy",
+        (
+            "errors-per-measurement",
+            "error-vectors",
+            "errors-in-workspace",
+            "model-ladder",
+        ),
+    ),
     "identifiability": (
         "What can be known",
-        OF_RANKS,
+        (
+            "singular-values",
+            "correlations",
+            "tip-error-by-count",
+            "tip-accuracy-in-workspace",
+        ),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
     "residuals": ("Rows that do not fit", ("residuals",)),
     "provenance": ("What was done", ("convergence",)),
 }
-"""Title and figures of each section, by its key; other figures come last."""
+"""Title and figures of each section, by its key."""
 
 
 @dataclass(frozen=True)
@@ -153,7 +158,7 @@ def _sections(
     }
     places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
     for key, (title, _) in SECTIONS.items():
-        drawn = [f for f in figures if places.get(f.name, "provenance") == key]
+        drawn = [f for f in figures if places[f.name] == key]
         yield _Section(
             key=key,
             title=title,
@@ -187,6 +192,10 @@ def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Bl
 
 def _residuals(result: CalibrationResult) -> Iterator[Block]:
     if result.outliers:
+        count = len(result.outliers)
+        yield Line(
+            f"{count} of {result.training} rows are further off than chance allows."
+        )
         yield outlier_table(result, LISTED)
         if len(result.outliers) > LISTED:
             more = len(result.outliers) - LISTED

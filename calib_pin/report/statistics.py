@@ -19,10 +19,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     """Chi-square and what it says of the standard deviations."""
     learned = result.model.setup.learned is not None
     sigmas = "stated" if result.stated_sigma else "assumed"
-    entries = [
-        ("chi-square", f"{number(result.chi2)} with {result.dof} dof"),
-        ("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"),
-    ]
+    entries = [("chi-square", f"{number(result.chi2)} with {result.dof} dof")]
     remark = ""
     if result.stated_sigma and result.dof > 0:
         low, high = chi2_interval(result.dof)
@@ -32,10 +29,13 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
         elif result.chi2 > high:
             where = "above"
             remark = (
-                "more than their sigma says: the standard deviations are too small."
+                "more than their sigma says: it is too small, rows do not fit, or "
+                "errors are left that no parameter describes."
             )
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} the 95 % interval {interval}"))
+    if result.dof > 0:
+        entries.append(("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"))
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
     if remark and not learned:

@@ -202,8 +202,7 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
                 Cell("-") if math.isnan(size) else quantity(size, of.unit)
                 for size in sizes
             ]
-    title = f"Rows that do not fit ({len(found)} of {result.training})"
-    return Table(title, columns("row", titles), cells)
+    return Table("Rows that do not fit", columns("row", titles), cells)
 
 
 def _estimate(

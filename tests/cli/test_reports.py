@@ -78,7 +78,7 @@ def test_pictures_of_a_plan(kind, here, run):
 
 
 def test_pictures_of_an_earlier_run(here, run):
-    """They are not replaced unasked, and what is not drawn now does not stay."""
+    """They are not replaced unasked, and a note tells of those that stay."""
     Path("figures").mkdir()
     old = Path("figures/tip-drift.png")
     old.write_text("of an earlier run")
@@ -95,8 +95,8 @@ def test_pictures_of_an_earlier_run(here, run):
     stale = Path("figures/convergence.png")
     stale.write_text("of an earlier run")
     result = run(f"{CALIBRATE} --figures figures --force")
-    assert f"calib-pin: note: removed {stale} of an earlier run" in result.err
-    assert "convergence.png" not in names("figures")
+    assert f"calib-pin: note: {stale} is not of this run" in result.err
+    assert stale.read_text() == "of an earlier run"
 
 
 @pytest.mark.parametrize(
@@ -108,6 +108,12 @@ def test_pictures_of_an_earlier_run(here, run):
             "unknown figure format 'gif'|png, pdf, svg",
         ),
         (f"{PLAN} -o plan.csv --figures rows.csv", "rows.csv|is a file, not a folder"),
+        (f"{PLAN} -o plan.csv --figures rows.csv/x", "rows.csv|is a file"),
+        (f"{CALIBRATE} -o out --figures rows.csv/x/y", "rows.csv|is a file"),
+        (
+            f"{CALIBRATE} -o out --figures out/calibration.json",
+            "out/calibration.json|cannot be a folder",
+        ),
     ],
 )
 def test_wrong_options(words, parts, here, run, listing):

@@ -145,6 +145,8 @@ def test_few_rows_are_noted(
         ("arm.urdf --tip nowhere", "no link 'nowhere' for the tip"),
         ("arm.urdf rows.csv --model sonar", "sonar"),
         ("rows.csv", "rows.csv"),
+        ("arm.urdf --package-dir nowhere", "nowhere: no such folder"),
+        ("arm.urdf --package-dir rows.csv", "rows.csv: is a file, not a folder"),
         ("done", "is a folder; allowed: done/calibration.json, or a robot"),
         ("done/calibration.json --tip link3", "its own base, tip and model"),
         ("done/calibration.json --setup setup.yaml", "its own setup"),

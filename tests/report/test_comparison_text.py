@@ -105,7 +105,7 @@ def test_what_must_not_be_trusted_comes_first(moved):
     bad = second(moved, verdict="untrusted", reason="not converged.")
     lines = text_of(bad).splitlines()
     assert lines[0] == "UNTRUSTED: B (1.json): not converged."
-    assert lines[1].startswith("The robot moved")
+    assert lines[1].startswith("The two do not agree on the tip")
 
 
 # --- what stands below -------------------------------------------------------------

@@ -20,7 +20,7 @@ from calib_pin.io.urdf import parse_robot
 from calib_pin.remedies import as_found, remedies
 from calib_pin.report.blocks import Block, Cell, Table
 from calib_pin.report.figures import NAMES, calibration_figures
-from calib_pin.report.html import LISTED, html_report
+from calib_pin.report.html import LISTED, SECTIONS, html_report
 from calib_pin.report.tables import accuracy_table, group_table, parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
@@ -206,7 +206,7 @@ def test_outliers_by_row(arm: tuple[Chain, CalibrationResult]) -> None:
     rows = tuple(Outlier(f"rows.csv:{k}", k % 30, 90.0 - 0.1 * k) for k in range(250))
     many = replace(result, outliers=rows)
     text = Page(page_of(chain, many, figures=False)[0]).text
-    assert f"Rows that do not fit ({len(rows)} of 30)" in text
+    assert "250 of 30 rows are further off than chance allows." in text
     assert "rows.csv:199" in text and "rows.csv:200" not in text
     assert f"{len(rows) - LISTED} more are in calibration.json." in text
 
@@ -336,7 +336,12 @@ def test_tables_are_sorted_and_filtered(
     head = opened.locator("#parameter-table th", has_text="std. dev.")
     head.locator("button").click()
     assert head.get_attribute("aria-sort") == "ascending"
-    known = sorted(p.sigma for p in parameters if p.sigma is not None)
+    # Millimeters and degrees do not mix.
+    known = [
+        sigma
+        for unit in ("rad", "m")
+        for sigma in sorted(p.sigma for p in parameters if p.sigma and p.unit == unit)
+    ]
     first = "#parameter-table tbody tr td:nth-child(3)"
     values = opened.eval_on_selector_all(first, "c => c.map(c => c.dataset.value)")
     assert [float(v) for v in values if v is not None] == known
@@ -349,6 +354,11 @@ def test_tables_are_sorted_and_filtered(
     opened.fill("#filter", "")
     opened.select_option("#status", "coupled")
     assert set(column(opened, 4)) == {"coupled"}
+
+
+def test_every_figure_has_a_section() -> None:
+    placed = [name for _, names in SECTIONS.values() for name in names]
+    assert sorted(placed) == sorted(NAMES["calibration"])
 
 
 def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:

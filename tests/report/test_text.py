@@ -313,7 +313,7 @@ def test_chi_square(result, factor, where, remark):
     text = format_report(replace(result, chi2=chi2, stated_sigma=True))
     lines = section(text, "Statistics")
     assert f"with {result.dof} dof" in lines[1]
-    assert f"{where} the 95 % interval" in lines[3]
+    assert f"{where} the 95 % interval" in lines[2]
     assert ("scatter" in text) == bool(remark)
     assert remark in text
     assumed = format_report(replace(result, chi2=chi2, stated_sigma=False))

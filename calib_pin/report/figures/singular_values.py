@@ -39,15 +39,14 @@ def singular_values(result: CalibrationResult) -> Drawn | None:
     for axes, draw in zip(row, kinds, strict=True):
         draw(axes, ranks)
     dropped = len(ranks.structural_values) - ranks.structural_rank
-    return Drawn(
-        "singular-values",
-        "Singular values",
-        f"Left, the structure: {ranks.structural_rank} directions can be seen at all "
-        f"and {max(dropped, 0)} are rounding; a wide gap makes that certain. Right, "
-        f"what these rows tell of the robot; the condition number is "
+    words = {
+        _structural: f"The structure: {ranks.structural_rank} directions can be seen "
+        f"at all and {max(dropped, 0)} are rounding; a wide gap makes that certain.",
+        _practical: "What these rows tell of the robot: the condition number is "
         f"{number(ranks.condition)}.",
-        figure,
-    )
+    }
+    reading = " ".join(words[kind] for kind in kinds)
+    return Drawn("singular-values", "Singular values", reading, figure)
 
 
 def _structural(axes: Axes, ranks: Identifiability) -> None:

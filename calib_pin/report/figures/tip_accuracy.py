@@ -5,6 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
+from calib_pin.assessment import chi2_interval
 from calib_pin.report.figures.canvas import (
     AFTER,
     INK,
@@ -64,7 +65,7 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
         f"Error of the tip that noise leaves, predicted over the workspace: "
         f"{number(errors[-1])} {unit} with all {counts[-1]:.0f} measurements. Far "
         "above the dashed line too few rows determine all parameters; along it, four "
-        "times the rows halve the error.",
+        f"times the rows halve the error. {_left_out(result)}",
         figure,
     )
 
@@ -78,10 +79,22 @@ def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "tip-accuracy-in-workspace",
         "Tip accuracy over the workspace",
-        f"Error of the tip that noise leaves {words}. What no parameter of the model "
-        "describes is not in it.",
+        f"Error of the tip that noise leaves {words}. {_left_out(result)}",
         figure,
     )
+
+
+def _left_out(result: CalibrationResult) -> str:
+    """What the prediction does not know."""
+    said = "Not in it is what no parameter of the model describes"
+    if weak := result.identifiability.weak:
+        said += f", nor the {weak} directions that are left at nominal"
+    if result.stated_sigma and result.chi2 > chi2_interval(result.dof)[1]:
+        said += (
+            f"; it holds for the stated sigma, and the rows scatter "
+            f"{number(result.sigma0)} times as much"
+        )
+    return f"{said}."
 
 
 def drift_in_workspace(drift: TipDrift) -> Drawn:

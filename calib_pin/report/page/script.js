@@ -16,16 +16,21 @@
   const rows = [...body.rows];
   const heads = [...place.querySelectorAll("thead th")];
 
-  // Sizes are compared in SI units as they are in calibration.json; what is missing comes last.
+  // Numbers of one unit stand together, by size; what is missing comes last.
+  const unit = heads.findIndex((head) => head.textContent === "unit");
   const key = (row, column) => {
     const cell = row.cells[column];
-    return "value" in cell.dataset ? Number(cell.dataset.value) : cell.textContent;
+    if ("value" in cell.dataset) {
+      return { unit: row.cells[unit].textContent, size: Math.abs(Number(cell.dataset.value)) };
+    }
+    return { text: cell.textContent, missing: ["", "-"].includes(cell.textContent) };
   };
-  const compare = (a, b) => {
-    const numbers = [a, b].map((x) => typeof x === "number");
-    if (numbers[0] && numbers[1]) return Math.abs(a) - Math.abs(b) || a - b;
-    if (numbers[0] !== numbers[1]) return numbers[0] ? -1 : 1;
-    return a.localeCompare(b, "en", { numeric: true });
+  const words = (a, b) => a.localeCompare(b, "en", { numeric: true });
+  const compare = (a, b, sign) => {
+    if (Boolean(a.missing) !== Boolean(b.missing)) return a.missing ? 1 : -1;
+    if (a.missing) return 0;
+    if (a.text !== undefined) return sign * words(a.text, b.text);
+    return words(a.unit, b.unit) || sign * (a.size - b.size);
   };
   heads.forEach((head, column) => {
     const button = document.createElement("button");
@@ -37,10 +42,7 @@
       heads.forEach((other) => other.removeAttribute("aria-sort"));
       head.setAttribute("aria-sort", sign > 0 ? "ascending" : "descending");
       const keyed = rows.map((row) => [key(row, column), row]);
-      keyed.sort(([a], [b]) => {
-        const missing = (typeof a === "number") !== (typeof b === "number");
-        return missing ? compare(a, b) : sign * compare(a, b);
-      });
+      keyed.sort(([a], [b]) => compare(a, b, sign));
       body.append(...keyed.map(([, row]) => row));
     });
   });

@@ -147,7 +147,7 @@ def _open(
     """
     from calib_pin.io.measurements import read_configurations
     from calib_pin.io.urdf import load_robot
-    from calib_pin.viewer.scene import Plan, Scene, figures_of, tip_path
+    from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_path
     from calib_pin.viewer.shapes import robot_shapes
 
     require_distinct(measurements)
@@ -167,8 +167,8 @@ def _open(
         shapes = robot_shapes(robot, package_dirs, stage(bar, "shapes"))
     if shapes.missing:
         _note_missing(shapes.missing)
-    figures = figures_of(robot, robot.root if chain is None else chain.base, model)
-    return Scene(robot.name, shapes.parts, tuple(figures), chain, rows, planned)
+    bodies = bodies_of(robot, robot.root if chain is None else chain.base, model)
+    return Scene(robot.name, shapes.parts, tuple(bodies), chain, rows, planned)
 
 
 def _note_missing(meshes: Sequence[str]) -> None:

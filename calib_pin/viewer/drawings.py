@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.spatial import Floats, to_quaternion
 from calib_pin.viewer.colors import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.scene import Figure, Rows
+from calib_pin.viewer.scene import Body, Rows
 from calib_pin.viewer.shapes import Shape
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ class RobotDrawing:
 
     Args:
         api: Where it is drawn.
-        figure: The robot; the nominal one is a ghost.
+        body: The robot; the nominal one is a ghost.
         shapes: What its links look like.
 
     Attributes:
@@ -36,15 +36,15 @@ class RobotDrawing:
     """
 
     def __init__(
-        self, api: viser.SceneApi, figure: Figure, shapes: Sequence[Shape]
+        self, api: viser.SceneApi, body: Body, shapes: Sequence[Shape]
     ) -> None:
         """Draw the links; they are not in place yet."""
-        self._figure = figure
-        self._placements = np.zeros((len(figure.skeleton.links), 4, 4))
-        name, ghost = f"/{figure.name}", figure.name == "nominal"
+        self._body = body
+        self._placements = np.zeros((len(body.skeleton.links), 4, 4))
+        name, ghost = f"/{body.name}", body.name == "nominal"
         self.root = api.add_frame(name, show_axes=False)
         # Names of links may hold slashes, which mean something here.
-        number = {link: k for k, link in enumerate(figure.skeleton.links)}
+        number = {link: k for k, link in enumerate(body.skeleton.links)}
         self._links = {
             number[link]: api.add_frame(f"{name}/{number[link]}", show_axes=False)
             for link in dict.fromkeys(shape.link for shape in shapes)
@@ -64,8 +64,8 @@ class RobotDrawing:
             )
 
     def pose(self, q: Floats, payload: str) -> None:
-        """Put the links in place; arguments as for `Figure.placements`."""
-        placements = self._figure.placements(q, payload)
+        """Put the links in place; arguments as for `Body.placements`."""
+        placements = self._body.placements(q, payload)
         moved = (placements != self._placements).any(axis=(1, 2))
         self._placements = placements
         for number, link in self._links.items():

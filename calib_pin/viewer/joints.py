@@ -31,7 +31,7 @@ class Joints:
 
     def __init__(self, controls: Controls, scene: Scene, stage: Stage) -> None:
         """Add the sliders and take the first posture."""
-        skeleton = scene.figures[0].skeleton
+        skeleton = scene.bodies[0].skeleton
         self._stage, self._places = stage, scene.places
         self._q, self._payload = scene.start, ""
         self._factors = np.where(skeleton.revolute, 180.0 / math.pi, 1e3)
@@ -81,7 +81,7 @@ class Joints:
 
 def _range(scene: Scene) -> tuple[Floats, Floats]:
     """Limits of all joints: those of the URDF, and what was measured or planned."""
-    skeleton, places = scene.figures[0].skeleton, scene.places
+    skeleton, places = scene.bodies[0].skeleton, scene.places
     lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
     shown = [] if scene.rows is None else [scene.rows.data.q]
     shown += [] if scene.plan is None else [scene.plan.q]

@@ -25,7 +25,7 @@ from calib_pin.viewer.shapes import Shape
 from calib_pin.viewer.skeleton import Skeleton
 from calib_pin.viewer.surfaces import box
 
-__all__ = ["Figure", "Plan", "Rows", "Scene", "figures_of", "floor_height", "tip_path"]
+__all__ = ["Body", "Plan", "Rows", "Scene", "bodies_of", "floor_height", "tip_path"]
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
@@ -38,7 +38,7 @@ LEGS = 0.15
 
 
 @dataclass(frozen=True)
-class Figure:
+class Body:
     """One robot as it is drawn.
 
     Attributes:
@@ -114,8 +114,8 @@ class Scene:
 
     Attributes:
         title: Name of the robot.
-        shapes: What the links look like, of all figures.
-        figures: The robot, or the nominal and the corrected one.
+        shapes: What the links look like, of all bodies.
+        bodies: The robot, or the nominal and the corrected one.
         chain: The chain that rows and plan move, if there is one.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
@@ -123,23 +123,23 @@ class Scene:
 
     title: str
     shapes: tuple[Shape, ...]
-    figures: tuple[Figure, ...]
+    bodies: tuple[Body, ...]
     chain: Chain | None = None
     rows: Rows | None = None
     plan: Plan | None = None
 
     @property
     def places(self) -> NDArray[np.intp]:
-        """Positions of the chain's joints among those of the figures, shape (n,)."""
+        """Positions of the chain's joints among those of the bodies, shape (n,)."""
         joints = () if self.chain is None else self.chain.joints
         return np.array(
-            [self.figures[0].skeleton.joints.index(k) for k in joints], np.intp
+            [self.bodies[0].skeleton.joints.index(k) for k in joints], np.intp
         )
 
     @property
     def start(self) -> Floats:
         """Joint positions of the first row, or of the plan, or neutral, shape (K,)."""
-        q = self.figures[0].skeleton.neutral
+        q = self.bodies[0].skeleton.neutral
         if self.rows is not None:
             q[self.places] = self.rows.data.q[0]
         elif self.plan is not None:
@@ -152,12 +152,12 @@ class Scene:
         Args:
             q: Joint positions, shape (K,) [rad, m].
         """
-        skeleton = self.figures[0].skeleton
+        skeleton = self.bodies[0].skeleton
         T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
         return np.concatenate([_corners(shape, T[shape.link]) for shape in self.shapes])
 
 
-def figures_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Figure]:
+def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Body]:
     """The robot by itself, or as it is nominally and as it is corrected.
 
     Args:
@@ -166,11 +166,11 @@ def figures_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[F
         model: Its calibration, if there is one.
     """
     if model is None:
-        return [Figure("robot", Skeleton(robot, base))]
+        return [Body("robot", Skeleton(robot, base))]
     corrected = edit_origins(robot.source, model.urdf_corrections(), robot.file)
     return [
-        Figure("nominal", Skeleton(robot, base)),
-        Figure("corrected", Skeleton(parse_robot(corrected, robot.file), base), model),
+        Body("nominal", Skeleton(robot, base)),
+        Body("corrected", Skeleton(parse_robot(corrected, robot.file), base), model),
     ]
 
 
@@ -200,7 +200,7 @@ def floor_height(scene: Scene) -> float:
     It lies under the links that stand still, or under the feet of a robot that reaches
     well below these.
     """
-    skeleton = scene.figures[0].skeleton
+    skeleton = scene.bodies[0].skeleton
     neutral = skeleton.neutral
     # No joint stands at the same angle in both, nor a whole turn away.
     other = skeleton.lower + 0.37 * (skeleton.upper - skeleton.lower)

@@ -50,8 +50,7 @@ class Stage:
             seen += [errors.points for errors in scene.rows.stages.values()]
         _aim(server.initial_camera, np.concatenate(seen))
         self.robots = {
-            figure.name: RobotDrawing(api, figure, scene.shapes)
-            for figure in scene.figures
+            body.name: RobotDrawing(api, body, scene.shapes) for body in scene.bodies
         }
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
         self.path = (

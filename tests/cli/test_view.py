@@ -69,8 +69,8 @@ def test_a_robot_alone(
     (scene,) = opened
     assert scene.title == "arm"
     assert (scene.chain, scene.rows, scene.plan) == (None, None, None)
-    (figure,) = scene.figures
-    assert figure.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
+    (body,) = scene.bodies
+    assert body.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
     # Several leaves are no hindrance where nothing is measured.
     assert run("view example:talos_reduced --once --port 5").status == 0
 
@@ -97,7 +97,7 @@ def test_a_calibration(
     assert run(words).status == 0
     assert run("view done/calibration.json --port 5").status == 0
     scene, bare = opened
-    assert [figure.name for figure in scene.figures] == ["nominal", "corrected"]
+    assert [body.name for body in scene.bodies] == ["nominal", "corrected"]
     assert scene.rows is not None and bare.rows is None
     before, after = scene.rows.stages.values()
     sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]

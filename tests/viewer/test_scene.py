@@ -26,7 +26,7 @@ from calib_pin.setup import Payload
 from calib_pin.spatial import invert
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
-from calib_pin.viewer.scene import Plan, Scene, figures_of, floor_height, tip_path
+from calib_pin.viewer.scene import Plan, Scene, bodies_of, floor_height, tip_path
 from calib_pin.viewer.shapes import robot_shapes
 from calib_pin.viewer.skeleton import Skeleton
 from calib_pin.viewer.stage import sight
@@ -78,7 +78,7 @@ def test_links_are_those_of_the_corrected_urdf(
     chain = load_chain(name, base=base, tip=tip)
     model = calibrated(chain, Position())
     before = chain.robot.model.copy()
-    nominal, corrected = figures_of(chain.robot, chain.base, model)
+    nominal, corrected = bodies_of(chain.robot, chain.base, model)
     write_urdf(model, tmp_path / "corrected.urdf")
     rng = np.random.default_rng(3)
     skeleton = nominal.skeleton
@@ -88,9 +88,9 @@ def test_links_are_those_of_the_corrected_urdf(
         if leader in positions:
             positions[follower] = positions[leader]
     written = load_robot(tmp_path / "corrected.urdf")
-    for figure, robot in ((nominal, chain.robot), (corrected, written)):
+    for body, robot in ((nominal, chain.robot), (corrected, written)):
         expected = link_poses(robot, positions, chain.base)
-        for link, T in zip(skeleton.links, figure.placements(q), strict=True):
+        for link, T in zip(skeleton.links, body.placements(q), strict=True):
             np.testing.assert_allclose(T, expected[link], atol=1e-12)
     # The tip is where the model has it, but for what no URDF holds.
     places = [skeleton.joints.index(joint) for joint in chain.joints]
@@ -105,7 +105,7 @@ def test_joint_corrections_turn_the_links(
 ) -> None:
     loads = {"light": Payload(1.0), "heavy": Payload(8.0, (0.0, 0.0, 0.2))}
     model = calibrated(panda, Position(), "placement", "compliance", payloads=loads)
-    _, corrected = figures_of(panda.robot, panda.base, model)
+    _, corrected = bodies_of(panda.robot, panda.base, model)
     skeleton = corrected.skeleton
     q = skeleton.neutral + 0.2
     places = [skeleton.joints.index(joint) for joint in panda.joints]
@@ -272,8 +272,8 @@ def test_all_is_in_view() -> None:
 )
 def test_the_floor_is_under_the_robot(name: str, height: float) -> None:
     robot = load_robot(name)
-    figures = figures_of(robot, robot.root, None)
-    scene = Scene("", robot_shapes(robot).parts, tuple(figures))
+    bodies = bodies_of(robot, robot.root, None)
+    scene = Scene("", robot_shapes(robot).parts, tuple(bodies))
     assert floor_height(scene) == pytest.approx(height, abs=0.01)
 
 

@@ -26,7 +26,7 @@ from calib_pin.viewer.drawings import lines
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.joints import Joints
 from calib_pin.viewer.player import Player
-from calib_pin.viewer.scene import Plan, Rows, Scene, figures_of, tip_path
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_path
 from calib_pin.viewer.server import Window
 from calib_pin.viewer.shapes import Shape
 from calib_pin.viewer.stage import Stage
@@ -172,7 +172,7 @@ def scene(
     return Scene(
         title="arm",
         shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
-        figures=tuple(figures_of(panda.robot, panda.base, model)),
+        bodies=tuple(bodies_of(panda.robot, panda.base, model)),
         chain=panda,
         rows=Rows(rows, {"before": errors, "after": errors}),
         plan=Plan(q, tip_path(model, q)),

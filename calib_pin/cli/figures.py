@@ -142,4 +142,5 @@ def write_figures(
             write_atomically(path, figure.picture(path.suffix[1:]), force=force)
         elif exists(path):
             notice(f"{path} is not of this run, which has no such figure")
-    return [f"wrote {len(drawn)} figures to {files[0].parent}"] if files else []
+    count = f"{len(drawn)} figure{'s' if len(drawn) != 1 else ''}"
+    return [f"wrote {count} to {files[0].parent}"] if files else []

@@ -186,7 +186,7 @@ def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Bl
     yield from unknown(result)
     yield from remedied(result, remedies)
     for remedy in remedies:
-        yield from listed(f"identifiable then: {remedy.change}", remedy.parameters)
+        yield from listed(f"identifiable if you {remedy.change}", remedy.parameters)
     yield from correlated(result, LISTED)
 
 

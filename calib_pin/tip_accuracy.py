@@ -15,7 +15,7 @@ from calib_pin.spatial import Floats
 
 __all__ = ["LEVER", "TipAccuracy", "tip_accuracy"]
 
-SAMPLES = 400
+SAMPLES = 300
 """Configurations of the workspace."""
 
 ROWS = 400
@@ -123,7 +123,10 @@ def _without_frames(J: Floats) -> Floats:
     weighted = J * np.repeat([1.0, LEVER], 3)[:, None]
     rows = weighted.reshape(-1, J.shape[2])
     frames = np.r_[0:6, -6:0]
-    absorbed = np.linalg.lstsq(rows[:, frames], rows, rcond=1e-9)[0]
+    F = rows[:, frames]
+    # Of thousands of rows the normal equations take a tenth of the time, and a lever of
+    # 1e-4 leaves them digits enough.
+    absorbed = np.linalg.pinv(F.T @ F, rcond=1e-13, hermitian=True) @ (F.T @ rows)
     return np.asarray(J - J[:, :, frames] @ absorbed)
 
 

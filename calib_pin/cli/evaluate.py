@@ -20,6 +20,7 @@ from calib_pin.cli.options import (
     Base,
     Json,
     Model,
+    RobotOrCalibration,
     SetupFile,
     Tip,
 )
@@ -29,13 +30,7 @@ __all__ = ["evaluate"]
 
 
 def evaluate(
-    robot: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROBOT|calibration.json",
-            help="URDF file, bundled robot, example:NAME, or a calibration.",
-        ),
-    ],
+    robot: RobotOrCalibration,
     measurements: Annotated[
         list[Path], typer.Argument(metavar="MEASUREMENTS...", help="CSV files.")
     ],

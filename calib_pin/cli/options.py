@@ -20,6 +20,7 @@ __all__ = [
     "Parameters",
     "Quiet",
     "RobotName",
+    "RobotOrCalibration",
     "Seed",
     "SetupFile",
     "Tip",
@@ -67,6 +68,13 @@ RobotName = Annotated[
         metavar="ROBOT",
         help="URDF file, name of a bundled robot, or example:NAME where "
         "example-robot-data is installed.",
+    ),
+]
+RobotOrCalibration = Annotated[
+    str,
+    typer.Argument(
+        metavar="ROBOT|calibration.json",
+        help="URDF file, bundled robot, example:NAME, or a calibration.",
     ),
 ]
 SetupFile = Annotated[

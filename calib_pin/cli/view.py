@@ -17,7 +17,14 @@ from calib_pin.cli.files import (
     require_file,
     require_folders,
 )
-from calib_pin.cli.options import Base, Model, SetupFile, Tip, number
+from calib_pin.cli.options import (
+    Base,
+    Model,
+    RobotOrCalibration,
+    SetupFile,
+    Tip,
+    number,
+)
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
 
 if TYPE_CHECKING:
@@ -33,13 +40,7 @@ WINDOW = "Window"
 
 
 def view(
-    robot: Annotated[
-        str,
-        typer.Argument(
-            metavar="ROBOT|calibration.json",
-            help="URDF file, bundled robot, example:NAME, or a calibration.",
-        ),
-    ],
+    robot: RobotOrCalibration,
     measurements: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),

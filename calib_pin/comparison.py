@@ -36,7 +36,7 @@ EXPLAINED = 2.0
 
 The square of a drift is a weighted sum of squares of normal variables. Were it a single
 one, one comparison in 20 would lie beyond by chance; with ten alike it is one in
-100 000. Simulated pairs of one robot and new noise have a ratio of 1, and up to 1.5.
+100 000. Simulated pairs of one robot and new noise have a ratio of 1, and up to 1.8.
 """
 
 NEGLIGIBLE = 1e-6

@@ -100,11 +100,12 @@ def remedies(
             for p in other.parameters
             if p.status == "identifiable" and p.name not in known
         )
-        result.append(Remedy(words, count, gained, EVERYTHING in others))
-    complete = [replace(r, complete=r.complete and r.count == most) for r in result]
+        complete = EVERYTHING in others and count == most
+        result.append(Remedy(words, count, gained, complete))
     # Where one of the others tells as much, that is simpler.
-    simpler = any(r.complete and r.change != EVERYTHING for r in complete)
-    return tuple(r for r in complete if not (simpler and r.change == EVERYTHING))
+    if any(r.complete and r.change != EVERYTHING for r in result):
+        result = [r for r in result if r.change != EVERYTHING]
+    return tuple(result)
 
 
 def _changes(

@@ -70,19 +70,10 @@ class Trained:
     theta: Floats
     silent: str = ""
 
-    def errors(self, rows: Measurements) -> tuple[Floats, Floats]:
-        """Errors of N rows in the units of the residual, shape (N, d) each.
-
-        Those with only base, tool and instrument fitted, and those of the model; NaN
-        for what a row of mixed measurements does not have.
-        """
-        unseen = self.unseen(rows)
-        return unseen.before, unseen.after
-
     def unseen(
         self, rows: Measurements, positions: NDArray[np.intp] | None = None
     ) -> Unseen:
-        """The same with the distances that the model finds between new places.
+        """Errors of rows, and the distances that the model finds between new places.
 
         A place that only these rows name, a socket say, is where they put it.
 
@@ -117,11 +108,12 @@ class Trained:
 
 @dataclass(frozen=True)
 class Unseen:
-    """Errors of rows that were not fitted, see `Trained.errors`.
+    """Errors of rows in the units of the residual.
 
     Attributes:
         positions: Where they stand among all rows, shape (N,).
-        before: Errors of the nominal robot, shape (N, d).
+        before: Errors of the nominal robot, base, tool and instrument fitted, shape
+            (N, d); NaN for what a row of mixed measurements does not have.
         after: Errors of the trained model, shape (N, d).
         distances: Known distances between places that were not fitted.
         placed: Names of these places, which stand where the rows put them.

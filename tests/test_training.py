@@ -450,9 +450,10 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
     # And it predicts.
     corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
-    before, after = learned.errors(rows)
+    found = learned.unseen(rows)
+    before, after = found.before, found.after
     np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(before, plain.errors(rows)[0])
+    np.testing.assert_array_equal(before, plain.unseen(rows).before)
 
 
 def test_each_part_learns_without_the_others(memory: Memory) -> None:

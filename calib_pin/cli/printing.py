@@ -9,6 +9,8 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from calib_pin.progress import Progress, named
+
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
 
@@ -39,12 +41,12 @@ def notice(message: str) -> None:
     print(f"calib-pin: note: {message}", file=sys.stderr)
 
 
-def stage(bar: Bar | None, name: str) -> Callable[[float], None] | None:
+def stage(bar: Bar | None, name: str) -> Progress | None:
     """What is told the part of one stage that is done, 0 to 1; None without a bar."""
     if bar is None:
         return None
     bar(name, None)
-    return lambda part: bar(name, part)
+    return named(bar, name)
 
 
 @contextmanager

@@ -23,8 +23,9 @@ def robots() -> int:
         ends = f"{chain.base} -> {chain.tip}"
         words = (name, ends, f"{len(chain.joints)}", ", ".join(others))
         rows.append([Cell(word) for word in words])
-    kinds = {"chain": "word", "files": "remark"}
-    show([Table("", columns("name", ("chain", "joints", "files"), kinds), rows)])
+    titles = ("chain", "joints", "files")
+    of = columns("name", titles, {"chain": "word", "files": "remark"})
+    show([Table("", of, rows)])
     folder = next(iter(bundled_robots().values())).parents[1]
     typer.echo(f"in {folder}")
     return 0

@@ -54,6 +54,9 @@ class Names:
     entries: Sequence[str]
 
 
+Kind = Literal["name", "word", "number", "remark"]
+
+
 @dataclass(frozen=True)
 class Column:
     """A column of a table.
@@ -65,7 +68,7 @@ class Column:
     """
 
     title: str
-    kind: Literal["name", "word", "number", "remark"] = "number"
+    kind: Kind = "number"
 
 
 @dataclass(frozen=True)
@@ -107,7 +110,7 @@ Block = Line | Facts | Names | Table
 
 
 def columns(
-    first: str, titles: Iterable[str], kinds: Mapping[str, str] | None = None
+    first: str, titles: Iterable[str], kinds: Mapping[str, Kind] | None = None
 ) -> tuple[Column, ...]:
     """A column of names before columns of numbers, and of words that are known.
 
@@ -116,12 +119,10 @@ def columns(
         titles: Headings of the others.
         kinds: Kind of those that are no numbers, beside those of `WORDS`.
     """
-    of: dict[str, str] = {**WORDS, **(kinds or {})}
-    return (
-        Column(first, "name"),
-        *(Column(title, of.get(title, "number")) for title in titles),  # type: ignore[arg-type]
-    )
+    of = {**WORDS, **(kinds or {})}
+    numbers = (Column(title, of.get(title, "number")) for title in titles)
+    return Column(first, "name"), *numbers
 
 
-WORDS = dict.fromkeys(("unit", "rows", "robot", "status"), "word")
+WORDS: Mapping[str, Kind] = dict.fromkeys(("unit", "rows", "robot", "status"), "word")
 """Columns that are no numbers, by heading."""

@@ -13,8 +13,15 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     ("errors", "parameters", "progress", "setup", "spatial", "units"),
     (
-        *("camera_pose", "chain", "collision", "contact_registration", "kernels"),
-        *("measurements", "registration", "row_kernels", "threads"),
+        *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
+        *(
+            "kernels",
+            "link_kernels",
+            "measurements",
+            "registration",
+            "row_kernels",
+            "threads",
+        ),
     ),
     (
         *("parameterizations", "measurement_models", "error_model", "segments"),

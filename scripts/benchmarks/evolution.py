@@ -35,7 +35,7 @@ from calib_pin.solvers import (
 )
 from calib_pin.spatial import Floats
 
-__all__ = ["main"]
+__all__ = ["main", "ranger_problem"]
 
 MEMBERS, GENERATIONS, F, CR = 150, 500, 0.6, 0.9
 
@@ -57,7 +57,7 @@ Run = Callable[[], tuple[float, str]]
 
 def main() -> None:
     """Print a table."""
-    problem, ranger = _problem()
+    problem, ranger = ranger_problem()
     free = np.flatnonzero(problem.parameters.free)
     bounds = np.tile([-BOX, BOX], (len(free), 1))
     kernel = PopulationCost(problem)
@@ -99,7 +99,8 @@ def main() -> None:
     line("Gauss-Newton, one start", partial(_gauss_newton, problem, free), 5)
 
 
-def _problem() -> tuple[Problem, Ranger]:
+def ranger_problem() -> tuple[Problem, Ranger]:
+    """100 distances to a plane, and their cost as one would write it."""
     chain = calib_pin.load_chain("space6")
     setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
     setup = replace(setup, fixed=("wall.plane.f",))

@@ -131,6 +131,9 @@ def write_results(
         yield [path for path in (*files, *pictures) if path in contents]
     for path in old:
         notice(f"removed {path} of an earlier run")
+    for path in (files.urdf, files.residual_model):
+        if path not in contents and exists(path):
+            notice(f"{path} is not of this run, which has no such file")
     if result.geometry is not None and result.geometry.tool_carries_tip:
         notice(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "

@@ -122,11 +122,10 @@ def complete(folder: Path) -> dict[Path, Path]:
         elif inside(name):
             reason = "damaged or unreadable before it could be put in place"
             raise InputError(f"{reason}; calibrate again with --force", file=source)
-    for name in removed:
-        with suppress(OSError):
-            (folder / name).unlink(missing_ok=True)
     if not any(path.is_relative_to(folder) for path in waiting):
-        with suppress(OSError):
+        with suppress(OSError):  # Then the list stays, and whoever comes next goes on.
+            for name in removed:
+                (folder / name).unlink(missing_ok=True)
             for place in {(folder / name).parent for name in files}:
                 sync(place)
             journal.unlink(missing_ok=True)
@@ -179,7 +178,7 @@ def sync(folder: Path) -> None:
     """Make the names in a folder last, where the system lets us ask for that."""
     try:
         descriptor = os.open(folder, os.O_RDONLY)
-    except PermissionError:
+    except (PermissionError, FileNotFoundError, NotADirectoryError):
         return
     try:
         os.fsync(descriptor)

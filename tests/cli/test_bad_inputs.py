@@ -119,7 +119,7 @@ SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
-TRUSTED_OR_NOT = {"calibration.json", "report.html"}
+TRUSTED_OR_NOT = {"calibration.json", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"

@@ -77,12 +77,17 @@ def test_the_id_is_that_of_the_result(here, run, later):
 
 
 def test_what_was_learned_has_the_id(here, run):
-    words = f"{POSITION} --learned gaussian-process -o out --quiet --figures out/more"
+    words = (
+        "simulate arm.urdf --model position --count 30 --noise 2e-5 "
+        "--parameters joint-offset,transmission -o gears.csv"
+    )
     assert run(words).status == 0
+    words = "calibrate arm.urdf gears.csv --setup setup.yaml -o out --quiet"
+    assert run(f"{words} --learned gaussian-process").status == 0
     assert_one_run("out")
     learned = json.loads(Path("out/residual_model.json").read_text())
     assert learned["run"] == document("out")["run"]
-    assert run(EVALUATE.format("out")).status == 0
+    assert run(EVALUATE.format("out")).status in (0, 2)
 
 
 @pytest.mark.usefixtures("drawn")
@@ -206,9 +211,14 @@ def test_its_own_nominal_robot_is_calibrated_again(here, run):
 
 
 @pytest.mark.parametrize(
-    "name", ["arm.urdf", "report.html", "calibration.json", "nominal.urdf"]
+    ("command", "name"),
+    [
+        *(("evaluate", name) for name in sorted(FILES)),
+        ("compare", "arm.urdf"),
+        ("compensate", "report.html"),
+        ("view", "calibration.json"),
+    ],
 )
-@pytest.mark.parametrize("command", ["evaluate", "compare", "compensate", "view"])
 def test_a_mixed_set_is_refused(command, name, here, run, later, opened):
     if name == "nominal.urdf":
         Path("done", name).write_text("<robot/>")
@@ -319,7 +329,8 @@ def test_the_nominal_robot_beside_an_earlier_version_stays(few, run):
         ),
         (
             "plan arm.urdf --setup setup.yaml --model position --count 9 "
-            "--candidates 50 --figures new/pictures -o rows.csv/plan.csv",
+            "--candidates 50 --ignore-collisions --figures new/pictures "
+            "-o rows.csv/plan.csv",
             "rows.csv/plan.csv: cannot be written",
         ),
         (f"{POSITION} -o rows.csv/out --figures pictures", "rows.csv/out/"),
@@ -359,7 +370,7 @@ def test_a_full_standard_output(here, listing):
         f"{POSITION} -o done --force",
         "compare done/calibration.json done/calibration.json",
         "plan arm.urdf --setup setup.yaml --model position --count 9 "
-        "--candidates 50 -o plan.csv",
+        "--candidates 50 --ignore-collisions -o plan.csv",
     ):
         result = process(f"{words} > /dev/full")
         assert result.returncode == 1, words
@@ -379,9 +390,14 @@ def test_a_full_standard_output(here, listing):
 
 @pytest.mark.slow
 def test_a_reader_that_goes_away_changes_no_file(here):
-    words = f"{POSITION} -o out"
-    result = process(f"({words}; echo status $? >&2) | true".replace("(", "(", 1))
-    assert result.returncode == 0
+    program = f"{sys.executable} -m calib_pin.cli {POSITION} -o out"
+    result = subprocess.run(
+        ["bash", "-c", f"{program} | true; exit ${{PIPESTATUS[0]}}"],
+        capture_output=True,
+        text=True,
+    )
+    assert (result.returncode, result.stderr) == (0, "")
+    assert_one_run("out")
 
 
 @pytest.mark.slow

@@ -44,6 +44,8 @@ def main(arguments: Sequence[str] | None = None) -> int:
     except _Terminated:
         _complain("terminated")
         return 143
+    except KeyboardInterrupt:  # Outside the application, which returns a status.
+        status = INTERRUPTED
     except BrokenPipeError:
         # The reader of our output went away; that is its right.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Annotated
 
@@ -39,7 +37,13 @@ from calib_pin.cli.options import (
     number,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
-from calib_pin.cli.results import Run, check_results, result_files, write_results
+from calib_pin.cli.results import (
+    Run,
+    check_results,
+    result_contents,
+    result_files,
+    write_results,
+)
 
 __all__ = ["calibrate"]
 
@@ -192,21 +196,20 @@ def calibrate(
         better = remedies(chain, rows.model, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
-        contents = figure_contents(drawn, pictures)
-    writing: AbstractContextManager[Sequence[Path]]
-    if files is None:
-        writing = write_files(contents, force=force)
-    else:
-        writing = write_results(
-            result, files, fitted, drawn, contents, better, force=force
-        )
-    with writing as written:
+        contents = drawings = figure_contents(drawn, pictures)
+        if files is not None:
+            contents = result_contents(result, files, fitted, drawn, drawings, better)
+    with (
+        write_files(contents, force=force)
+        if files is None
+        else write_results(result, files, contents, force=force)
+    ):
         if not quiet:
             show(report(result, better))
-    pictured = told_figures(contents, pictures)
+    pictured = told_figures(drawings, pictures)
     if not quiet:
-        results = [path for path in written if path not in contents]
-        say_written([*(f"wrote {path}" for path in results), *pictured])
+        written = [path for path in files or () if path in contents]
+        say_written([*(f"wrote {path}" for path in written), *pictured])
     elif result.verdict != "good":
         notice(f"untrusted: {result.reason}")
     return 0 if result.verdict == "good" else 2

@@ -17,7 +17,13 @@ if TYPE_CHECKING:
     from calib_pin.report.figures import Drawn
     from calib_pin.result import CalibrationResult
 
-__all__ = ["Run", "check_results", "result_files", "write_results"]
+__all__ = [
+    "Run",
+    "check_results",
+    "result_contents",
+    "result_files",
+    "write_results",
+]
 
 
 class Run(NamedTuple):
@@ -88,60 +94,7 @@ def check_results(
     check_outputs([*new, *old], inputs, force)
 
 
-@contextmanager
-def write_results(
-    result: CalibrationResult,
-    files: ResultFiles,
-    run: Run,
-    figures: Sequence[Drawn],
-    pictures: Mapping[Path, bytes],
-    remedies: Sequence[Remedy],
-    *,
-    force: bool,
-) -> Iterator[Sequence[Path]]:
-    """Put the results in place when the block ends well.
-
-    The corrected URDF is among them if it can be trusted. What is there of an earlier
-    run and not written now would pass for a result of this one, so it is removed.
-
-    Args:
-        result: The result.
-        files: Where its files go.
-        run: How it came about.
-        figures: What is drawn of it.
-        pictures: Figures that go into files of their own.
-        remedies: What would tell more of the robot.
-        force: Replace existing files.
-
-    Yields:
-        The files.
-    """
-    from calib_pin.io.journal import listed
-    from calib_pin.io.result_folder import written_before
-    from calib_pin.io.staging import write_folder
-    from calib_pin.io.urdf import is_source
-
-    folder = files.json.parent
-    contents = _contents(result, files, run, figures, pictures, remedies)
-    names = {listed(path, folder) for path in contents}
-    old = [p for p in written_before(files.json) if listed(p, folder) not in names]
-    if is_source(files.nominal, result.model.chain.robot):
-        del contents[files.nominal]  # It is there, and an input.
-    with write_folder(folder, contents, old, force=force, notice=notice):
-        yield [path for path in (*files, *pictures) if path in contents]
-    for path in old:
-        notice(f"removed {path} of an earlier run")
-    for path in (files.urdf, files.residual_model):
-        if path not in contents and exists(path):
-            notice(f"{path} is not of this run, which has no such file")
-    if result.geometry is not None and result.geometry.tool_carries_tip:
-        notice(
-            f"'{result.model.chain.tip}' is the link of the last joint itself: the "
-            "error behind that joint stands in frames.tool of calibration.json"
-        )
-
-
-def _contents(
+def result_contents(
     result: CalibrationResult,
     files: ResultFiles,
     run: Run,
@@ -149,12 +102,22 @@ def _contents(
     pictures: Mapping[Path, bytes],
     remedies: Sequence[Remedy],
 ) -> dict[Path, bytes]:
-    """All files of a result; the last one knows the hashes of the others."""
+    """All files of a result, of which the last one knows the hashes of the others.
+
+    Args:
+        result: The result; the corrected URDF is there if it can be trusted.
+        files: Where its files go.
+        run: How it came about.
+        figures: What is drawn of it.
+        pictures: Figures that go into files of their own.
+        remedies: What would tell more of the robot.
+    """
     from calib_pin.io.documents import calibration_document, encode
     from calib_pin.io.journal import inside, listed, sha256
     from calib_pin.io.residual_model import encode_residual_model, reference
     from calib_pin.io.result_folder import run_id
     from calib_pin.io.results import encode_urdf
+    from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
     document = calibration_document(result, _provenance(run), remedies=remedies)
@@ -170,7 +133,49 @@ def _contents(
     contents |= {files.report: page, **pictures}
     hashes = {listed(p, files.json.parent): sha256(d) for p, d in contents.items()}
     document["files"] = {name: hashes[name] for name in hashes if inside(name)}
+    if is_source(files.nominal, result.model.chain.robot):
+        del contents[files.nominal]  # It is an input, and stays as it is.
     return {**contents, files.json: encode(document)}
+
+
+@contextmanager
+def write_results(
+    result: CalibrationResult,
+    files: ResultFiles,
+    contents: Mapping[Path, bytes],
+    *,
+    force: bool,
+) -> Iterator[None]:
+    """Put the files of a result in place when the block ends well.
+
+    What is there of an earlier run and not written now would pass for a result of this
+    one, so it is removed.
+
+    Args:
+        result: The result.
+        files: Where its files go.
+        contents: What `result_contents` gave.
+        force: Replace existing files.
+    """
+    from calib_pin.io.journal import listed
+    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.staging import write_folder
+
+    folder = files.json.parent
+    names = {listed(path, folder) for path in (*contents, files.nominal)}
+    old = [p for p in written_before(files.json) if listed(p, folder) not in names]
+    with write_folder(folder, contents, old, force=force, notice=notice):
+        yield
+    for path in old:
+        notice(f"removed {path} of an earlier run")
+    for path in (files.urdf, files.residual_model):
+        if path not in contents and exists(path):
+            notice(f"{path} is not of this run, which has no such file")
+    if result.geometry is not None and result.geometry.tool_carries_tip:
+        notice(
+            f"'{result.model.chain.tip}' is the link of the last joint itself: the "
+            "error behind that joint stands in frames.tool of calibration.json"
+        )
 
 
 def _provenance(run: Run) -> Provenance:

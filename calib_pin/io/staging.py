@@ -32,17 +32,12 @@ __all__ = ["reason_of", "write_files", "write_folder"]
 
 
 @contextmanager
-def write_files(
-    contents: Mapping[Path, bytes], *, force: bool
-) -> Iterator[Sequence[Path]]:
+def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None]:
     """Put files in place when the block ends well, and none of them otherwise.
 
     Args:
         contents: What each of them shall contain; folders that are missing are made.
         force: Replace those that exist.
-
-    Yields:
-        The files.
 
     Raises:
         OptionError: If one exists and `force` is false.
@@ -58,7 +53,7 @@ def write_files(
         (False, b'x,y')
     """
     with _staged(contents, force):
-        yield [*contents]
+        yield
         with signals_deferred():
             _put_in_place(list(contents))
 

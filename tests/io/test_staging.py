@@ -2,11 +2,7 @@
 
 from __future__ import annotations
 
-import hashlib
-import json
 import os
-import signal
-import threading
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
@@ -14,9 +10,8 @@ from typing import Any
 
 import pytest
 
-from calib_pin.errors import InputError, OptionError, OutputError
-from calib_pin.io.interruptions import locked, signals_deferred
-from calib_pin.io.journal import JOURNAL, settled, temporary
+from calib_pin.errors import OptionError, OutputError
+from calib_pin.io.journal import settled, temporary
 from calib_pin.io.staging import write_files, write_folder
 
 OLD = {"a.json": b"old a", "b.urdf": b"old b", "gone.json": b"old gone"}
@@ -219,64 +214,6 @@ def test_a_writer_completes_what_was_decided_on(
         assert not [path for path in folder.iterdir() if path.name[0] == "."]
 
 
-def test_a_folder_that_cannot_be_written_is_read_as_decided(tmp_path: Path) -> None:
-    """As on a medium that is mounted for reading, after a kill."""
-    start(tmp_path)
-    files = {}
-    for name in ("a.json", "b.urdf"):
-        temporary(tmp_path / name).write_bytes(NEW[name])
-        files[name] = hashlib.sha256(NEW[name]).hexdigest()
-    journal = {"files": files, "remove": ["gone.json"]}
-    (tmp_path / JOURNAL).write_text(json.dumps(journal))
-    with pytest.MonkeyPatch.context() as patch:
-
-        def refuse(*_: object) -> None:
-            raise PermissionError(30, "Read-only file system")
-
-        patch.setattr(os, "replace", refuse)
-        patch.setattr(os, "unlink", refuse)
-        with settled(tmp_path) as waiting:
-            for name in files:
-                assert waiting[tmp_path / name].read_bytes() == NEW[name]
-    with settled(tmp_path) as waiting:
-        assert waiting == {}
-    assert content(tmp_path) == {name: NEW[name] for name in files}
-
-
-@pytest.mark.parametrize(
-    "journal",
-    [
-        b"",
-        b"[]",
-        b'{"files": {}}',
-        b'{"files": {"../x": ""}, "remove": []}',
-        b'{"files": {}, "remove": ["../x"]}',
-        b'{"files": {}, "remove": ["/etc/passwd"]}',
-    ],
-)
-def test_lists_that_reach_out_of_their_folder(journal: bytes, tmp_path: Path) -> None:
-    (tmp_path / JOURNAL).write_bytes(journal)
-    with pytest.raises(InputError) as caught, settled(tmp_path):
-        pass
-    assert caught.value.reason == "no list of files to put in place; remove it"
-    assert caught.value.file == str(tmp_path / JOURNAL)
-
-
-def test_what_waits_was_damaged(tmp_path: Path) -> None:
-    start(tmp_path)
-    temporary(tmp_path / "a.json").write_bytes(b"cut off")
-    journal = {"files": {"a.json": "0" * 64}, "remove": ["b.urdf"]}
-    (tmp_path / JOURNAL).write_text(json.dumps(journal))
-    with pytest.raises(InputError, match="damaged or unreadable") as caught:
-        read_as_a_reader(tmp_path)
-    assert caught.value.file == str(temporary(tmp_path / "a.json"))
-    # A new set does not need it.
-    contents = {tmp_path / "a.json": b"new"}
-    with write_folder(tmp_path, contents, force=True, notice=print):
-        pass
-    assert read_as_a_reader(tmp_path) == {**OLD, "a.json": b"new"}
-
-
 # --- files of their own ------------------------------------------------------------
 
 
@@ -340,68 +277,3 @@ def test_temporary_names_are_short_and_the_same(tmp_path: Path) -> None:
         (found,) = tmp_path.iterdir()
         assert found == temporary(tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == [name]
-
-
-# --- signals and locks -------------------------------------------------------------
-
-
-def test_signals_wait_for_the_end_of_the_block() -> None:
-    received: list[int] = []
-    before = signal.signal(signal.SIGTERM, lambda number, _: received.append(number))
-    try:
-        with signals_deferred(), signals_deferred():
-            signal.raise_signal(signal.SIGTERM)
-            assert received == []
-        assert received == [signal.SIGTERM]
-    finally:
-        signal.signal(signal.SIGTERM, before)
-
-
-def test_other_threads_defer_nothing() -> None:
-    done: list[bool] = []
-
-    def work() -> None:
-        with signals_deferred():
-            done.append(True)
-
-    thread = threading.Thread(target=work)
-    thread.start()
-    thread.join()
-    assert done == [True]
-
-
-def test_readers_share_a_folder_and_writers_do_not(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
-    monkeypatch.setattr("calib_pin.io.interruptions.PATIENCE", 0.0)
-    with (
-        locked(tmp_path, shared=True) as one,
-        locked(tmp_path, shared=True) as other,
-    ):
-        assert one and other
-        with pytest.raises(OutputError, match="has kept it locked"), locked(tmp_path):
-            pass
-        with (
-            pytest.raises(OutputError, match="has kept it locked"),
-            write_files({tmp_path / "a": b"1"}, force=False),
-        ):
-            pass
-    assert not list(tmp_path.iterdir())
-
-
-def test_where_there_are_no_locks(tmp_path: Path) -> None:
-    with locked(tmp_path / "none") as held:
-        assert not held
-    with pytest.MonkeyPatch.context() as patch:
-
-        def refuse(*_: object) -> None:
-            raise OSError(9, "Bad file descriptor")
-
-        patch.setattr("fcntl.flock", refuse)
-        with locked(tmp_path) as held:
-            assert not held
-        temporary(tmp_path / "a").write_bytes(b"left by a kill")
-        temporary(tmp_path / "b").write_bytes(b"perhaps of a living run")
-        with write_files({tmp_path / "a": b"1"}, force=False):
-            pass
-    assert {p.name for p in tmp_path.iterdir()} == {"a", temporary(Path("b")).name}

@@ -156,6 +156,24 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
     return scenes
 
 
+def test_meshes_that_did_not_travel(here, run, opened, tmp_path, monkeypatch):
+    mesh = '<visual><geometry><mesh filename="../{}"/></geometry></visual>'
+    text = Path("arm.urdf").read_text()
+    for link in ("link1", "link2"):
+        body = mesh.format(f"{link}.stl")
+        text = text.replace(
+            f'<link name="{link}"/>', f'<link name="{link}">{body}</link>'
+        )
+    Path("arm.urdf").write_text(text)
+    assert run(f"{POSITION} -o out").status == 0
+    shutil.move("out", tmp_path / "out")
+    monkeypatch.chdir(tmp_path)
+    (here / "arm.urdf").unlink()
+    result = run("view out/calibration.json --once --port 5")
+    assert result.status == 0 and len(opened) == 1
+    assert "note: 2 meshes are not there" in result.err
+
+
 def test_an_example_robot_where_there_are_none(tmp_path, monkeypatch, run):
     monkeypatch.chdir(tmp_path)
     words = "example:panda --model position --tip panda_link8"

@@ -885,13 +885,16 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     ),
     "another robot": (
         EVALUATE,
-        {"arm.urdf": swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')},
+        dict.fromkeys(
+            ("arm.urdf", "done/nominal.urdf"),
+            swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"'),
+        ),
         "done/calibration.json|arm.urdf|content differs",
     ),
-    "robot is gone": (
+    "no robot is the one": (
         EVALUATE,
-        {"done/calibration.json": stored("robot", "file", to="gone.urdf")},
-        "done/calibration.json|gone.urdf",
+        {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
+        "done/calibration.json|arm.urdf|content differs",
     ),
     "measurements of another robot": (
         EVALUATE,

@@ -31,6 +31,7 @@ class System:
     def __init__(self, patch: pytest.MonkeyPatch) -> None:
         self.failing, self.kind, self.count = -1, "", 0
         self.dead = False
+        patch.setattr(os, "fsync", lambda _: None)  # It takes the longest.
         for name in self.CALLS:
             patch.setattr(os, name, self.counted(getattr(os, name)))
         self.writing = self.counted(lambda write, data: write(data))

@@ -76,6 +76,7 @@ def test_the_id_is_that_of_the_result(here, run, later):
     assert re.fullmatch("[0-9a-f]{16}", document("done")["run"])
 
 
+@pytest.mark.slow
 def test_what_was_learned_has_the_id(here, run):
     words = (
         "simulate arm.urdf --model position --count 30 --noise 2e-5 "
@@ -90,6 +91,7 @@ def test_what_was_learned_has_the_id(here, run):
     assert run(EVALUATE.format("out")).status in (0, 2)
 
 
+@pytest.mark.slow
 @pytest.mark.usefixtures("drawn")
 def test_pictures_in_the_folder_belong_to_it(here, run):
     assert run(f"{POSITION} -o out --figures out/figures").status == 0
@@ -301,7 +303,7 @@ def test_a_manifest_lists_only_its_own_folder(few, run):
     assert "files" in document("done")
 
 
-@pytest.mark.parametrize("text", ["", "{}", '{"format": "x"}', "[" * 100_000])
+@pytest.mark.parametrize("text", ["{}", "[" * 100_000])
 def test_beside_a_foreign_document_nothing_is_removed(text, few, run):
     Path("done/calibration.json").write_text(text)
     Path("done/residual_model.json").write_text("mine")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -15,6 +14,7 @@ import pinocchio as pin
 from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
+from calib_pin.io.journal import sha256
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
 from calib_pin.measurement_models.features import Frame
@@ -40,7 +40,6 @@ __all__ = [
     "identification_document",
     "plan_document",
     "require_format",
-    "sha256",
 ]
 
 FORMAT = "calib-pin/calibration"
@@ -64,11 +63,6 @@ class Provenance:
     created: str
     seconds: float
     versions: Mapping[str, str]
-
-
-def sha256(data: bytes) -> str:
-    """Hexadecimal SHA-256 of bytes."""
-    return hashlib.sha256(data).hexdigest()
 
 
 def encode(document: Mapping[str, Any]) -> bytes:

@@ -40,12 +40,14 @@ from calib_pin.setup import JointMap
 
 __all__ = [
     "check_columns",
+    "encode_configurations",
+    "encode_measurements",
+    "encode_table",
     "read_configurations",
     "read_measurements",
     "read_names",
     "write_configurations",
     "write_measurements",
-    "write_table",
 ]
 
 CUT, POSITIONS = 0.4, 0.6
@@ -231,8 +233,25 @@ def write_configurations(
         ...     file.read_text().splitlines()[1]
         '0.0,0.0,0.0,0.5,0.0,0.0'
     """
-    columns = configuration_columns(chain, q, target, joints)
-    write_table(path, columns, comments, force)
+    data = encode_configurations(chain, q, target, joints=joints, comments=comments)
+    write_atomically(Path(path), data, force=force)
+
+
+def encode_configurations(
+    chain: Chain,
+    q: Floats,
+    target: Sequence[str] = (),
+    *,
+    joints: Mapping[str, JointMap] = {},
+    comments: Sequence[str] = (),
+) -> bytes:
+    """The file that `write_configurations` writes.
+
+    Raises:
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back.
+    """
+    return encode_table(configuration_columns(chain, q, target, joints), comments)
 
 
 def write_measurements(
@@ -271,30 +290,37 @@ def write_measurements(
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """
-    check_model(measurements.model)
-    columns = dict(measurement_columns(measurements))
-    write_table(path, columns, comments, force, progress)
+    data = encode_measurements(measurements, comments, progress)
+    write_atomically(Path(path), data, force=force)
 
 
-def write_table(
-    path: str | Path,
-    columns: Mapping[str, Sequence[object]],
-    comments: Sequence[str],
-    force: bool,
+def encode_measurements(
+    measurements: Measurements,
+    comments: Sequence[str] = (),
     progress: Progress | None = None,
-) -> None:
-    """Write a CSV file.
-
-    Args:
-        path: File to write.
-        columns: Cells of every column by its header.
-        comments: Lines for the head of the file.
-        force: Whether an existing file is replaced.
-        progress: Told the part that is done, 0 to 1.
+) -> bytes:
+    """The file that `write_measurements` writes.
 
     Raises:
-        OptionError: If the file exists and `force` is false.
-        OutputError: If it cannot be written.
+        OptionError: If there is no such measurement model.
+        OutputError: If a name or a relative distance would not read back.
+    """
+    check_model(measurements.model)
+    columns = dict(measurement_columns(measurements))
+    return encode_table(columns, comments, progress)
+
+
+def encode_table(
+    columns: Mapping[str, Sequence[object]],
+    comments: Sequence[str],
+    progress: Progress | None = None,
+) -> bytes:
+    """A CSV file.
+
+    Args:
+        columns: Cells of every column by its header.
+        comments: Lines for the head of the file.
+        progress: Told the part that is done, 0 to 1.
     """
     buffer = io.StringIO(newline="")
     for comment in comments:
@@ -308,7 +334,7 @@ def write_table(
         writer.writerows(rows[start : start + LINES])
         if progress is not None:
             progress(start / len(rows))
-    write_atomically(Path(path), buffer.getvalue().encode(), force=force)
+    return buffer.getvalue().encode()
 
 
 def _read(

@@ -20,13 +20,13 @@ from calib_pin.io.joint_columns import (
     spare_columns,
 )
 from calib_pin.io.measured_columns import POSITION, check_spread, read_values
-from calib_pin.io.measurements import write_table
+from calib_pin.io.measurements import encode_table
 from calib_pin.io.orientation_columns import ORIENTATIONS
 from calib_pin.io.written_columns import column_name
 from calib_pin.setup import JointMap
 from calib_pin.spatial import Floats, from_quaternion
 
-__all__ = ["Targets", "read_target_file", "write_commands"]
+__all__ = ["Targets", "encode_commands", "read_target_file"]
 
 ROW = "row"
 """Column that holds the line of a target."""
@@ -121,44 +121,38 @@ def read_target_file(
     return Targets(table, sources, q, T, oriented)
 
 
-def write_commands(
-    path: Path,
+def encode_commands(
     targets: Targets,
     q: Floats,
     rows: NDArray[np.int64],
     *,
     comments: Sequence[str] = (),
-    force: bool = False,
-) -> None:
-    r"""Write joint commands as a CSV file.
+) -> bytes:
+    r"""Joint commands as a CSV file.
 
     Joint columns have the names and units of the file of targets, if it has any. For
     targets there is a column `row` with the line of each; in a motion the other columns
     stay as they are.
 
     Args:
-        path: File to write.
         targets: What was asked for.
         q: Commands of some rows, shape (K, n) [rad, m].
         rows: These rows, shape (K,).
         comments: Lines for the head of the file.
-        force: Whether an existing file is replaced.
 
     Raises:
-        OptionError: If the file exists and `force` is false.
         InputError: If the joint map cannot be undone.
-        OutputError: If a name would not read back, or the file cannot be written.
+        OutputError: If a name would not read back.
 
     Example:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     asked, told = Path(folder) / "targets.csv", Path(folder) / "told.csv"
+        ...     asked = Path(folder) / "targets.csv"
         ...     _ = asked.write_text("x,y,z\n0.9,0,0.25\n")
         ...     targets = read_target_file(asked, chain)
-        ...     write_commands(told, targets, np.zeros((1, 6)), np.array([0]))
-        ...     told.read_text().splitlines()[1]
-        '0.0,0.0,0.0,0.0,0.0,0.0,2'
+        >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
+        b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
     found = command_columns(targets, q, rows)
     if targets.T is None:
@@ -172,7 +166,7 @@ def write_commands(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
         columns = {**dict(found.values()), ROW: targets.lines[rows].tolist()}
-    write_table(path, columns, comments, force)
+    return encode_table(columns, comments)
 
 
 def command_columns(

@@ -119,7 +119,7 @@ SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
-TRUSTED_OR_NOT = {"calibration.json", "report.html"}
+TRUSTED_OR_NOT = {"calibration.json", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
@@ -885,13 +885,16 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
     ),
     "another robot": (
         EVALUATE,
-        {"arm.urdf": swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')},
+        dict.fromkeys(
+            ("arm.urdf", "done/nominal.urdf"),
+            swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"'),
+        ),
         "done/calibration.json|arm.urdf|content differs",
     ),
-    "robot is gone": (
+    "no robot is the one": (
         EVALUATE,
-        {"done/calibration.json": stored("robot", "file", to="gone.urdf")},
-        "done/calibration.json|gone.urdf",
+        {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
+        "done/calibration.json|arm.urdf|content differs",
     ),
     "measurements of another robot": (
         EVALUATE,

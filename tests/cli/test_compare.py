@@ -114,7 +114,7 @@ def test_wrong_words(words, expected, there, run):
         (lambda d: d["parameters"][0].update(sigma="1 mm"), "'1 mm' stands"),
         (lambda d: d["robot"].update(tip="link4"), "it cannot|cannot be compared"),
         (lambda d: d.pop("identifiability"), "'identifiability' is missing"),
-        (lambda d: d["robot"].update(file="gone.urdf"), "'gone.urdf'"),
+        (lambda d: d["robot"].update(sha256="0" * 64), "' is not the robot that was"),
     ],
 )
 def test_wrong_files(change, expected, there, run):

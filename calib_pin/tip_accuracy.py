@@ -12,6 +12,7 @@ from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.information import Information
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["LEVER", "TipAccuracy", "tip_accuracy"]
 
@@ -67,6 +68,7 @@ class TipAccuracy:
         return _rms(self.position), _rms(self.orientation)
 
 
+@serial_blas
 def tip_accuracy(
     fitted: Fit, problem: Problem, theta: Floats, seed: int
 ) -> TipAccuracy | None:

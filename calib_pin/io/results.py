@@ -43,6 +43,7 @@ from calib_pin.setup import (
     SphereSetup,
     Triple,
 )
+from calib_pin.threads import serial_blas
 
 __all__ = ["read_accuracy", "read_calibration", "write_urdf"]
 
@@ -56,6 +57,7 @@ SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
 """What rows can refer to, by name."""
 
 
+@serial_blas
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
 ) -> CalibratedModel:

@@ -10,8 +10,6 @@ import numpy as np
 
 from calib_pin.directions import visible_nuisances
 from calib_pin.fit import Fit
-from calib_pin.planning.criteria import Prediction
-from calib_pin.planning.information import Information
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
@@ -26,6 +24,10 @@ ROWS = 400
 
 COUNTS = 16
 """Numbers of rows at which it is looked at."""
+
+ROUNDING = 1e-7
+"""Least singular value, of columns of unit length, with which they determine all: by
+rounding it is up to 2e-8 where they do not."""
 
 
 LEVER = 1e-4
@@ -77,16 +79,21 @@ class TipByCount:
         basis = parameters.scales[:, None] * directions
         along = self.of_tip @ basis[: self.of_tip.shape[2]]
         tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
-        tip, U = Prediction(tests), J @ basis
         rows = len(problem.data)
-        own, further = np.split(U, [rows * size])
+        own, further = np.split(J @ basis, [rows * size])
         known = further.T @ further
         least = max(2, basis.shape[1] // size)
         for count in np.unique(np.geomspace(least, rows, COUNTS).round().astype(int)):
             some = own[: count * size]
-            found = Information.of(known + some.T @ some, nuisances.shape[1])
-            if found is not None and count < self.last[0]:
-                yield int(count), self.weight * tip.value(found, int(count))
+            M = known + some.T @ some
+            lengths = np.sqrt(np.diag(M))
+            if count >= self.last[0] or not lengths.all():
+                continue
+            # Of columns of unit length, so that rounding shows as what it is.
+            squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
+            if squares[0] > ROUNDING**2:
+                W = V / np.sqrt(squares) / lengths[:, None]
+                yield int(count), self.weight * float(np.sqrt(np.sum(W * (tests @ W))))
 
 
 @dataclass(frozen=True)

@@ -19,6 +19,7 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
+from calib_pin.report.figures.strokes import Marks
 from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
 from calib_pin.spatial import Floats
@@ -114,11 +115,8 @@ def _normal_plot(axes: Axes, values: Mapping[str, Floats]) -> None:
     for (name, sizes), color, mark in zip(values.items(), GROUPS, MARKS, strict=False):
         ranks = _shown_ranks(len(sizes))
         normal = [NormalDist().inv_cdf((k + 0.5) / len(sizes)) for k in ranks]
-        axes.plot(
-            *(normal, sizes[ranks]),
-            **marks(color, mark, 3.5, hollow=True),
-            label=name,
-        )
+        style = marks(color, mark, 3.5, hollow=True)
+        axes.add_line(Marks(normal, sizes[ranks], **style, label=name))
         ends += [normal[0], normal[-1]]
     line = [min(ends), max(ends)]
     axes.plot(line, line, color=INK, linewidth=1.0, label="normal", zorder=1.5)

@@ -39,7 +39,7 @@ def test_the_same_bytes_in_any_environment(tmp_path: Path, learned: str) -> None
         folder = tmp_path / f"folder{k}"
         folder.mkdir()
         words = ["calibrate", "space7", rows, "--setup", setup, "-o", out, "--force"]
-        words += ["--solver", "two-step", "--learned", learned]
+        words += ["--solver", "two-step", "--learned", learned, "--holdout", "0.2"]
         subprocess.run(
             [sys.executable, "-m", "calib_pin.cli", *map(str, words)],
             env={**os.environ, **environment},

@@ -41,8 +41,8 @@ def test_marks_look_like_those_of_a_line(style: dict[str, object]) -> None:
         for kind in (Marks, Line2D)
     ]
     assert (pictures[1][:, :, :3] < 0.5).any()
-    # A line's marks are moved to whole pixels. Half a pixel along the edge of a triangle
-    # of 17 pixels is a fifth of its area.
+    # A line's marks are moved to whole pixels. Half a pixel along the edge of a
+    # triangle of 17 pixels is a fifth of its area.
     ink = [1.0 - picture[:, :, :3].mean() for picture in pictures]
     assert ink[0] == pytest.approx(ink[1], rel=0.2)
     places = [np.argwhere(p[:, :, :3].min(axis=2) < 0.9).mean(axis=0) for p in pictures]

@@ -14,6 +14,15 @@ __all__ = ["main"]
 INTERRUPTED = 130
 """What the application returns after Ctrl-C."""
 
+BLAS_THREADS = (
+    "BLIS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+"""Variables that BLAS libraries read when they are loaded."""
+
 
 def main(arguments: Sequence[str] | None = None) -> int:
     """Run the command line.
@@ -25,10 +34,10 @@ def main(arguments: Sequence[str] | None = None) -> int:
         Exit status: 0 good, 1 the input or an option is wrong, 2 it ran but the
         result must not be trusted, 130 after Ctrl-C, 143 after SIGTERM.
     """
-    # Matrices here are small: threads cost more than they bring, and their number
-    # would change the last bits of a result.
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    # Whatever multiplies matrices is `serial_blas`, here as in any script. In a process
+    # of our own BLAS need not even start threads that nobody uses.
+    for name in BLAS_THREADS:
+        os.environ[name] = "1"
     _prepare_streams()
 
     from typer.exceptions import TyperException

@@ -51,6 +51,7 @@ from calib_pin.setup import (
     SphereSetup,
     Triple,
 )
+from calib_pin.threads import serial_blas
 
 __all__ = ["encode_urdf", "read_accuracy", "read_calibration", "write_urdf"]
 
@@ -64,6 +65,7 @@ SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
 """What rows can refer to, by name."""
 
 
+@serial_blas
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
 ) -> CalibratedModel:

@@ -14,12 +14,14 @@ from benchmarks import (
     recovery,
     report,
     rows,
+    startup,
 )
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
     "jacobian": basic.jacobian,
     "commands": basic.commands,
+    "startup": startup.main,
     "evolution": evolution.main,
     "rows": rows.main,
     "camera": camera.main,

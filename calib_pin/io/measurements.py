@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError
-from calib_pin.io.columns import LINES, Floats, Table, read_table
+from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
@@ -33,6 +33,7 @@ from calib_pin.io.measured_columns import (
     read_values,
 )
 from calib_pin.io.models_of_files import check_model, split_by_model
+from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.measurements import AT, PLUS, Measurements
 from calib_pin.progress import Progress, portion
@@ -48,8 +49,11 @@ __all__ = [
     "write_table",
 ]
 
-CUT, POSITIONS = 0.4, 0.6
+CUT, POSITIONS = 0.9, 0.95
 """Parts of the time after which lines are cut into cells, and joint positions read."""
+
+LINES = 5000
+"""Lines that are written between two reports of the progress."""
 
 PLACES = {
     "point-distance": "anchor",

@@ -10,6 +10,7 @@ import csv
 import io
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -122,8 +123,10 @@ def read_measurements(
     parts: list[Measurements] = []
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        table = read_table(file, portion(tell, 0.0, CUT))
-        parts += _read(table, chain, sources, joints, model, notice, tell)
+        parts += _read(
+            read_table(file, portion(tell, 0.0, CUT)),
+            *(chain, sources, joints, model, notice, tell),
+        )
     asked = [] if model is None else model.split(PLUS)
     result = []
     for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
@@ -282,7 +285,7 @@ def write_measurements(
 
 def write_table(
     path: str | Path,
-    columns: Mapping[str, Sequence[object]],
+    columns: Mapping[str, Sequence[object] | NDArray[Any]],
     comments: Sequence[str],
     force: bool,
     progress: Progress | None = None,
@@ -300,19 +303,24 @@ def write_table(
         OptionError: If the file exists and `force` is false.
         OutputError: If it cannot be written.
     """
-    buffer = io.StringIO(newline="")
+    data = io.BytesIO()
+    text = io.TextIOWrapper(data, "utf-8", newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
-            buffer.write(f"# {line}".rstrip() + "\n")
+            text.write(f"# {line}".rstrip() + "\n")
     # The csv module writes floats by repr, which loses nothing.
-    writer = csv.writer(buffer, lineterminator="\n")
+    writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    rows = list(zip(*columns.values(), strict=True))
-    for start in range(0, len(rows), LINES):
-        writer.writerows(rows[start : start + LINES])
+    count = max(map(len, columns.values()), default=0)
+    for start in range(0, count, LINES):
+        parts = [column[start : start + LINES] for column in columns.values()]
+        # numpy's own numbers would be written slowly.
+        cells = [p.tolist() if isinstance(p, np.ndarray) else p for p in parts]
+        writer.writerows(zip(*cells, strict=True))
         if progress is not None:
-            progress(start / len(rows))
-    write_atomically(Path(path), buffer.getvalue().encode(), force=force)
+            progress(start / count)
+    text.flush()
+    write_atomically(Path(path), data.getvalue(), force=force)
 
 
 def _read(

@@ -1577,7 +1577,7 @@ def test_real_sockets(tmp_path, number, count):
 
 
 def test_progress_of_reading_and_writing(tmp_path):
-    """It grows to all, in parts of hundreds to thousands of lines."""
+    """It grows to all, in parts of thousands of lines, and changes no byte."""
     rng = np.random.default_rng(0)
     q = rng.uniform(-1.0, 1.0, (12_000, 1))
     rows = Measurements(("lift",), q, "plane-distance", rng.uniform(0.5, 2.0, q.shape))

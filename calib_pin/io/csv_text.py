@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import csv
 from collections.abc import Iterator, Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import chain
 from pathlib import Path
 
@@ -78,11 +78,6 @@ class Stretch:
             cells = list(chain.from_iterable(rows))
         return [cells[k :: len(header)] for k in range(len(header))]
 
-    def since(self, row: int) -> Stretch:
-        """The lines from one of them on."""
-        lines = self.lines[row:]
-        return Stretch(self.file, self.separator, self.numbers[row:], lines)
-
 
 @dataclass(frozen=True)
 class CsvText:
@@ -142,7 +137,8 @@ class CsvText:
         if first is None:
             reason = "the file is empty, it needs a header and rows"
             raise InputError(reason, file=self.file)
-        return first, chain([first.since(1)], stretches)
+        rest = replace(first, numbers=first.numbers[1:], lines=first.lines[1:])
+        return first, chain([rest], stretches)
 
     def cells(self, number: int) -> list[str]:
         """Untrimmed cells of the line of a number.

@@ -303,8 +303,7 @@ def write_table(
         OptionError: If the file exists and `force` is false.
         OutputError: If it cannot be written.
     """
-    data = io.BytesIO()
-    text = io.TextIOWrapper(data, "utf-8", newline="")
+    data, text = io.BytesIO(), io.StringIO(newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
             text.write(f"# {line}".rstrip() + "\n")
@@ -317,9 +316,12 @@ def write_table(
         # numpy's own numbers would be written slowly.
         cells = [p.tolist() if isinstance(p, np.ndarray) else p for p in parts]
         writer.writerows(zip(*cells, strict=True))
+        data.write(text.getvalue().encode())
+        text.seek(0)
+        text.truncate()
         if progress is not None:
             progress(start / count)
-    text.flush()
+    data.write(text.getvalue().encode())
     write_atomically(Path(path), data.getvalue(), force=force)
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import hashlib
 import json
 import math
 from collections.abc import Mapping, Sequence
@@ -13,7 +14,7 @@ import pinocchio as pin
 
 from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
-from calib_pin.io.files import read_bytes
+from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
@@ -316,7 +317,12 @@ def _setup_file(file: str) -> Json | None:
 
 def _sha256_of(file: str) -> str:
     # A pipe cannot be read twice.
-    return sha256(read_bytes(file)) if Path(file).is_file() else ""
+    if not Path(file).is_file():
+        return ""
+    digest = hashlib.sha256()
+    for block in read_blocks(file, 1 << 20):
+        digest.update(block)
+    return digest.hexdigest()
 
 
 def _frame(pose: pin.SE3) -> Json:

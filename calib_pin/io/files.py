@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 import difflib
+from collections.abc import Iterator
 from pathlib import Path
 
 from calib_pin.errors import InputError
 from calib_pin.io.staging import reason_of, write_files
 
-__all__ = ["read_bytes", "write_atomically"]
+__all__ = ["read_blocks", "read_bytes", "write_atomically"]
 
 
 def read_bytes(path: str | Path) -> bytes:
@@ -28,9 +29,25 @@ def read_bytes(path: str | Path) -> bytes:
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/arm.urdf: no such file
     """
+    # Joining one block copies nothing.
+    return b"".join(read_blocks(path, -1))
+
+
+def read_blocks(path: str | Path, size: int) -> Iterator[bytes]:
+    """Read a file block by block, so that it need not fit into memory.
+
+    Args:
+        path: The file.
+        size: Bytes of a block; -1 for all of them.
+
+    Raises:
+        InputError: If there is no such file, or it cannot be read.
+    """
     path = Path(path)
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            while block := stream.read(size):
+                yield block
     except FileNotFoundError as error:
         reason = f"no such file{_nearest_sibling(path)}"
         raise InputError(reason, file=path) from error

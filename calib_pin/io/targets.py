@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.errors import OutputError
-from calib_pin.io.columns import Table, read_table
 from calib_pin.io.joint_columns import (
     JointSource,
     column_values,
@@ -22,6 +21,7 @@ from calib_pin.io.joint_columns import (
 from calib_pin.io.measured_columns import POSITION, check_spread, read_values
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.orientation_columns import ORIENTATIONS
+from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
 from calib_pin.setup import JointMap
 from calib_pin.spatial import Floats, from_quaternion
@@ -156,9 +156,13 @@ def encode_commands(
     """
     found = command_columns(targets, q, rows)
     if targets.T is None:
+        all_columns = targets.table.columns
+        others = targets.table.cells(
+            [name for name in all_columns if name not in found]
+        )
         columns = dict(
-            found.get(name, (column.header, column.cells))
-            for name, column in targets.table.columns.items()
+            found[name] if name in found else (column.header, others[name])
+            for name, column in all_columns.items()
         )
     else:
         if ROW in found:
@@ -190,10 +194,11 @@ def command_columns(
     result: dict[str, tuple[str, Sequence[object]]] = {}
     own = {source.column for source in targets.sources}
     kinds = {c: kind for source in targets.sources for c, kind in source.kinds.items()}
+    others = targets.table.cells([name for name in kinds if name not in own])
     for name, kind in kinds.items():
         column = targets.table.columns[name]
         if name not in own:
-            result[name] = column.header, [column.cells[row] for row in rows]
+            result[name] = column.header, [others[name][row] for row in rows]
             continue
         stated = targets.table.numbers(name, kind)[rows]
         factor = kind.units[column.unit or kind.si]

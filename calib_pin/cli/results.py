@@ -131,8 +131,11 @@ def result_contents(
         contents[files.residual_model] = learned
     page = html_report(result, document, figures=figures, remedies=remedies)
     contents |= {files.report: page, **pictures}
-    hashes = {listed(p, files.json.parent): sha256(d) for p, d in contents.items()}
-    document["files"] = {name: hashes[name] for name in hashes if inside(name)}
+    document["files"] = {
+        name: None if path == files.report else sha256(data)
+        for path, data in contents.items()
+        if inside(name := listed(path, files.json.parent))
+    }
     if is_source(files.nominal, result.model.chain.robot):
         del contents[files.nominal]  # It is an input, and stays as it is.
     return {**contents, files.json: encode(document)}

@@ -1,8 +1,9 @@
 """The folder of a calibration: one run wrote all of it, and it can be moved.
 
 `calibration.json` has the id of the run and a manifest, the SHA-256 of every file that
-was written with it. The id is in the page and in the residual model as well; a URDF is
-known by its hash alone, so that it stays as it is.
+was written with it. A URDF is known by its hash, so that it stays as it is. The page
+says when it was made: it is known by the id, and has no hash, so that the same run
+leaves the same manifest at any time.
 """
 
 from __future__ import annotations
@@ -100,8 +101,10 @@ def opened(path: str | Path) -> Iterator[Read]:
         yield read
 
 
-def members(document: Json) -> dict[str, str]:
+def members(document: Json) -> dict[str, str | None]:
     """SHA-256 of the files that were written with a calibration, by name.
+
+    None for those that are known by the id of the run.
 
     Raises:
         ValueError: If these are no such names.
@@ -114,15 +117,13 @@ def members(document: Json) -> dict[str, str]:
     return dict(stated)
 
 
-def require_one_run(
-    listed: Mapping[str, str], robot: bytes, path: Path, read: Read
-) -> None:
+def require_one_run(document: Json, robot: bytes, path: Path, read: Read) -> None:
     """Refuse a calibration among files that were not written with it.
 
     Those that are not there are not missed here; pictures may be edited.
 
     Args:
-        listed: Its `members`.
+        document: The calibration.
         robot: The robot that was calibrated, which may stand in the place of the
             corrected one.
         path: The `calibration.json`.
@@ -131,14 +132,19 @@ def require_one_run(
     Raises:
         InputError: If one of them is of another run, or was edited.
     """
-    for name, content in listed.items():
+    run = str(document.get("run", "")).encode()
+    for name, content in members(document).items():
         if PurePosixPath(name).suffix in PICTURES:
             continue
         try:
-            found = sha256(read(path.parent / name))
+            data = read(path.parent / name)
         except InputError:
             continue
-        if found not in (content, sha256(robot)):
+        if content is None:
+            fits = run in data
+        else:
+            fits = sha256(data) == content or data == robot
+        if not fits:
             raise InputError(
                 f"not the file that '{path.name}' beside it was written with, but of "
                 "another run or edited; keep the files of one run together, or remove "

@@ -40,7 +40,8 @@ def assert_one_run(folder: str) -> None:
     stated = document(folder)
     for name, content in stated["files"].items():
         data = Path(folder, name).read_bytes()
-        assert hashlib.sha256(data).hexdigest() == content, name
+        expected = None if name == "report.html" else hashlib.sha256(data).hexdigest()
+        assert content == expected, name
     assert names(folder) == {*stated["files"], "calibration.json"}
     page = Path(folder, "report.html").read_text()
     assert f'<meta name="calib-pin-run" content="{stated["run"]}">' in page

@@ -13,6 +13,7 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -25,6 +26,7 @@ from calib_pin.calibration import calibrate
 from calib_pin.calibration_record import CalibrationRecord
 from calib_pin.chain import Chain
 from calib_pin.configurations import observable_configurations
+from calib_pin.errors import InputError
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain, parse_robot
 from calib_pin.measurement_models.features import Frame
@@ -178,6 +180,34 @@ def visited() -> Callable[..., tuple[Floats, tuple[str, ...]]]:
         return q, tuple(names[k % len(names)] for k in range(count))
 
     return draw
+
+
+@pytest.fixture(scope="session")
+def refused() -> Callable[..., AbstractContextManager[None]]:
+    """An error that a block must raise, by its fields: `with refused(kind, line=3):`.
+
+    Fields that are not named may be anything. Of `reason` and `allowed` a part is
+    enough, or several, so that wording may change; the others must be equal. Whole
+    messages are tested in `test_errors.py`.
+    """
+
+    @contextmanager
+    def block(
+        kind: type[InputError], reason: str | Sequence[str] = (), **fields: Any
+    ) -> Iterator[None]:
+        with pytest.raises(kind) as caught:
+            yield
+        assert "\n" not in str(caught.value)
+        for name, expected in {"reason": reason, **fields}.items():
+            found = getattr(caught.value, name)
+            if name in ("reason", "allowed") and expected is not None:
+                parts = (expected,) if isinstance(expected, str) else expected
+                equal = all(part in found for part in parts)
+            else:
+                equal = found is expected or found == expected  # NaN is itself.
+            assert equal, (name, found, expected)
+
+    return block
 
 
 @pytest.fixture(scope="session")

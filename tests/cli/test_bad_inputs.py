@@ -86,15 +86,6 @@ def lines(count: int) -> Edit:
     return lambda file: "\n".join(file.splitlines()[:count]) + "\n"
 
 
-def both(*edits: Edit) -> Edit:
-    def edit(file: str) -> str:
-        for one in edits:
-            file = one(file)
-        return file
-
-    return edit
-
-
 def stored(*path: str | int, to: object) -> Edit:
     """Change an entry of a JSON document."""
 
@@ -117,14 +108,11 @@ def stored(*path: str | int, to: object) -> Edit:
 CALIBRATE = "calibrate arm.urdf rows.csv -o out"
 SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
-POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
 TRUSTED_OR_NOT = {"calibration.json", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
-
-DEEP = "[" * 100_000
 
 
 def touch(*rows: str, columns: str = "target") -> str:

@@ -66,7 +66,7 @@ def test_nothing_is_drawn_for_nobody(here, run, monkeypatch):
 # --- pictures ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("kind", MAGIC)
+@pytest.mark.parametrize("kind", ["png", pytest.param("svg", marks=pytest.mark.slow)])
 def test_pictures_of_a_plan(kind, here, run):
     result = run(f"{PLAN} -o plan.csv --figures figures --figure-format {kind}")
     assert (result.status, result.err.count("\n")) == (0, 1)
@@ -159,6 +159,7 @@ def on_terminal(words: str, stream: str, **environment: str) -> bytes:
     return shown
 
 
+@pytest.mark.slow
 def test_colors_unless_unwanted(here):
     words = "evaluate done/calibration.json new.csv"
     assert b"\x1b[1mAccuracy" in on_terminal(words, "stdout", NO_COLOR="")

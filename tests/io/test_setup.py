@@ -969,6 +969,25 @@ KEYS = (
             ),
         ),
         ("learned: [network]", dict(line=1, value="[network]", reason="'learned'")),
+        # The solver.
+        *(
+            (
+                f"solver: {{{key}: {value}}}",
+                dict(line=1, value=value, reason=f"solver.{key}") | allowed,
+            )
+            for key, value, allowed in (
+                ("population_size", "3", dict(allowed="a whole number, 4 to 100000")),
+                ("population_size", "1000000000000", dict(allowed="4 to 100000")),
+                ("recombination", "1.2", dict(allowed="0 to 1")),
+                ("mutation", "0", dict(allowed="more than 0, up to 2")),
+                ("target", ".inf", dict(allowed="a finite number")),
+                ("maxiter", "2.5", dict(allowed="a whole number")),
+                ("tol", "tight", dict(allowed="0 or more")),
+                ("name", "simplex", dict(allowed="gauss-newton, two-step, de, hybrid")),
+                ("strategy", "rand/2", dict(allowed="rand/1, best/1, rand-to-best/1")),
+                ("popsize", "15", dict(value=None, allowed="population_size")),
+            )
+        ),
         # Where the robot may measure.
         (
             "obstacles: {sphere: 1}\n",

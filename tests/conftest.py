@@ -1,7 +1,8 @@
 """What several tests need. Test modules cannot import each other, so all are fixtures.
 
-A test that asks for `example_robot` runs once for every URDF of example-robot-data, one
-that asks for `special_chain` once for every chain in `SPECIAL`.
+A test that asks for `example_robot` runs once for every URDF of example-robot-data (in
+the quick tier for those in `QUICK`), one that asks for `special_chain` once for every
+chain in `SPECIAL`.
 """
 
 from __future__ import annotations
@@ -15,6 +16,7 @@ import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -58,6 +60,16 @@ def example_robots() -> list[Path]:
     return [path for path in found if path.name != "ur3.urdf"]
 
 
+QUICK = {
+    "ur10_robot": "an industrial arm with fixed joints before and behind it",
+    "panda": "prismatic fingers, one of which mimics the other",
+    "tiago_no_hand": "a lift, continuous wheels, a tip without a fixed joint",
+    "talos_reduced": "limbs: a chain of 14 joints from one hand to the other",
+    "so101": "frames out of a CAD program, none of them square; the worst conditioned",
+    "quadrotor_base": "no joint at all",
+}
+"""Robots of the quick tier: together they have all that the 68 differ in."""
+
 SPECIAL = {
     "space6": (None, None),
     # A prismatic joint, skewed frames, and a tip without a fixed joint.
@@ -76,7 +88,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "special_chain" in metafunc.fixturenames:
         metafunc.parametrize("special_chain", SPECIAL, indirect=True)
     if "example_robot" in metafunc.fixturenames:
-        metafunc.parametrize("example_robot", example_robots(), ids=lambda p: p.stem)
+        robots = [
+            pytest.param(
+                path,
+                id=path.stem,
+                marks=() if path.stem in QUICK else pytest.mark.slow,
+            )
+            for path in example_robots()
+        ]
+        metafunc.parametrize("example_robot", robots)
 
 
 @pytest.fixture(scope="session")
@@ -385,13 +405,18 @@ def independent_poses() -> Callable[..., Any]:
         import yourdfpy
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
 
+    @lru_cache(maxsize=8)
+    def parsed(urdf: bytes) -> Any:
+        return yourdfpy.URDF.load(
+            io.BytesIO(urdf), load_meshes=False, build_collision_scene_graph=False
+        )
+
     def poses(
         urdf: bytes, q: Mapping[str, float], frames: Sequence[tuple[str, str]]
     ) -> list[Any]:
-        robot = yourdfpy.URDF.load(
-            io.BytesIO(urdf), load_meshes=False, build_collision_scene_graph=False
-        )
-        robot.update_cfg(dict(q))
+        robot = parsed(urdf)
+        # An earlier call may have moved other joints.
+        robot.update_cfg(dict.fromkeys(robot.actuated_joint_names, 0.0) | dict(q))
         return [robot.get_transform(tip, base) for base, tip in frames]
 
     return poses

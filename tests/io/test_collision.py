@@ -321,7 +321,13 @@ def test_mesh_obstacles(
     ("robot", "base", "tip", "srdf"),
     [
         ("panda", None, "panda_link8", "panda.srdf"),
-        ("talos_reduced", "torso_2_link", "gripper_left_base_link", "talos.srdf"),
+        pytest.param(
+            "talos_reduced",
+            "torso_2_link",
+            "gripper_left_base_link",
+            "talos.srdf",
+            marks=pytest.mark.slow,
+        ),
     ],
 )
 def test_an_srdf_disables_what_pinocchio_reads_in_it(

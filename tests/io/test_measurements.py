@@ -6,7 +6,6 @@ import importlib.metadata
 import os
 import subprocess
 import sys
-import time
 import xml.etree.ElementTree as ElementTree
 from dataclasses import replace
 from pathlib import Path
@@ -1756,22 +1755,17 @@ def test_joints_with_reserved_names(write, name):
         assert notices == [f"{file}: columns ignored: {name}"]
 
 
-# --- size and speed ----------------------------------------------------------------
+# --- size ----------------------------------------------------------------
 
 
-def test_many_rows_read_in_little_time(write, chain):
-    count = 20_000
+def test_many_rows_read_or_are_named(write, bad, chain):
+    count = 5_000
     rows = np.random.default_rng(3).uniform(0, 0.4, (count, 9))
     text = f"{J},x,y,z,rx,ry,rz\n"
     text += "\n".join(",".join(map(repr, row)) for row in rows.tolist())
     file = write(text)
-    start = time.perf_counter()
-    assert len(read_measurements(file, chain)) == count
-    # About 0.15 s here; the bound only catches a loop in Python per cell.
-    assert time.perf_counter() - start < 2.0
-    bad = write(text + "\n" + "0," * 8 + "x")
-    with pytest.raises(InputError, match=rf"m\.csv:{count + 2}: .*'rz'"):
-        read_measurements(bad, chain)
+    np.testing.assert_array_equal(read_measurements(file, chain).q, rows[:, :3])
+    bad(text + "\n" + "0," * 8 + "x", line=count + 2, column="rz", value="x")
 
 
 def test_importing_does_not_load_scipy():

@@ -26,19 +26,10 @@ from calib_pin.io.urdf import (
     bundled_robots,
     edit_origins,
     load_robot,
+    locate_robot,
     parse_robot,
     write_corrected_urdf,
 )
-
-DATA = Path(
-    str(
-        importlib.metadata.distribution("example-robot-data").locate_file(
-            "cmeel.prefix/share/example-robot-data"
-        )
-    )
-)
-# ur3.urdf is what xacro made of a file of macros: no name, no links.
-CORPUS = [path for path in sorted(DATA.rglob("*.urdf")) if path.name != "ur3.urdf"]
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -159,9 +150,9 @@ def listing(folder: Path) -> list[str]:
 # Every URDF of example-robot-data.
 
 
-@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.stem)
-def test_corpus(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    robot = load_robot(path)
+def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path, robot = example_robot, load_robot(example_robot)
+    assert capfd.readouterr() == ("", "")
     joints = joint_elements(robot.source)
     links = ElementTree.fromstring(robot.source).findall("link")
     assert robot.file == str(path)
@@ -201,8 +192,6 @@ def test_corpus(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_corpus_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    for path in CORPUS[:10]:
-        load_robot(path)
     source = ARM.replace(
         b'<link name="c"/>',
         b'<link name="c"><visual><geometry><blob/></geometry></visual></link>',
@@ -211,7 +200,17 @@ def test_corpus_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", ["ur5_robot", "kinova", "xarm7", "tiago_no_hand"])
+# Continuous joints, which others write in another way, are among those of the kinova.
+@pytest.mark.parametrize(
+    "name",
+    [
+        "kinova",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("ur5_robot", "xarm7", "tiago_no_hand")
+        ),
+    ],
+)
 def test_yourdfpy_agrees(name: str, tmp_path: Path) -> None:
     robot = load_robot(f"example:{name}")
     rng = np.random.default_rng(7)
@@ -890,7 +889,7 @@ def test_never_over_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
         with pytest.raises(OptionError, match="own URDF, which is never changed"):
             write_corrected_urdf(path, robot, {"j": SHIFT}, check=None, force=True)
     panda = load_robot("example:panda")
-    path = next(path for path in CORPUS if path.name == "panda.urdf")
+    path = locate_robot("example:panda")
     with pytest.raises(OptionError, match="own URDF"):
         write_corrected_urdf(path, panda, {}, check=None, force=True)
     assert source.read_bytes() == ARM

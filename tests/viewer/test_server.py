@@ -126,6 +126,7 @@ def host_of(url: str) -> str | None:
     return urlsplit(url.removeprefix("blob:")).hostname
 
 
+@pytest.mark.slow
 def test_a_calibration_in_the_browser(
     browser: Any, viewing: Callable[..., Viewing], study: None
 ) -> None:

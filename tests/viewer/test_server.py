@@ -56,7 +56,7 @@ class Viewing:
 
     def end(self) -> tuple[int, str, str]:
         """Status, and the rest of both outputs."""
-        out, err = self.process.communicate(timeout=20)
+        out, err = self.process.communicate(timeout=120)
         return self.process.returncode, out, err
 
 
@@ -149,6 +149,7 @@ def test_a_robot_with_many_limbs_in_the_browser(
     assert view.end() == (0, "", "")
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it(viewing: Callable[..., Viewing]) -> None:
     view = viewing("space6")
     view.process.send_signal(signal.SIGINT)

@@ -792,12 +792,6 @@ def test_evaluation_of_a_calibration(here, run):
     assert again == pytest.approx(fitted, rel=0.05)
 
 
-def test_a_folder_is_no_calibration(here, run):
-    result = run("evaluate done new.csv")
-    assert result.status == 1
-    assert "done/calibration.json" in result.err
-
-
 # --- simulate ----------------------------------------------------------------------
 
 
@@ -883,7 +877,7 @@ def test_noise_of_the_setup_file(here, run):
 
 # --- robots ------------------------------------------------------------------------
 
-OTHERS = ("heavy6", "space7", "pa10")
+OTHERS = ("space7", "pa10")
 """Bundled robots of the slow tier."""
 
 

@@ -169,12 +169,12 @@ def test_line_ends_and_byte_order_mark(write, chain, end, mark):
     assert data.lines.tolist() == [2, 4]
 
 
-def test_names_match_exactly(write):
+def test_names_match_exactly(write, refused):
     xml = URDF.replace('"elbow"', '"joint1"').replace('"wrist"', '"joint11"')
     chain = Chain(robot(xml), tip="c")
     file = write("joint11,lift,joint1,distance\n0.1,0.2,0.3,1\n")
     assert read_measurements(file, chain).q.tolist() == [[0.2, 0.3, 0.1]]
-    with pytest.raises(InputError, match="joint 'joint1' of the chain is missing"):
+    with refused(InputError, line=1, column="joint1", reason="joint 'joint1'"):
         read_measurements(write("joint11,lift,distance\n0.1,0.2,1\n"), chain)
 
 
@@ -404,10 +404,10 @@ def test_joint_map_errors(bad, joints, header, fields):
     bad(f"{columns}\n{row}\n", joints=joints, **fields)
 
 
-def test_joint_with_the_name_of_a_measured_column(write):
+def test_joint_with_the_name_of_a_measured_column(write, refused):
     chain = Chain(robot(URDF.replace('"lift"', '"x"')), tip="c")
     file = write("x,elbow,wrist,distance\n0,0,0,1\n")
-    with pytest.raises(InputError, match=r"'x' has a meaning of its own.*'joints'"):
+    with refused(InputError, reason=("'x' has a meaning of its own", "'joints'")):
         read_measurements(file, chain)
     file = write("rail,elbow,wrist,x,y,z\n0.1,0,0,1,2,3\n")
     data = read_measurements(file, chain, joints={"rail": JointMap("x")})
@@ -423,8 +423,8 @@ def test_configurations_ignore_everything_else(write, chain):
     assert q.tolist() == [[0.2, np.pi / 2, 3.0]]
 
 
-def test_configurations_lack_a_joint(write, chain):
-    with pytest.raises(InputError, match=r"m\.csv:1: joint 'wrist' of the chain"):
+def test_configurations_lack_a_joint(write, chain, refused):
+    with refused(InputError, line=1, column="wrist", reason="missing"):
         read_configurations(write("lift,elbow\n0,0\n"), chain)
 
 
@@ -569,11 +569,11 @@ def test_normalized_quaternions_stay_as_they_are(write, tmp_path, chain):
     assert read_measurements(file, chain).values.tobytes() == data.values.tobytes()
 
 
-def test_an_existing_file_needs_force(tmp_path):
+def test_an_existing_file_needs_force(tmp_path, refused):
     data = Measurements(("j",), np.zeros((1, 1)), "plane-distance", np.ones((1, 1)))
     file = tmp_path / "out.csv"
     file.write_text("mine")
-    with pytest.raises(OptionError, match=r"out\.csv"):
+    with refused(OptionError, file=str(file), reason="exists"):
         write_measurements(file, data)
     assert file.read_text() == "mine"
     write_measurements(file, data, force=True)
@@ -593,9 +593,9 @@ def test_what_would_not_read_back_is_not_written(tmp_path, joint, target):
     assert not list(tmp_path.iterdir())
 
 
-def test_a_model_without_a_format_is_not_written(tmp_path):
+def test_a_model_without_a_format_is_not_written(tmp_path, refused):
     data = Measurements(("j",), np.zeros((1, 1)), "camra", np.ones((1, 2)))
-    with pytest.raises(OptionError, match=r"'camra' \(did you mean 'camera'"):
+    with refused(OptionError, reason=("'camra'", "did you mean 'camera'")):
         write_measurements(tmp_path / "out.csv", data)
 
 
@@ -1045,17 +1045,17 @@ def test_several_near_columns_give_no_hint(write, chain):
     assert "did you mean" not in caught.value.reason
 
 
-def test_files_that_cannot_be_joined(write, chain):
+def test_files_that_cannot_be_joined(write, chain, refused):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
     sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
-    with pytest.raises(InputError, match=r"s\.csv: .*standard deviations"):
+    with refused(InputError, file=str(sigma), reason="standard deviations"):
         read_measurements([distance, sigma], chain)
-    with pytest.raises(InputError, match="no measurement file"):
+    with refused(InputError, reason="no measurement file"):
         read_measurements([], chain)
 
 
-def test_missing_file(tmp_path, chain):
-    with pytest.raises(InputError, match=r"none\.csv: no such file"):
+def test_missing_file(tmp_path, chain, refused):
+    with refused(InputError, file=str(tmp_path / "none.csv"), reason="no such file"):
         read_measurements(tmp_path / "none.csv", chain)
 
 
@@ -1417,7 +1417,7 @@ def test_a_model_column_of_one_model_is_a_plain_file(write, chain):
     assert (data.model, data.target) == ("point-distance", ("", ""))
 
 
-def test_several_files_of_different_models(write, chain):
+def test_several_files_of_different_models(write, chain, refused):
     distance = write(f"{J},distance,target\n0,0,0,1,wall\n0,0,0,2,\n", "d.csv")
     position = write(f"{J},x,y,z,sigma\n0,0,0,1,2,3,0.1\n", "p.csv")
     mixed = write(MIXED, "m.csv")
@@ -1437,11 +1437,13 @@ def test_several_files_of_different_models(write, chain):
         *("camera", "camera", "position", "position", "relative-distance")
     ]
     assert data.lines.tolist() == [2, 4, 3, 2, 6]
-    with pytest.raises(InputError, match=r"p\.csv: .*with and without standard dev"):
+    with refused(
+        InputError, file=str(position), reason="with and without standard dev"
+    ):
         read_measurements([mixed, position], chain)
 
 
-def test_each_file_is_the_one_model_that_its_columns_allow(write, chain):
+def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused):
     sockets = write(f"{J},target\n0,0,0,a\n1,0,0,a\n".replace("1,0", "0.1,0"), "s.csv")
     position = write(f"{J},x,y,z,target\n0,0,0,1,2,3,a\n", "p.csv")
     pose = write(f"{J},x,y,z,rx,ry,rz\n0,0,0,1,2,3,0,0,0\n", "o.csv")
@@ -1459,18 +1461,27 @@ def test_each_file_is_the_one_model_that_its_columns_allow(write, chain):
     assert models([touched, position], "position+plane-contact+fixed-point") == (
         "position+plane-contact"
     )
-    for file, model, parts in (
-        (position, "camera+plane-distance", ["none of", "camera needs u, v"]),
-        (position, "pose+fixed-point", ["needs x, y, z and an orientation"]),
-        (touched, "fixed-point+camera", ["needs nothing measured and a target"]),
-        (touched, "plane-contact+sphere-contact", ["allow plane-contact and sphere"]),
-        (sockets, "fixed-point+plane-contact", ["'model'"]),
+    for file, model, fields in (
+        (
+            position,
+            "camera+plane-distance",
+            dict(reason=("none of", "camera needs u, v")),
+        ),
+        (position, "pose+fixed-point", dict(reason="needs x, y, z and an orientation")),
+        (
+            touched,
+            "fixed-point+camera",
+            dict(reason="needs nothing measured and a target"),
+        ),
+        (
+            touched,
+            "plane-contact+sphere-contact",
+            dict(reason="allow plane-contact and sphere"),
+        ),
+        (sockets, "fixed-point+plane-contact", dict(reason="'model'")),
     ):
-        with pytest.raises(InputError) as caught:
+        with refused(InputError, file=str(file), line=1, **fields):
             read_measurements(file, chain, model=model)
-        assert str(caught.value).startswith(f"{file}:1: the columns allow ")
-        for part in parts:
-            assert part in str(caught.value)
 
 
 @pytest.mark.parametrize(
@@ -1719,13 +1730,15 @@ def test_errors_of_models(bad, model, text, fields):
     bad(f"{J},{text}", model=model, **fields)
 
 
-def test_sockets_count_over_all_files(write, chain):
+def test_sockets_count_over_all_files(write, chain, refused):
     files = [
         write(f"{J},target,set\n{row}\n", f"{name}.csv")
         for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
     ]
     assert len(read_measurements(files, chain, model="fixed-point")) == 2
-    with pytest.raises(InputError, match=r"b\.csv:2: the socket 's' has one"):
+    with refused(
+        InputError, file=str(files[1]), line=2, reason="the socket 's' has one"
+    ):
         read_measurements(files[1], chain, model="fixed-point")
     data = read_measurements(files[1], chain, model="fixed-point", sockets=["s"])
     assert len(data) == 1
@@ -1740,10 +1753,10 @@ def test_contacts_ignore_the_sigma_of_what_they_do_not_read(write, chain):
 
 
 @pytest.mark.parametrize("name", ["u", "model", "payload", "sigma_contact"])
-def test_joints_with_reserved_names(write, name):
+def test_joints_with_reserved_names(write, name, refused):
     chain = Chain(robot(URDF.replace('"lift"', f'"{name}"')), tip="c")
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
-    with pytest.raises(InputError, match=rf"'{name}' has a meaning of its own"):
+    with refused(InputError, reason=f"'{name}' has a meaning of its own"):
         read_measurements(file, chain)
     file = write("rail,elbow,wrist,distance\n0.1,0,0,1\n")
     joints = {"rail": JointMap(name)}
@@ -1845,11 +1858,11 @@ def test_real_files(tmp_path, urdf, tip, files, model, counts, ignored):
     assert again.values.tobytes() == data.values.tobytes()
 
 
-def test_real_configurations():
+def test_real_configurations(refused):
     chain = real_chain("panda_description/urdf/panda.urdf", "panda_link8")
     file = DATA / "mukca_panda" / "panda_1.csv"
     assert read_configurations(file, chain).shape == (182, 7)
-    with pytest.raises(InputError, match="no measured columns"):
+    with refused(InputError, line=1, reason="no measured columns"):
         read_measurements(file, chain)
 
 

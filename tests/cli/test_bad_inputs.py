@@ -38,8 +38,8 @@ def header(old: str, new: str) -> Edit:
     return edit
 
 
-def column(name: str, values: Callable[[int, float], object] | None) -> Edit:
-    """Replace the numbers of a column, or add it, or drop it."""
+def column(name: str, values: Callable[[int, float], object]) -> Edit:
+    """Replace the numbers of a column, or add it."""
 
     def edit(file: str) -> str:
         comment, names, *rows = file.splitlines()
@@ -49,15 +49,8 @@ def column(name: str, values: Callable[[int, float], object] | None) -> Edit:
             heads.append(name)
             table = [[*row, "0"] for row in table]
         k = heads.index(name)
-        if values is None:
-            heads.pop(k)
-        else:
-            for i, row in enumerate(table):
-                row.append(str(values(i, float(row[k]))))
-                row[k] = row.pop()
-        if values is None:
-            for row in table:
-                row.pop(k)
+        for i, row in enumerate(table):
+            row[k] = str(values(i, float(row[k])))
         lines = [comment, ",".join(heads), *map(",".join, table)]
         return "\n".join(lines) + "\n"
 
@@ -94,10 +87,7 @@ def stored(*path: str | int, to: object) -> Edit:
         part: Any = document
         for step in path[:-1]:
             part = part[step]
-        if to is None:
-            del part[path[-1]]
-        else:
-            part[path[-1]] = to
+        part[path[-1]] = to
         return json.dumps(document)
 
     return edit

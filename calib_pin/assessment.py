@@ -9,6 +9,7 @@ from typing import Protocol
 import numpy as np
 
 from calib_pin.chain import Chain
+from calib_pin.chi_square import chi_square_quantile
 from calib_pin.directions import Directions
 from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
@@ -344,8 +345,6 @@ def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
         fitted: The fit.
         errors: Errors of its rows, with what was learned on top, shape (N, d).
     """
-    from scipy.special import chdtri
-
     if not fitted.sigma0 > EXACT:
         return ()
     data = fitted.problem.data
@@ -359,17 +358,19 @@ def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
         unit = max(1.0, unit)
     squares = np.sum((whitened / unit) ** 2, axis=1)
     # Mixed rows have only the components of their own model.
-    limit = chdtri(np.isfinite(fitted.problem.sigma).sum(axis=1), 0.01 / len(data))
+    count = np.isfinite(fitted.problem.sigma).sum(axis=1)
+    limits = {
+        dof: chi_square_quantile(dof, 0.01 / len(data))
+        for dof in np.unique(count).tolist()
+    }
     order = np.argsort(-squares, kind="stable")
     return tuple(
         Outlier(data.place(int(row)), int(row), float(np.sqrt(squares[row])))
         for row in order
-        if squares[row] > limit[row]
+        if squares[row] > limits[int(count[row])]
     )
 
 
 def chi2_interval(dof: int) -> tuple[float, float]:
     """The interval that holds chi-square in 95 of 100 cases if all sigmas are right."""
-    from scipy.special import chdtri
-
-    return float(chdtri(dof, 0.975)), float(chdtri(dof, 0.025))
+    return chi_square_quantile(dof, 0.975), chi_square_quantile(dof, 0.025)

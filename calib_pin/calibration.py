@@ -38,6 +38,7 @@ from calib_pin.result import (
 from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.splits import FOLDS, folds, shuffled_groups, validation_name
+from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import tip_accuracy
 from calib_pin.training import (
     Trained,
@@ -50,6 +51,7 @@ from calib_pin.training import (
 __all__ = ["calibrate", "identify"]
 
 
+@serial_blas
 def calibrate(
     chain: Chain,
     measurements: Measurements,
@@ -200,6 +202,7 @@ def calibrate(
     )
 
 
+@serial_blas
 def identify(
     chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
 ) -> Identification:

@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.spatial import Floats, nearest_rotation
+from calib_pin.threads import serial_blas
 
 __all__ = ["carried_points", "pose_of_points"]
 
@@ -26,6 +27,7 @@ DEGENERATE = 1e-9
 """Part of the largest singular value that is rounding."""
 
 
+@serial_blas
 def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
     """The frame of points as the camera sees it, from four rays or more.
 

@@ -300,16 +300,19 @@ class Chain:
             prepare: What Pinocchio does with a configuration.
             of_frame: Its local twists of a frame after that, shape (6, width).
         """
+        model, data, local = self._model, self._data, pin.LOCAL
+        tip_id, base_id = self._tip_id, self._base_id
         at_tip = np.empty((len(q), 6, width))
         at_base = np.empty(at_tip.shape) if self.reversed.any() else None
+        # Of a robot with one joint Pinocchio returns a vector.
+        shape = (6, width) if width > 1 else (6,)
+        tip_rows = at_tip.reshape(len(q), *shape)
+        base_rows = None if at_base is None else at_base.reshape(len(q), *shape)
 
         def fill(i: int) -> None:
-            frames = (self._tip_id, at_tip), (self._base_id, at_base)
-            for frame, result in frames:
-                if result is not None:
-                    twists = of_frame(self._model, self._data, frame, pin.LOCAL)
-                    # Of a robot with one joint Pinocchio returns a vector.
-                    result[i] = twists.reshape(6, width)
+            tip_rows[i] = of_frame(model, data, tip_id, local)
+            if base_rows is not None:
+                base_rows[i] = of_frame(model, data, base_id, local)
 
         T = self._sweep(q, placements, prepare, fill)
         if at_base is not None:
@@ -324,17 +327,18 @@ class Chain:
         fill: Callable[[int], None] | None = None,
     ) -> Floats:
         """Tip poses in the base frame; tells when each configuration is in place."""
-        model, data, tip_id = self._model, self._data, self._tip_id
+        model, data, place = self._model, self._data, pin.updateFramePlacement
+        tip_id, base_id = self._tip_id, self._base_id
         self._place(placements)
         tip = np.empty((len(q), 4, 4))
         # Without a joint between them the base stands still in the root.
-        base = np.empty((len(q) if self.reversed.any() else min(len(q), 1), 4, 4))
+        bases = len(q) if self.reversed.any() else min(len(q), 1)
+        base = np.empty((bases, 4, 4))
         for i, configuration in enumerate(self._configurations(q)):
             prepare(model, data, configuration)
-            tip[i] = pin.updateFramePlacement(model, data, tip_id).homogeneous
-            if i < len(base):
-                placed = pin.updateFramePlacement(model, data, self._base_id)
-                base[i] = placed.homogeneous
+            tip[i] = place(model, data, tip_id).homogeneous
+            if i < bases:
+                base[i] = place(model, data, base_id).homogeneous
             if fill is not None:
                 fill(i)
         return invert(base) @ tip

@@ -18,6 +18,7 @@ from calib_pin.parameter_changes import (
     sums_alone,
 )
 from calib_pin.result import CalibratedModel
+from calib_pin.threads import serial_blas
 from calib_pin.tip_drift import TipDrift, tip_drift
 
 __all__ = ["BOUND", "Comparison", "Displacement", "compare"]
@@ -168,6 +169,7 @@ class Comparison:
         return not self.identical and (turned or self.drift.position.rms > position)
 
 
+@serial_blas
 def compare(
     first: CalibrationRecord, second: CalibrationRecord, *, seed: int = 0
 ) -> Comparison:

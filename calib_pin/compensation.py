@@ -22,6 +22,7 @@ from calib_pin.inverse_kinematics import (
 from calib_pin.progress import Progress
 from calib_pin.result import CalibratedModel
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 from calib_pin.trajectory import tip_errors
 
 __all__ = ["Compensation", "compensate", "follow"]
@@ -95,6 +96,7 @@ class Compensation:
         return np.concatenate([[False], change > JUMP])[: len(self)]
 
 
+@serial_blas
 def compensate(
     model: CalibratedModel,
     targets: Floats,
@@ -144,6 +146,7 @@ def compensate(
     return _in_parts(part, len(targets), progress)
 
 
+@serial_blas
 def follow(
     model: CalibratedModel,
     q: Floats,

@@ -6,6 +6,7 @@ enough can be measured. A tool that must touch something is brought there.
 
 from __future__ import annotations
 
+from collections import deque
 from collections.abc import Sequence
 
 import numpy as np
@@ -83,13 +84,13 @@ def observable_configurations(
         if not touching.all():
             there = problem.looking(q, looked, payload=carried)
             seen &= measurement.observable(there.poses(theta), own, looked)
-        found: dict[tuple[str, str], list[int]] = {}
+        found: dict[tuple[str, str], deque[int]] = {}
         for k in np.flatnonzero(seen):
-            found.setdefault((looked[k], carried[k]), []).append(int(k))
+            found.setdefault((looked[k], carried[k]), deque()).append(int(k))
         still = []
         for i in left:
             if ready := found.get((target[i], loads[i])):
-                q_found[i] = q[ready.pop(0)]
+                q_found[i] = q[ready.popleft()]
             else:
                 still.append(i)
         left = np.array(still, np.int64)

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib_pin.registration import register_plane
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = [
     "Reached",
@@ -24,6 +25,7 @@ __all__ = [
 ]
 
 
+@serial_blas
 def register_sockets(
     F: Floats,
     tool: Floats,
@@ -84,6 +86,7 @@ class Reached:
     size: float
 
 
+@serial_blas
 def register_touched_plane(F: Floats, point: Floats | None) -> Reached:
     """Fit `n . (R_i t + p_i) + f = 0`: an unknown plane and the point that touches it.
 
@@ -106,6 +109,7 @@ def register_touched_plane(F: Floats, point: Floats | None) -> Reached:
     return _best(F, candidates, _plane_through)
 
 
+@serial_blas
 def register_distances(
     F: Floats,
     distances: Floats | None,
@@ -153,6 +157,7 @@ def register_distances(
     return found_best
 
 
+@serial_blas
 def register_relative_distances(F: Floats, distances: Floats) -> Floats:
     """Fit `|(R_i - I) t + p_i| = d_i`: how far a point of the tool has come.
 

@@ -16,11 +16,13 @@ from calib_pin.problem import Problem
 from calib_pin.result import Accuracy, CalibratedModel, Evaluation
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 from calib_pin.training import placed
 
 __all__ = ["Prepared", "evaluate", "prepared"]
 
 
+@serial_blas
 def evaluate(
     robot: Chain | CalibratedModel,
     measurements: Measurements,

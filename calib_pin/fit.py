@@ -25,6 +25,7 @@ from calib_pin.scale import scale_observable
 from calib_pin.solve import Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["Fit", "analyze_structure", "fit", "register", "structure_at"]
 
@@ -83,6 +84,7 @@ class Fit:
         return self.problem.count - self.rank
 
 
+@serial_blas
 def fit(
     problem: Problem,
     rng: np.random.Generator,
@@ -349,6 +351,7 @@ def _within(
     return np.where(stay, x, parameters.scales * kept)
 
 
+@serial_blas
 def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
     """Fit only base, tool and instrument; the robot keeps its values.
 
@@ -366,6 +369,7 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
     return problem, least_squares(problem, start, np.diag(parameters.scales)[:, free])
 
 
+@serial_blas
 def analyze_structure(
     problem: Problem, theta: Floats, rng: np.random.Generator
 ) -> tuple[Structure, Floats]:
@@ -390,6 +394,7 @@ def analyze_structure(
     return found, visible_directions(J, problem.parameters)
 
 
+@serial_blas
 def structure_at(
     problem: Problem, theta: Floats, q: Floats, target: Sequence[str]
 ) -> tuple[Structure, Floats]:

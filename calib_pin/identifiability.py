@@ -13,6 +13,7 @@ counts if its posterior standard deviation is below `WEAK` times its scale.
 from __future__ import annotations
 
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -82,8 +83,10 @@ class Structure:
         robot: Singular values of the robot's directions with the nuisances projected
             out, descending.
         configurations: Number of configurations they belong to.
-        combinations: The identifiable combinations, one per rank, in order.
-        unidentifiable: Positions of the free parameters without any effect.
+        relations: Rows S V^T of the rank: they carry the same relations between
+            columns as the scaled structural Jacobian, without its noise; shape (rank,
+            free parameters).
+        parameters: The parameters.
         scaled: Whether measurements tell how large the robot is.
     """
 
@@ -91,8 +94,8 @@ class Structure:
     rank: int
     robot: Floats
     configurations: int
-    combinations: tuple[Combination, ...]
-    unidentifiable: tuple[int, ...]
+    relations: Floats
+    parameters: ParameterSet
     scaled: bool = True
 
     @property
@@ -100,6 +103,34 @@ class Structure:
         """Ratio of the last singular value kept to the first one dropped."""
         s, r = self.singular_values, self.rank
         return float(s[r - 1] / s[r]) if 0 < r < len(s) and s[r] > 0.0 else np.inf
+
+    @cached_property
+    def combinations(self) -> tuple[Combination, ...]:
+        """The identifiable combinations, one per rank, in order."""
+        free, scales = self.parameters.free, self.parameters.scales
+        found = np.flatnonzero(free)
+        of_free = np.cumsum(free) - 1
+        order = of_free[[k for k in self.parameters.eliminated if free[k]]]
+        early, ordered = combinations(self.relations[:, order], self.rank)
+        pivots, C = order[early], np.zeros_like(ordered)
+        C[:, order] = ordered
+        scale, at = scales[free], np.argsort(order)
+        sums = []
+        for row, pivot in zip(C, pivots, strict=True):
+            coefficients = row * scale[pivot] / scale
+            terms = [
+                (int(found[k]), float(coefficients[k]))
+                for k in sorted(np.flatnonzero(np.abs(row) > 0.0), key=at.__getitem__)
+            ]
+            sums.append(_readable(terms, self.parameters))
+        return tuple(sums)
+
+    @cached_property
+    def unidentifiable(self) -> tuple[int, ...]:
+        """Positions of the free parameters without any effect."""
+        used = {k for combination in self.combinations for k, _ in combination.terms}
+        found = np.flatnonzero(self.parameters.free)
+        return tuple(int(k) for k in found if k not in used)
 
 
 def structure(
@@ -118,30 +149,13 @@ def structure(
     _, s, Vt = np.linalg.svd(np.linalg.qr(A, mode="r"), full_matrices=False)
     tolerance = rounding(A) * (s[0] if len(s) else 0.0)
     rank = int((s > tolerance).sum())
-    found = np.flatnonzero(free)
-    # The rows S V^T carry the same relations between columns as A, without its noise.
-    of_free = np.cumsum(free) - 1
-    order = of_free[[k for k in parameters.eliminated if free[k]]]
-    early, ordered = combinations((s[:rank, None] * Vt[:rank])[:, order], rank)
-    pivots, C = order[early], np.zeros_like(ordered)
-    C[:, order] = ordered
-    scale, at = parameters.scales[free], np.argsort(order)
-    sums = []
-    for row, pivot in zip(C, pivots, strict=True):
-        coefficients = row * scale[pivot] / scale
-        terms = [
-            (int(found[k]), float(coefficients[k]))
-            for k in sorted(np.flatnonzero(np.abs(row) > 0.0), key=at.__getitem__)
-        ]
-        sums.append(_readable(terms, parameters))
-    used = {position for combination in sums for position, _ in combination.terms}
     return Structure(
         singular_values=s,
         rank=rank,
         robot=robot_svd(J, parameters)[0],
         configurations=configurations,
-        combinations=tuple(sums),
-        unidentifiable=tuple(int(k) for k in found if k not in used),
+        relations=s[:rank, None] * Vt[:rank],
+        parameters=parameters,
     )
 
 

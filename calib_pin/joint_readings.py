@@ -20,6 +20,7 @@ from calib_pin.measurements import Measurements
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["Reading", "Suggestion", "suggest_readings"]
 
@@ -127,6 +128,7 @@ class Suggestion:
         return f"{advice}; state it in the setup file, joints: {{{entries}}}"
 
 
+@serial_blas
 def suggest_readings(
     chain: Chain,
     rows: Measurements,

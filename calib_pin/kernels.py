@@ -4,217 +4,65 @@ They work on the chain as a product of constant links and joint motions,
 
     T(q) = L_0 Z_1(q_1) L_1 ... Z_n(q_n) L_n
 
-where Z turns about z or shifts along it and only the links depend on parameters
-(`calib_pin.segments`). What does not depend on parameters is computed once: `motions`
-holds cosine, sine and shift of every joint position.
+where Z turns about z or shifts along it. The links depend on parameters
+(`calib_pin.segments`); the motions (`calib_pin.blocks`) do so where joint corrections
+add to them.
 
 No pose is multiplied out. A point or a direction of the tool is carried from the tip
 to the base, which takes half the operations of a matrix product for a beam and a
-quarter for a point. The innermost loops run over a block of configurations in one array
-whose parts lie a constant distance apart, so that the compiler sees that they do not
-overlap and uses vector instructions.
+quarter for a point; there it is compared with what was measured.
 
 All functions release the interpreter and take one thread; callers split members or
 rows into pieces. Sums run in a fixed order within a member or a block, so that results
 do not depend on the number of threads.
-
-numba keeps machine code on disk and notices a change only in a function's own file. So
-compiled functions call none of another file: `row_kernels` shares no more than the
-layout of blocks.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import pairwise
-from math import atan2, cos, sin, sqrt
-from typing import Any, TypeAlias, TypeVar, cast
+from math import atan2, cos, nan, sin, sqrt
+from typing import NamedTuple
 
 import numpy as np
-from numba import njit
-from numpy.typing import NDArray
 
+from calib_pin.blocks import BLOCK, Booleans, Indices, compiled
 from calib_pin.spatial import Floats
 
 __all__ = [
-    "BLOCK",
-    "compiled",
-    "links",
-    "motions",
-    "plane_distance_costs",
-    "pose_costs",
+    "COMPARISONS",
+    "Rows",
+    "population_costs",
     "poses",
-    "position_costs",
 ]
 
-Booleans = NDArray[np.bool_]
-Indices = NDArray[np.int64]
+COMPARISONS = ("position", "distance", "height", "beam", "pixel", "pose")
+"""How the tool can be compared with measured values."""
 
-BLOCK = 128
-"""Configurations in a block; a constant, for the distances within work arrays.
-
-It is compiled in: clear the machine code (`__pycache__`) after a change.
-"""
-
-_Function = TypeVar("_Function", bound=Callable[..., object])
-
-
-def compiled(function: _Function) -> _Function:
-    """Compile at the first call and keep the machine code on disk.
-
-    Sums may be reordered and contracted, which vector instructions need; not-a-number
-    and infinity keep their meaning.
-    """
-    options: dict[str, Any] = {
-        "nogil": True,
-        "error_model": "numpy",
-        "fastmath": {"reassoc", "contract", "nsz", "arcp"},
-    }
-    try:
-        jit = njit(**options, cache=True)(function)
-    except RuntimeError:  # No folder to keep it in: a read-only installation.
-        jit = njit(**options)(function)
-    return cast(_Function, jit)
-
-
-def motions(
-    q: Floats, revolute: Booleans, groups: Sequence[int] = ()
-) -> tuple[Floats, Indices]:
-    """Joint motions of configurations in blocks.
-
-    Args:
-        q: Joint positions, shape (N, n) [rad, m], signs of reversed joints applied.
-        revolute: True for joints that turn, shape (n,).
-        groups: Sizes of successive groups of rows, each of which begins a new block;
-            default one group.
-
-    Returns:
-        Cosines, then sines, then shifts of every block, shape (blocks, n, 3 BLOCK), and
-        the first row of every block with the number of rows behind, (blocks + 1,).
-    """
-    first = np.cumsum([0, *(groups or [len(q)])])
-    cuts = [np.arange(start, stop, BLOCK) for start, stop in pairwise(first)]
-    starts = np.concatenate([*cuts, first[-1:]])
-    result = np.zeros((len(starts) - 1, q.shape[1], 3 * BLOCK))
-    _fill_motions(q, revolute, starts, result)
-    return result, starts
-
-
-@compiled
-def _fill_motions(
-    q: Floats, revolute: Booleans, starts: Indices, result: Floats
-) -> None:
-    for block in range(len(result)):
-        for row in range(starts[block], starts[block + 1]):
-            k = row - starts[block]
-            for joint in range(q.shape[1]):
-                motion, position = result[block, joint], q[row, joint]
-                if revolute[joint]:
-                    motion[k], motion[BLOCK + k] = cos(position), sin(position)
-                else:
-                    motion[k], motion[2 * BLOCK + k] = 1.0, position
-
-
-@compiled
-def links(
-    constants: Floats,
-    segment: Indices,
-    parameter: Indices,
-    twists: Floats,
-    theta: Floats,
-    result: Floats,
-) -> None:
-    """Links of a population: constants times the screws of their segment in order.
-
-    Args:
-        constants: Nominal links as rows of (R | p), shape (n + 1, 12).
-        segment: Link of each screw, shape (K,).
-        parameter: Parameter of each screw, shape (K,).
-        twists: Unit twists (linear, angular), shape (K, 6).
-        theta: Parameter values, shape (S, P).
-        result: Filled with the links, shape (S, n + 1, 12).
-    """
-    for member in range(theta.shape[0]):
-        result[member] = constants
-        for k in range(len(segment)):
-            amount = theta[member, parameter[k]]
-            if amount == 0.0:
-                continue
-            link = result[member, segment[k]]
-            x, y, z, px, py, pz = _exponential(twists[k], amount)
-            (r00, r10, r20), (r01, r11, r21), (r02, r12, r22) = x, y, z
-            for i in range(0, 12, 4):
-                a, b, c = link[i], link[i + 1], link[i + 2]
-                link[i] = a * r00 + b * r10 + c * r20
-                link[i + 1] = a * r01 + b * r11 + c * r21
-                link[i + 2] = a * r02 + b * r12 + c * r22
-                link[i + 3] += a * px + b * py + c * pz
-
-
-_Column: TypeAlias = tuple[float, float, float]
-
-
-# Within the loop over screws a call would cost as much as the work.
-@njit(inline="always")
-def _exponential(
-    twist: Floats, amount: float
-) -> tuple[_Column, _Column, _Column, float, float, float]:
-    """Exp(twist amount): the columns of its rotation, and its translation."""
-    vx, vy, vz = twist[0], twist[1], twist[2]
-    x, y, z = twist[3], twist[4], twist[5]
-    square = x * x + y * y + z * z
-    angle = sqrt(square) * amount
-    if abs(angle) < 1e-2:
-        # Series: the closed forms below cancel at small angles.
-        a2 = angle * angle
-        first = amount * (1.0 - a2 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0)))
-        second = 0.5 * amount**2 * (1.0 - a2 / 12.0 * (1.0 - a2 / 30.0))
-        third = amount**3 / 6.0 * (1.0 - a2 / 20.0 * (1.0 - a2 / 42.0))
-    else:
-        first = amount * sin(angle) / angle
-        second = 2.0 * (sin(0.5 * angle) / angle * amount) ** 2
-        third = (amount - first) / square
-    # R = I + first W + second W^2, p = (amount + second W + third W^2) v.
-    cx, cy, cz = y * vz - z * vy, z * vx - x * vz, x * vy - y * vx
-    return (
-        (
-            1.0 + second * (x * x - square),
-            second * x * y + first * z,
-            second * x * z - first * y,
-        ),
-        (
-            second * x * y - first * z,
-            1.0 + second * (y * y - square),
-            second * y * z + first * x,
-        ),
-        (
-            second * x * z + first * y,
-            second * y * z - first * x,
-            1.0 + second * (z * z - square),
-        ),
-        amount * vx + second * cx + third * (y * cz - z * cy),
-        amount * vy + second * cy + third * (z * cx - x * cz),
-        amount * vz + second * cz + third * (x * cy - y * cx),
-    )
+POSITION, DISTANCE, HEIGHT, BEAM, PIXEL, POSE = range(len(COMPARISONS))
 
 
 @compiled
 def _carry(
-    chain: Floats, motion: Floats, size: int, work: Floats, directions: int
+    chain: Floats,
+    tips: Floats,
+    index: Indices,
+    motion: Floats,
+    size: int,
+    work: Floats,
+    directions: int,
 ) -> None:
-    """Carry the tool's origin and some of its axes through one block to the base.
+    """Carry a point and some axes of the tool through one block to the base.
 
     Args:
         chain: Links, shape (n + 1, 12).
+        tips: Points behind the last joint, shape (J, 3) [m].
+        index: Which of them each configuration looks at.
         motion: Joint motions of the block, shape (n, 3 BLOCK).
         size: Configurations in the block.
         work: Filled: x, y, z of the point, then of each direction, BLOCK each.
         directions: The axes z, y, x of the tool, the first so many of them.
     """
+    _gather(tips, index, work)
     last = chain[len(chain) - 1]
-    for i in range(3):
-        for k in range(size):
-            work[i * BLOCK + k] = last[4 * i + 3]
     for axis in range(directions):
         for i in range(3):
             for k in range(size):
@@ -269,124 +117,327 @@ def _step_pair(
         pair[k + 5 * BLOCK] = r20 * bx + r21 * by + r22 * bz
 
 
+class Rows(NamedTuple):
+    """What a kernel needs to know of N rows beside a member's parameters.
+
+    Attributes:
+        starts: First row of every block, shape (blocks + 1,).
+        motion: Joint motions, shape (blocks, n, 3 BLOCK).
+        begin: Those where relative measurements start; no blocks where rows are none.
+        revolute: True for joints that turn, shape (n,).
+        joints: Joint of each correction, shape (C,).
+        factors: Change of its position by the correction's amount, shape (C, N).
+        begin_factors: The same where relative measurements start.
+        point: Which point of the tool a row looks at, shape (N,).
+        place: Which place it is compared with, shape (N,).
+        values: Measured values, shape (D, N).
+        weights: Reciprocal standard deviations of the residual, shape (d, N).
+    """
+
+    starts: Indices
+    motion: Floats
+    begin: Floats
+    revolute: Booleans
+    joints: Indices
+    factors: Floats
+    begin_factors: Floats
+    point: Indices
+    place: Indices
+    values: Floats
+    weights: Floats
+
+
 @compiled
-def position_costs(
+def population_costs(
+    comparison: int,
     chains: Floats,
-    motion: Floats,
-    starts: Indices,
-    values: Floats,
-    weights: Floats,
+    amounts: Floats,
+    points: Floats,
+    places: Floats,
+    rows: Rows,
     costs: Floats,
 ) -> None:
-    """Half the sum of squared whitened residuals of positions, for every member.
+    """Half the sum of squared whitened residuals, for every member.
 
     Args:
+        comparison: Position in `COMPARISONS`.
         chains: Links of the members, shape (S, n + 1, 12).
-        motion: Joint motions, shape (blocks, n, 3 BLOCK).
-        starts: First row of every block, shape (blocks + 1,).
-        values: Measured x, y, z, shape (3, N) [m].
-        weights: Reciprocal standard deviations, shape (3, N) [1/m].
+        amounts: Their joint corrections, shape (S, C).
+        points: Points of the tool, shape (S, J, 3) [m].
+        places: What these are compared with, shape (S, L, w).
+        rows: The rows.
         costs: Filled, shape (S,).
     """
-    work = np.empty(3 * BLOCK)
+    directions = 3 if comparison == POSE else 1 if comparison == BEAM else 0
+    work, begin = np.empty(12 * BLOCK), np.empty(3 * BLOCK)
+    against = np.empty(10 * BLOCK)
+    moved = np.empty(rows.motion.shape[1:])
     for member in range(len(chains)):
-        total = 0.0
-        for block in range(len(motion)):
-            start, size = starts[block], starts[block + 1] - starts[block]
-            _carry(chains[member], motion[block], size, work, 0)
-            for i in range(3):
-                value, weight = values[i, start:], weights[i, start:]
+        chain, amount, total = chains[member], amounts[member], 0.0
+        tips = _at_last_joint(chain[len(chain) - 1], points[member])
+        for block in range(len(rows.motion)):
+            start, stop = rows.starts[block], rows.starts[block + 1]
+            size, point = stop - start, rows.point[start:stop]
+            motion = rows.motion[block]
+            if len(amount):
+                factors = rows.factors[:, start:stop]
+                _move(motion, rows.revolute, rows.joints, factors, amount, moved)
+                motion = moved
+            _carry(chain, tips, point, motion, size, work, directions)
+            if len(rows.begin):
+                motion = rows.begin[block]
+                if len(amount):
+                    factors = rows.begin_factors[:, start:stop]
+                    _move(motion, rows.revolute, rows.joints, factors, amount, moved)
+                    motion = moved
+                _carry(chain, tips, point, motion, size, begin, 0)
+                for k in range(3 * BLOCK):
+                    work[k] -= begin[k]
+            _gather(places[member], rows.place[start:stop], against)
+            value, weight = rows.values[:, start:stop], rows.weights[:, start:stop]
+            if comparison == POSITION:
+                total += _position(work, against, value, weight)
+            elif comparison == DISTANCE:
+                total += _distance(work, against, value[0], weight[0])
+            elif comparison == HEIGHT:
+                total += _height(work, against, value[0], weight[0])
+            elif comparison == BEAM:
+                total += _beam(work, against, value[0], weight[0])
+            elif comparison == PIXEL:
+                total += _pixel(work, places[member, 0], value, weight)
+            else:
+                total += _pose(work, value, weight)
+        costs[member] = 0.5 * total
+
+
+@compiled
+def _at_last_joint(link: Floats, points: Floats) -> Floats:
+    """Points of the tool behind the last joint."""
+    result = np.empty_like(points)
+    for k in range(len(points)):
+        x, y, z = points[k]
+        for i in range(3):
+            a, b, c, p = link[4 * i : 4 * i + 4]
+            result[k, i] = a * x + b * y + c * z + p
+    return result
+
+
+@compiled
+def _gather(table: Floats, index: Indices, result: Floats) -> None:
+    """Entries of every row, shape (L, w), by components BLOCK apart."""
+    for i in range(table.shape[1]):
+        first = i * BLOCK
+        if len(table) == 1:
+            value = table[0, i]
+            for k in range(len(index)):
+                result[first + k] = value
+            continue
+        for k in range(len(index)):
+            result[first + k] = table[index[k], i]
+
+
+@compiled
+def _move(
+    motion: Floats,
+    revolute: Booleans,
+    joints: Indices,
+    factors: Floats,
+    amounts: Floats,
+    moved: Floats,
+) -> None:
+    """Joint motions of a block with corrections of the joint positions.
+
+    Args:
+        motion: Joint motions of the block, shape (n, 3 BLOCK).
+        revolute: True for joints that turn, shape (n,).
+        joints: Joint of each correction, shape (C,).
+        factors: Change of its position by the amount, shape (C, rows).
+        amounts: Amounts of the corrections, shape (C,).
+        moved: Filled as motion.
+    """
+    size = factors.shape[1]
+    for joint in range(len(motion)):
+        given, result = motion[joint], moved[joint]
+        # The corrections first stand where the cosines will.
+        for k in range(size):
+            result[k] = 0.0
+        for correction, of_joint in enumerate(joints):
+            if of_joint == joint:
+                amount, factor = amounts[correction], factors[correction]
                 for k in range(size):
-                    residual = (work[i * BLOCK + k] - value[k]) * weight[k]
-                    total += residual * residual
-        costs[member] = 0.5 * total
+                    result[k] += amount * factor[k]
+        if not revolute[joint]:
+            for k in range(size):
+                result[2 * BLOCK + k] = given[2 * BLOCK + k] + result[k]
+                result[k], result[BLOCK + k] = 1.0, 0.0
+            continue
+        largest = 0.0
+        for k in range(size):
+            largest = max(largest, abs(result[k]))
+            result[2 * BLOCK + k] = 0.0
+        if largest < 0.5:
+            _turn_little(given, size, result)
+            continue
+        for k in range(size):
+            c, s = cos(result[k]), sin(result[k])
+            result[k] = given[k] * c - given[BLOCK + k] * s
+            result[BLOCK + k] = given[BLOCK + k] * c + given[k] * s
 
 
 @compiled
-def plane_distance_costs(
-    chains: Floats,
-    motion: Floats,
-    starts: Indices,
-    planes: Floats,
-    index: Indices,
-    values: Floats,
-    weights: Floats,
-    costs: Floats,
-) -> None:
-    """Half the sum of squared whitened residuals of distances along the tool's z axis.
+def _turn_little(given: Floats, size: int, result: Floats) -> None:
+    """Cosines and sines of sums of angles, by series, which vector instructions take.
 
-    Args:
-        chains: Links of the members, shape (S, n + 1, 12).
-        motion: Joint motions, shape (blocks, n, 3 BLOCK).
-        starts: First row of every block, shape (blocks + 1,).
-        planes: Normal and offset of each plane and member, shape (S, planes, 4).
-        index: Plane of each block, shape (blocks,).
-        values: Measured distances, shape (1, N) [m].
-        weights: Reciprocal standard deviations, shape (1, N) [1/m].
-        costs: Filled, shape (S,).
+    Below half a radian the first term left out is below rounding.
     """
-    work = np.empty(6 * BLOCK)
-    for member in range(len(chains)):
-        total = 0.0
-        for block in range(len(motion)):
-            start, size = starts[block], starts[block + 1] - starts[block]
-            _carry(chains[member], motion[block], size, work, 1)
-            nx, ny, nz, offset = planes[member, index[block]]
-            value, weight = values[0, start:], weights[0, start:]
-            for k in range(size):
-                height = offset + nx * work[k]
-                height += ny * work[k + BLOCK] + nz * work[k + 2 * BLOCK]
-                fall = nx * work[k + 3 * BLOCK]
-                fall += ny * work[k + 4 * BLOCK] + nz * work[k + 5 * BLOCK]
-                residual = -height / fall - value[k]
-                residual *= weight[k]
-                total += residual * residual
-        costs[member] = 0.5 * total
+    for k in range(size):
+        angle = result[k]
+        a = angle * angle
+        s = 1.0 - a / 110.0 * (1.0 - a / 156.0 * (1.0 - a / 210.0))
+        s = angle * (
+            1.0 - a / 6.0 * (1.0 - a / 20.0 * (1.0 - a / 42.0 * (1.0 - a / 72.0 * s)))
+        )
+        c = 1.0 - a / 90.0 * (1.0 - a / 132.0 * (1.0 - a / 182.0))
+        c = 1.0 - a / 2.0 * (1.0 - a / 12.0 * (1.0 - a / 30.0 * (1.0 - a / 56.0 * c)))
+        result[k] = given[k] * c - given[BLOCK + k] * s
+        result[BLOCK + k] = given[BLOCK + k] * c + given[k] * s
 
 
 @compiled
-def pose_costs(
-    chains: Floats,
-    motion: Floats,
-    starts: Indices,
-    values: Floats,
-    weights: Floats,
-    costs: Floats,
-) -> None:
-    """Half the sum of squared whitened residuals of poses, for every member.
+def _position(p: Floats, centers: Floats, values: Floats, weights: Floats) -> float:
+    """Sum of squares of points against centers (x, y, z)."""
+    total = 0.0
+    for i in range(3):
+        value, weight = values[i], weights[i]
+        for k in range(len(value)):
+            at = i * BLOCK + k
+            residual = (p[at] - centers[at] - value[k]) * weight[k]
+            total += residual * residual
+    return total
+
+
+@compiled
+def _distance(p: Floats, centers: Floats, value: Floats, weight: Floats) -> float:
+    """Sum of squares of distances from centers (x, y, z, bias)."""
+    total = 0.0
+    for k in range(len(value)):
+        x, y = p[k] - centers[k], p[k + BLOCK] - centers[k + BLOCK]
+        z = p[k + 2 * BLOCK] - centers[k + 2 * BLOCK]
+        length = sqrt(x * x + y * y + z * z) + centers[k + 3 * BLOCK]
+        residual = (length - value[k]) * weight[k]
+        total += residual * residual
+    return total
+
+
+@compiled
+def _height(p: Floats, planes: Floats, value: Floats, weight: Floats) -> float:
+    """Sum of squares of heights above planes (normal, offset)."""
+    total = 0.0
+    for k in range(len(value)):
+        height = planes[k + 3 * BLOCK] + planes[k] * p[k]
+        height += planes[k + BLOCK] * p[k + BLOCK]
+        height += planes[k + 2 * BLOCK] * p[k + 2 * BLOCK]
+        residual = (height - value[k]) * weight[k]
+        total += residual * residual
+    return total
+
+
+@compiled
+def _beam(p: Floats, planes: Floats, value: Floats, weight: Floats) -> float:
+    """Sum of squares of distances along the tool's z axis to planes."""
+    total = 0.0
+    for k in range(len(value)):
+        nx, ny, nz = planes[k], planes[k + BLOCK], planes[k + 2 * BLOCK]
+        height = planes[k + 3 * BLOCK] + nx * p[k]
+        height += ny * p[k + BLOCK] + nz * p[k + 2 * BLOCK]
+        fall = nx * p[k + 3 * BLOCK]
+        fall += ny * p[k + 4 * BLOCK] + nz * p[k + 5 * BLOCK]
+        residual = (-height / fall - value[k]) * weight[k]
+        total += residual * residual
+    return total
+
+
+@compiled
+def _pixel(p: Floats, camera: Floats, values: Floats, weights: Floats) -> float:
+    """Sum of squares of pixels, see `measurement_models.pinhole`.
 
     Args:
-        chains: Links of the members, shape (S, n + 1, 12).
-        motion: Joint motions, shape (blocks, n, 3 BLOCK).
-        starts: First row of every block, shape (blocks + 1,).
-        values: Measured x, y, z and rotation matrix by rows, shape (12, N).
-        weights: Reciprocal standard deviations, shape (6, N) [1/m, 1/rad].
-        costs: Filled, shape (S,).
+        p: Points in the camera by components.
+        camera: Intrinsics, and the depth from which on a point is seen, shape (10,).
+        values: Measured pixels, shape (2, rows).
+        weights: Reciprocal standard deviations, shape (2, rows).
     """
-    work = np.empty(12 * BLOCK)
-    R = np.empty((3, 3))
-    for member in range(len(chains)):
-        total = 0.0
-        for block in range(len(motion)):
-            start, size = starts[block], starts[block + 1] - starts[block]
-            _carry(chains[member], motion[block], size, work, 3)
-            for k in range(size):
-                row = start + k
-                for i in range(3):
-                    residual = (work[i * BLOCK + k] - values[i, row]) * weights[i, row]
-                    total += residual * residual
-                for i in range(3):
-                    for axis in range(3):
-                        # Measured axis i against predicted axis, R_y^T R.
-                        at = 3 * (3 - axis) * BLOCK + k
-                        R[i, axis] = values[3 + i, row] * work[at]
-                        R[i, axis] += values[6 + i, row] * work[at + BLOCK]
-                        R[i, axis] += values[9 + i, row] * work[at + 2 * BLOCK]
-                x, y, z = _rotation_vector(R)
-                total += (x * weights[3, row]) ** 2
-                total += (y * weights[4, row]) ** 2
-                total += (z * weights[5, row]) ** 2
-        costs[member] = 0.5 * total
+    f_x, f_y, c_x, c_y, k_1, k_2, p_1, p_2, k_3, near = camera
+    total = 0.0
+    for k in range(values.shape[1]):
+        depth = p[k + 2 * BLOCK]
+        depth = depth if depth > near else nan
+        x, y = p[k] / depth, p[k + BLOCK] / depth
+        xx, yy, xy = x * x, y * y, 2.0 * x * y
+        rr = xx + yy
+        s = 1.0 + rr * (k_1 + rr * (k_2 + rr * k_3))
+        u = f_x * (x * s + p_1 * xy + p_2 * (rr + 2.0 * xx)) + c_x
+        v = f_y * (y * s + p_1 * (rr + 2.0 * yy) + p_2 * xy) + c_y
+        u = (u - values[0, k]) * weights[0, k]
+        v = (v - values[1, k]) * weights[1, k]
+        total += u * u + v * v
+    return total
+
+
+@compiled
+def _pose(p: Floats, values: Floats, weights: Floats) -> float:
+    """Sum of squares of poses: measured x, y, z and rotation matrix by rows."""
+    total, least = 0.0, 3.0
+    turned = np.empty(9 * BLOCK)
+    for i in range(3):
+        value, weight = values[i], weights[i]
+        for k in range(len(value)):
+            residual = (p[i * BLOCK + k] - value[k]) * weight[k]
+            total += residual * residual
+        # Measured axis i against predicted axes, R_y^T R.
+        a, b, c = values[3 + i], values[6 + i], values[9 + i]
+        for axis in range(3):
+            at = p[3 * (3 - axis) * BLOCK : 3 * (4 - axis) * BLOCK]
+            result = turned[(3 * i + axis) * BLOCK : (3 * i + axis + 1) * BLOCK]
+            for k in range(len(a)):
+                result[k] = a[k] * at[k] + b[k] * at[k + BLOCK]
+                result[k] += c[k] * at[k + 2 * BLOCK]
+    for k in range(values.shape[1]):
+        trace = turned[k] + turned[k + 4 * BLOCK] + turned[k + 8 * BLOCK]
+        least = min(least, trace)
+    if least > 2.0:
+        return total + _little_turned(turned, weights[3:])
+    for k in range(values.shape[1]):
+        x, y, z = _rotation_vector(turned[k::BLOCK].copy().reshape(3, 3))
+        total += (x * weights[3, k]) ** 2
+        total += (y * weights[4, k]) ** 2
+        total += (z * weights[5, k]) ** 2
+    return total
+
+
+@compiled
+def _little_turned(R: Floats, weights: Floats) -> float:
+    """Sum of squares of rotation vectors below 60 degrees, by vector instructions.
+
+    With the quaternion (w, v) the angle is 4 atan(x), x^2 = (1 - w) / (1 + w), and the
+    first term of the series left out is below rounding.
+    """
+    total = 0.0
+    one, two, three = weights[0], weights[1], weights[2]
+    for k in range(len(one)):
+        w = 0.5 * sqrt(1.0 + R[k] + R[k + 4 * BLOCK] + R[k + 8 * BLOCK])
+        s = -(1.0 - w) / (1.0 + w)
+        series = 1.0 / 25.0 + s * (1.0 / 27.0)
+        series = 1.0 / 19.0 + s * (1.0 / 21.0 + s * (1.0 / 23.0 + s * series))
+        series = 1.0 / 13.0 + s * (1.0 / 15.0 + s * (1.0 / 17.0 + s * series))
+        series = 1.0 / 7.0 + s * (1.0 / 9.0 + s * (1.0 / 11.0 + s * series))
+        series = 1.0 + s * (1.0 / 3.0 + s * (1.0 / 5.0 + s * series))
+        factor = series / (w * (1.0 + w))
+        x = factor * (R[k + 7 * BLOCK] - R[k + 5 * BLOCK]) * one[k]
+        y = factor * (R[k + 2 * BLOCK] - R[k + 6 * BLOCK]) * two[k]
+        z = factor * (R[k + 3 * BLOCK] - R[k + BLOCK]) * three[k]
+        total += x * x + y * y + z * z
+    return total
 
 
 @compiled
@@ -423,10 +474,11 @@ def poses(chain: Floats, motion: Floats, starts: Indices, result: Floats) -> Non
         starts: First row of every block, shape (blocks + 1,).
         result: Filled with poses, shape (N, 4, 4).
     """
-    work = np.empty(12 * BLOCK)
+    work, origin = np.empty(12 * BLOCK), np.zeros(BLOCK, np.int64)
+    tips = _at_last_joint(chain[len(chain) - 1], np.zeros((1, 3)))
     for block in range(len(motion)):
         start, size = starts[block], starts[block + 1] - starts[block]
-        _carry(chain, motion[block], size, work, 3)
+        _carry(chain, tips, origin[:size], motion[block], size, work, 3)
         for k in range(size):
             T = result[start + k]
             for i in range(3):

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -74,18 +75,16 @@ class KnownDistances:
         return len(self.stated)
 
     def lengths(self, own: Floats) -> Floats:
-        """The distances as the model has them, shape (D,) [m].
+        """The distances as the model has them, (..., K) -> (..., D) [m].
 
         Args:
-            own: The model's own parameters, shape (K,).
+            own: The model's own parameters, of one member or many.
         """
-        return np.asarray(np.linalg.norm(self._vectors(own), axis=1))
+        return np.asarray(np.linalg.norm(self._vectors(own), axis=-1))
 
     def residual(self, own: Floats) -> Floats:
-        """Whitened residuals, the model's distance minus the known one, shape (D,)."""
-        values = np.array([d.value for d in self.stated])
-        sigma = np.array([d.sigma for d in self.stated])
-        return np.asarray((self.lengths(own) - values) / sigma)
+        """Whitened residuals, the model's distances minus the known ones, (..., D)."""
+        return np.asarray((self.lengths(own) - self._values) / self._sigma)
 
     def jacobian(self, own: Floats) -> Floats:
         """Derivative of the whitened residuals by the own parameters, shape (D, K)."""
@@ -94,12 +93,24 @@ class KnownDistances:
         for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
             length = float(np.linalg.norm(vector))
             # Points in one place have no direction to part in.
-            direction = vector / (length or np.inf) / self.stated[k].sigma
+            direction = vector / (length or np.inf) / self._sigma[k]
             for end, sign in zip(columns, (-1.0, 1.0), strict=True):
                 if end[0] >= 0:
                     result[k, end] = sign * direction
         return result
 
+    @cached_property
+    def _values(self) -> Floats:
+        return np.array([distance.value for distance in self.stated])
+
+    @cached_property
+    def _sigma(self) -> Floats:
+        return np.array([distance.sigma for distance in self.stated])
+
     def _vectors(self, own: Floats) -> Floats:
-        ends = self.ends + np.append(own, 0.0)[self.columns]
-        return np.asarray(ends[:, 1] - ends[:, 0])
+        """From one end to the other, shape (..., D, 3) [m]."""
+        # What is no parameter finds a zero behind the others.
+        padded = np.zeros((*own.shape[:-1], own.shape[-1] + 1))
+        padded[..., :-1] = own
+        ends = self.ends + padded[..., self.columns]
+        return np.asarray(ends[..., 1, :] - ends[..., 0, :])

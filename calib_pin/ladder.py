@@ -26,6 +26,7 @@ from calib_pin.result import Ladder, Rung
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 from calib_pin.splits import FOLDS, folds
+from calib_pin.threads import serial_blas
 from calib_pin.training import (
     BEYOND,
     Trained,
@@ -80,6 +81,7 @@ class _Tried:
     sizes: Floats | None = None
 
 
+@serial_blas
 def climb(
     chain: Chain,
     rows: Measurements,

@@ -18,7 +18,7 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin import kernels, row_kernels
+from calib_pin import blocks, kernels, row_kernels
 from calib_pin.error_model import ErrorModel
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
@@ -28,7 +28,7 @@ from calib_pin.threads import Threads
 
 __all__ = ["ManyRows"]
 
-CHUNK = 128 * kernels.BLOCK
+CHUNK = 128 * blocks.BLOCK
 """Rows of a chunk. It is the same for any number of threads, so that sums have one
 order, and so large that threads seldom wait for the interpreter."""
 
@@ -182,7 +182,7 @@ class _Chunk:
             files=data.files[rows],
         )
         self.weights = 1.0 / sigma[rows]
-        self.motion, self.starts = kernels.motions(
+        self.motion, self.starts = blocks.motions(
             self.data.q * segments.signs, segments.revolute
         )
 

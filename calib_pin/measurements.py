@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from itertools import chain
 from typing import Any
 
 import numpy as np
@@ -291,6 +292,8 @@ class Measurements:
             parts = _side_by_side(parts)
         parts = [part for part in parts if len(part)] or parts[:1]
         first = parts[0]
+        if len(parts) == 1:
+            return first
         for part in parts:
             if (part.sigma is None) != (first.sigma is None):
                 raise _unlike(part)
@@ -302,8 +305,8 @@ class Measurements:
             model=first.model,
             values=np.concatenate([part.values for part in parts]),
             sigma=np.concatenate(sigmas) if sigmas else None,
-            target=sum((part.target for part in parts), ()),
-            payload=sum((part.payload for part in parts), ()),
+            target=tuple(chain.from_iterable(part.target for part in parts)),
+            payload=tuple(chain.from_iterable(part.payload for part in parts)),
             start=np.concatenate(
                 [
                     part.start if part.start.size else np.full(part.q.shape, np.nan)
@@ -314,7 +317,7 @@ class Measurements:
             else first.start,
             validate=np.concatenate([part.validate for part in parts]),
             lines=np.concatenate([part.lines for part in parts]),
-            files=sum((part.files for part in parts), ()),
+            files=tuple(chain.from_iterable(part.files for part in parts)),
         )
 
 

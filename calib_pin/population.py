@@ -2,14 +2,15 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin import kernels
-from calib_pin.measurement_models import Batch, BatchedModel, MeasurementModel
-from calib_pin.measurements import Measurements
+from calib_pin.blocks import motions
+from calib_pin.measurement_models import Batch, BatchedModel
 from calib_pin.problem import Problem
 from calib_pin.segments import Segments
 from calib_pin.spatial import Floats
@@ -30,8 +31,7 @@ class PopulationCost:
 
     Attributes:
         evaluator: `kernel`, or `loop` where the members are evaluated one by one: the
-            joints have corrections, which give every member other joint motions, or
-            rows are relative to others.
+            measurement model has no batch form, or something was learned.
 
     Example:
         >>> import numpy as np, calib_pin
@@ -49,68 +49,112 @@ class PopulationCost:
         """Compute what does not depend on the parameters."""
         self._problem = problem
         self._threads = Threads(threads)
+        batches: Sequence[Batch] = []
         measurement = problem.measurement
-        self.evaluator: Literal["kernel", "loop"] = "loop"
-        if not problem.error.geometric or measurement.relative:
-            return
-        self.evaluator = "kernel"
+        if problem.error.learned is None and isinstance(measurement, BatchedModel):
+            batches = measurement.batches(problem.data, 1.0 / problem.sigma)
+        self.evaluator: Literal["kernel", "loop"] = "kernel" if batches else "loop"
         self._segments = Segments.of(problem.error)
-        weights = 1.0 / problem.sigma
-        found = None
-        if isinstance(measurement, BatchedModel):
-            found = measurement.batch(problem.data, weights)
-        if found is None:
-            found = posed_batch(measurement, problem.data, weights)
-        self._batch = found
-        self._motion, self._starts = kernels.motions(
-            problem.data.q[found.order] * self._segments.signs,
-            self._segments.revolute,
-            found.groups,
-        )
+        self._parts = [_Part(problem, self._segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:
         """Costs of parameter values, shape (S, P) -> (S,)."""
         if self.evaluator == "loop":
             return np.array([self._problem.cost(member) for member in theta])
+        further = self._problem.further_rows(theta)
+        costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
         of_robot, own = self._problem.split(theta)
-        costs = np.empty(len(theta))
 
-        def evaluate(part: slice) -> None:
-            chains = self._segments.links(of_robot[part])
-            self._batch.costs(
-                chains, self._motion, self._starts, own[part], costs[part]
-            )
+        def evaluate(members: slice) -> None:
+            chains = self._segments.links(of_robot[members])
+            amounts = of_robot[members, self._problem.error.joint_corrections]
+            for part in self._parts:
+                costs[members] += part.costs(chains, amounts, own[members])
 
         least = -(-WORTHWHILE // max(len(self._problem.data), 1))
         pieces = self._threads.slices(len(theta), least)
         for _ in self._threads.map(evaluate, pieces):
             pass
-        further = self._problem.further_rows(theta)
-        return costs + 0.5 * np.asarray(np.sum(further**2, axis=-1))
+        return costs
 
 
-def posed_batch(
-    measurement: MeasurementModel, data: Measurements, weights: Floats
-) -> Batch:
-    """The batch form of a model without a kernel: it looks at the poses of a member.
+class _Part:
+    """The rows of one batch."""
 
-    Args:
-        measurement: The model.
-        data: The N rows.
-        weights: Reciprocal standard deviations of the residual, shape (N, d).
-    """
+    def __init__(self, problem: Problem, segments: Segments, batch: Batch) -> None:
+        self._batch = batch
+        self._comparison = kernels.COMPARISONS.index(batch.comparison)
+        error, start = problem.error, problem.data.start
+        payload = [problem.data.payload[k] for k in batch.rows]
+        joints = [error.screws[k].place - 1 for k in error.joint_corrections]
+        # From base to tool the joints come in the other order and move back.
+        forward = slice(None, None, -1 if batch.inward else 1)
+        signs = -segments.signs if batch.inward else segments.signs
+        revolute = segments.revolute[forward]
 
-    def costs(
-        chains: Floats,
-        motion: Floats,
-        starts: NDArray[np.int64],
-        own: Floats,
-        costs: Floats,
-    ) -> None:
-        T = np.empty((len(data), 4, 4))
-        for k, chain in enumerate(chains):
-            kernels.poses(chain, motion, starts, T)
-            r = measurement.residual(T, own[k], data) * weights
-            costs[k] = 0.5 * float(np.vdot(r, r))
+        def moving(q: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
+            motion, starts = motions((q * signs)[:, forward], revolute)
+            factors = error.factors(q, payload) * signs[joints]
+            return motion, starts, factors.T.copy()
 
-    return Batch(np.arange(len(data)), (len(data),), costs)
+        motion, starts, factors = moving(problem.data.q[batch.rows])
+        begin, begin_factors = motion[:0], factors[:, :0]
+        if start.size and np.isfinite(start[batch.rows]).all():
+            begin, _, begin_factors = moving(start[batch.rows])
+        places = np.arange(len(revolute))[forward]
+        self._rows = kernels.Rows(
+            starts=starts,
+            motion=motion,
+            begin=begin,
+            revolute=revolute.copy(),
+            joints=places[joints],
+            factors=factors,
+            begin_factors=begin_factors,
+            point=batch.point,
+            place=batch.place,
+            values=batch.values.T.copy(),
+            weights=batch.weights.T.copy(),
+        )
+
+    def costs(self, chains: Floats, amounts: Floats, own: Floats) -> Floats:
+        """Half the sums of squares of these rows, shape (S,).
+
+        Args:
+            chains: Links of the members, shape (S, n + 1, 12).
+            amounts: Their joint corrections, shape (S, C).
+            own: Parameters of their instrument, shape (S, K).
+        """
+        found, result = self._batch.references(own), np.empty(len(own))
+        if found.stand is not None and found.mount is not None:
+            chains = chains.copy()
+            chains[:, 0] = _product(found.stand, chains[:, 0])
+            chains[:, -1] = _product(chains[:, -1], found.mount)
+        if self._batch.inward:
+            chains = _inverted(chains)
+        kernels.population_costs(
+            self._comparison,
+            chains,
+            amounts,
+            found.points,
+            found.places,
+            self._rows,
+            result,
+        )
+        return result
+
+
+def _product(a: Floats, b: Floats) -> Floats:
+    """Products of links (R | p), shape (S, 12) each."""
+    first, second = a.reshape(-1, 3, 4), b.reshape(-1, 3, 4)
+    result = first[:, :, :3] @ second
+    result[:, :, 3] += first[:, :, 3]
+    return np.asarray(result.reshape(-1, 12))
+
+
+def _inverted(chains: Floats) -> Floats:
+    """Chains from tool to base, shape (S, n + 1, 12)."""
+    links = chains.reshape(*chains.shape[:2], 3, 4)[:, ::-1]
+    result = np.empty_like(links)
+    result[..., :3] = np.swapaxes(links[..., :3], 2, 3)
+    result[..., 3] = -np.einsum("snji,snj->sni", links[..., :3], links[..., 3])
+    return result.reshape(chains.shape)

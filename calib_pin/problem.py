@@ -184,15 +184,21 @@ class Problem:
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (M,): rows, known distances, then the priors."""
         rows = (self.errors(theta) / self.sigma).reshape(-1)
-        return np.concatenate([rows, self.further_rows(theta[None])[0]])
+        return _joined([rows, *self._further(theta)], axis=0)
 
     def further_rows(self, theta: Floats) -> Floats:
-        """Whitened rows that are no rows of the data, (S, P) -> (S, p)."""
-        own = self.split(theta)[1]
-        distances = np.empty((len(theta), len(self._distances)))
-        for k, member in enumerate(own):
-            distances[k] = self._distances.residual(member)
-        return np.concatenate([distances, self.prior_rows(theta)], axis=1)
+        """Whitened rows that are no rows of the data, (..., P) -> (..., p)."""
+        empty = np.empty((*theta.shape[:-1], 0))
+        return _joined(self._further(theta) or [empty], axis=-1)
+
+    def _further(self, theta: Floats) -> list[Floats]:
+        """Those rows in blocks: known distances and priors, where there are any."""
+        blocks = []
+        if len(self._distances):
+            blocks.append(self._distances.residual(self.split(theta)[1]))
+        if self.priors:
+            blocks.append(self.prior_rows(theta))
+        return blocks
 
     def prior_rows(self, theta: Floats) -> Floats:
         """Parameters in standard deviations of their priors, (..., P) -> (..., p)."""
@@ -203,7 +209,7 @@ class Problem:
         if self._many is None:
             r = self.residual(theta)
             return 0.5 * float(r @ r)
-        further = self.further_rows(theta[None])[0]
+        further = self.further_rows(theta)
         return self._many.cost(*self.split(theta)) + 0.5 * float(further @ further)
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -301,7 +307,7 @@ class Problem:
         distances[:, len(theta) - len(own) :] = by_own
         prior = np.diag(1.0 / self.parameters.priors)[self._prior]
         return (
-            np.concatenate([r, self.further_rows(theta[None])[0]]),
+            np.concatenate([r, *self._further(theta)]),
             np.concatenate([J, distances, prior]),
         )
 

@@ -13,6 +13,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.spatial import Floats, nearest_rotation, skew, so3_exp
+from calib_pin.threads import serial_blas
 
 __all__ = [
     "UNKNOWN",
@@ -27,6 +28,7 @@ UNKNOWN = np.full((1, 3), np.nan)
 """One point of the tool that nobody knows."""
 
 
+@serial_blas
 def register_points(
     F: Floats,
     points: Floats,
@@ -70,6 +72,7 @@ def register_points(
     return R, b, t
 
 
+@serial_blas
 def register_reached(
     F: Floats,
     points: Floats,
@@ -86,6 +89,7 @@ def register_reached(
     return _translations(R, F, points, b, tool, label)[1]
 
 
+@serial_blas
 def register_poses(
     F: Floats, poses: Floats, *, base: Floats | None = None, tool: Floats | None = None
 ) -> tuple[Floats, Floats]:
@@ -128,6 +132,7 @@ def register_poses(
     return _pose(R_b, b), _pose(R_x, t[0])
 
 
+@serial_blas
 def register_plane(points: Floats) -> tuple[Floats, float]:
     """Plane of least squared distance through points, shape (N, 3) [m].
 
@@ -141,6 +146,7 @@ def register_plane(points: Floats) -> tuple[Floats, float]:
     return (normal, offset) if offset <= 0.0 else (-normal, -offset)
 
 
+@serial_blas
 def fit_pose(here: Floats, there: Floats) -> pin.SE3:
     """The pose that brings points there, `there = R here + t` (Arun et al. 1987).
 

@@ -18,6 +18,7 @@ from calib_pin.measurements import PLUS
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.result import CalibratedModel, Identification
 from calib_pin.setup import Setup
+from calib_pin.threads import serial_blas
 
 __all__ = ["Remedy", "as_found", "remedies"]
 
@@ -69,6 +70,7 @@ def as_found(model: CalibratedModel) -> Setup:
     )
 
 
+@serial_blas
 def remedies(
     chain: Chain, model: str, setup: Setup, found: Identification, *, seed: int = 0
 ) -> tuple[Remedy, ...]:

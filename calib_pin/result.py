@@ -18,6 +18,7 @@ from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import TipAccuracy
 
 __all__ = [
@@ -278,6 +279,7 @@ class CalibratedModel:
         """The nominal chain."""
         return self.error.chain
 
+    @serial_blas
     def poses(self, q: Floats) -> Floats:
         """Predicted tool poses in the measuring frame, shape (N, n) -> (N, 4, 4)."""
         return self.error.poses(q, self.theta)

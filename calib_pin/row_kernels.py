@@ -12,7 +12,7 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from calib_pin.kernels import BLOCK, Indices, compiled
+from calib_pin.blocks import BLOCK, Indices, compiled
 from calib_pin.spatial import Floats
 
 __all__ = ["normal_equations", "triangular_factor"]

@@ -96,10 +96,10 @@ class Segments:
         Args:
             theta: Parameter values of the members, shape (S, P).
         """
-        from calib_pin import kernels
+        from calib_pin import link_kernels
 
         result = np.empty((len(theta), *self.constants.shape))
-        kernels.links(
+        link_kernels.links(
             self.constants, self.places, self.parameter, self.twists, theta, result
         )
         return result

@@ -14,6 +14,7 @@ from calib_pin.measurements import AT, Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["draw_errors", "simulate"]
 
@@ -47,6 +48,7 @@ def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
     return np.where(moved, np.where(loaded, np.abs(drawn), drawn), 0.0)
 
 
+@serial_blas
 def simulate(
     problem: Problem,
     theta: Floats,

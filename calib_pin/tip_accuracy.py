@@ -2,16 +2,17 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
 from calib_pin.directions import visible_nuisances
 from calib_pin.fit import Fit
-from calib_pin.planning.criteria import Prediction
-from calib_pin.planning.information import Information
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["LEVER", "TipAccuracy", "tip_accuracy"]
 
@@ -24,6 +25,10 @@ ROWS = 400
 COUNTS = 16
 """Numbers of rows at which it is looked at."""
 
+ROUNDING = 1e-7
+"""Least singular value, of columns of unit length, with which they determine all: by
+rounding it is up to 2e-8 where they do not."""
+
 
 LEVER = 1e-4
 """What a radian weighs where frames are fitted to poses [m].
@@ -31,6 +36,64 @@ LEVER = 1e-4
 So little that positions decide, and orientations only what positions leave open: where
 only positions were measured, orientations are known poorly or not at all.
 """
+
+
+@dataclass(frozen=True)
+class TipByCount:
+    """The error of the tip by the number of measurements; found when it is asked for.
+
+    Attributes:
+        problem: The problem about its solution, with some of its rows in random order.
+        theta: Parameter values, shape (P,).
+        robot: Directions of the robot that were estimated, shape (P, k).
+        of_tip: Derivative of the tip's position by the error model's parameters at the
+            configurations of the workspace, shape (N, 3, p).
+        weight: Standard deviation of unit weight.
+        last: Number of all measurements, and the error with them [m].
+    """
+
+    problem: Problem
+    theta: Floats
+    robot: Floats
+    of_tip: Floats
+    weight: float
+    last: tuple[int, float]
+
+    @cached_property
+    def curve(self) -> tuple[Floats, Floats]:
+        """Numbers of measurements, ascending, and errors [m], both of shape (K,).
+
+        The first number is as few as determine all, the last one all there are.
+        """
+        with serial_blas:
+            found = list(self._found())
+        counts, errors = zip(*found, self.last, strict=True)
+        return np.array(counts, float), np.array(errors)
+
+    def _found(self) -> Iterator[tuple[int, float]]:
+        problem = self.problem
+        _, J = problem.linearize_rows(self.theta)
+        parameters, size = problem.parameters, problem.components
+        nuisances = visible_nuisances(J, parameters)
+        directions = np.column_stack([nuisances, self.robot])
+        basis = parameters.scales[:, None] * directions
+        along = self.of_tip @ basis[: self.of_tip.shape[2]]
+        tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
+        rows = len(problem.data)
+        own, further = np.split(J @ basis, [rows * size])
+        known = further.T @ further
+        least = max(2, basis.shape[1] // size)
+        for count in np.unique(np.geomspace(least, rows, COUNTS).round().astype(int)):
+            some = own[: count * size]
+            M = known + some.T @ some
+            lengths = np.sqrt(np.diag(M))
+            if count >= self.last[0] or not lengths.all():
+                continue
+            # Of columns of unit length, so that rounding shows as what it is.
+            squares, V = np.linalg.eigh(M / np.outer(lengths, lengths))
+            if squares[0] > ROUNDING**2:
+                W = V / np.sqrt(squares) / lengths[:, None]
+                yield int(count), self.weight * float(np.sqrt(np.sum(W * (tests @ W))))
 
 
 @dataclass(frozen=True)
@@ -49,8 +112,7 @@ class TipAccuracy:
         orientation: That of the rotation vectors, shape (N,) [rad].
         of_robot: Root-mean-square of both with what a displacement of base and tool
             can absorb taken away [m] and [rad].
-        counts: Numbers of measurements, ascending, shape (K,).
-        by_count: Root-mean-square of `position` with as many, shape (K,) [m].
+        by_count: Root-mean-square of `position` with fewer measurements.
     """
 
     q: Floats
@@ -58,8 +120,7 @@ class TipAccuracy:
     position: Floats
     orientation: Floats
     of_robot: tuple[float, float]
-    counts: Floats
-    by_count: Floats
+    by_count: TipByCount
 
     @property
     def rms(self) -> tuple[float, float]:
@@ -67,6 +128,7 @@ class TipAccuracy:
         return _rms(self.position), _rms(self.orientation)
 
 
+@serial_blas
 def tip_accuracy(
     fitted: Fit, problem: Problem, theta: Floats, seed: int
 ) -> TipAccuracy | None:
@@ -91,7 +153,8 @@ def tip_accuracy(
     C = fitted.covariance[:of_error, :of_error]
     position, orientation = _deviations(J, C)
     alone = _deviations(_without_frames(J), C)
-    counts, by_count = _by_count(fitted, problem, theta, J[:, :3], rng)
+    rows = problem.data.sample(ROWS)
+    some = replace(problem, data=rows.rows(rng.permutation(len(rows))))
     to_base = error.base.inverse().homogeneous
     return TipAccuracy(
         q=q,
@@ -99,8 +162,14 @@ def tip_accuracy(
         position=position,
         orientation=orientation,
         of_robot=(_rms(alone[0]), _rms(alone[1])),
-        counts=np.array([*counts, len(problem.data)]),
-        by_count=np.array([*by_count, _rms(position)]),
+        by_count=TipByCount(
+            problem=some,
+            theta=theta,
+            robot=fitted.directions.robot,
+            of_tip=J[:, :3],
+            weight=1.0 if problem.data.stated else fitted.sigma0,
+            last=(len(problem.data), _rms(position)),
+        ),
     )
 
 
@@ -132,45 +201,3 @@ def _without_frames(J: Floats) -> Floats:
 
 def _rms(sizes: Floats) -> float:
     return float(np.sqrt(np.mean(sizes**2)))
-
-
-def _by_count(
-    fitted: Fit,
-    problem: Problem,
-    theta: Floats,
-    of_tip: Floats,
-    rng: np.random.Generator,
-) -> tuple[list[int], list[float]]:
-    """Errors with some of the rows, in random order, from as few as determine all.
-
-    Args:
-        fitted: The fit.
-        problem: The problem about its solution.
-        theta: Parameter values, shape (P,).
-        of_tip: Derivative of the tip's position by the error model's parameters at
-            the configurations of the workspace, shape (N, 3, p).
-        rng: Draws the order.
-    """
-    rows = problem.data.sample(ROWS)
-    order = rng.permutation(len(rows))
-    _, J = replace(problem, data=rows.rows(order)).linearize_rows(theta)
-    parameters, size = problem.parameters, problem.components
-    nuisances = visible_nuisances(J, parameters)
-    directions = np.column_stack([nuisances, fitted.directions.robot])
-    basis = parameters.scales[:, None] * directions
-    along = of_tip @ basis[: of_tip.shape[2]]
-    tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(of_tip)
-    tip, U = Prediction(tests), J @ basis
-    own, further = np.split(U, [len(rows) * size])
-    known = further.T @ further
-    weight = 1.0 if problem.data.stated else fitted.sigma0
-    counts: list[int] = []
-    errors: list[float] = []
-    least = max(2, basis.shape[1] // size)
-    for count in np.unique(np.geomspace(least, len(rows), COUNTS).round().astype(int)):
-        some = own[: count * size]
-        found = Information.of(known + some.T @ some, nuisances.shape[1])
-        if found is not None and count < len(problem.data):
-            counts.append(int(count))
-            errors.append(weight * tip.value(found, int(count)))
-    return counts, errors

@@ -9,6 +9,7 @@ import numpy as np
 from calib_pin.parameterizations import NOTHING
 from calib_pin.result import Accuracy, CalibratedModel
 from calib_pin.spatial import Floats, invert, se3_exp, skew, so3_log
+from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import LEVER
 
 __all__ = ["TipDrift", "absorbed", "tip_drift"]
@@ -54,6 +55,7 @@ class TipDrift:
         return int(np.argmax(self.drift))
 
 
+@serial_blas
 def tip_drift(
     first: CalibratedModel,
     second: CalibratedModel,

@@ -33,6 +33,7 @@ from calib_pin.result import FoundDistance
 from calib_pin.setup import Setup
 from calib_pin.solve import least_squares
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = [
     "BEYOND",
@@ -70,6 +71,7 @@ class Trained:
     theta: Floats
     silent: str = ""
 
+    @serial_blas
     def unseen(
         self, rows: Measurements, positions: NDArray[np.intp] | None = None
     ) -> Unseen:
@@ -213,6 +215,7 @@ def _require_check(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
             )
 
 
+@serial_blas
 def train(
     chain: Chain,
     rows: Measurements,

@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin import kernels
+from calib_pin import blocks, kernels, link_kernels
+from calib_pin.blocks import BLOCK, motions
 from calib_pin.chain import Chain, Robot
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot
-from calib_pin.kernels import BLOCK
 from calib_pin.many_rows import ManyRows
-from calib_pin.measurement_models import MEASUREMENT_MODELS, BatchedModel
+from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.population import PopulationCost
 from calib_pin.problem import Problem
 from calib_pin.segments import Segments
@@ -25,7 +25,7 @@ from calib_pin.spatial import Floats, so3_exp, so3_log
 Measured = Callable[..., Problem]
 
 COMPILED = ("position", "pose", "plane-distance")
-"""Models with a kernel of their own; the others look at the poses of the kernels."""
+"""One model for each number of vectors that a kernel carries through the chain."""
 
 SIZES = (1, BLOCK - 1, BLOCK, BLOCK + 1, 3 * BLOCK + 5)
 
@@ -69,7 +69,7 @@ def kernel_poses(problem: Problem, theta: Floats, groups: tuple[int, ...]) -> Fl
     segments = Segments.of(problem.error)
     (chain,) = segments.links(problem.split(theta)[0][None])
     q = problem.data.q * segments.signs
-    motion, starts = kernels.motions(q, segments.revolute, groups)
+    motion, starts = motions(q, segments.revolute, groups)
     T = np.full((len(q), 4, 4), np.nan)
     kernels.poses(chain, motion, starts, T)
     return T
@@ -143,18 +143,11 @@ def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
 
 
 @pytest.mark.parametrize("model", MEASUREMENT_MODELS)
-def test_poses_of_the_kernels_serve_the_other_models(
-    model: str, measured: Measured
-) -> None:
+def test_every_model_has_a_batch_form(model: str, measured: Measured) -> None:
     problem = measured(load_chain("space6"), model, ["placement"], 2 * BLOCK + 3)
-    measurement, theta = problem.measurement, members(problem, (0.02, 0.005, 0.0))
-    compiled = isinstance(measurement, BatchedModel) and bool(
-        measurement.batch(problem.data, 1.0 / problem.sigma)
-    )
-    assert compiled == (model in COMPILED)
+    theta = members(problem, (0.02, 0.005, 0.0))
     costs = PopulationCost(problem)
-    # What is relative has two poses a row, and no kernel for it.
-    assert costs.evaluator == ("loop" if measurement.relative else "kernel")
+    assert costs.evaluator == "kernel"
     expected = [problem.cost(member) for member in theta]
     np.testing.assert_allclose(costs(theta), expected, rtol=1e-12, atol=0)
 
@@ -174,7 +167,7 @@ def test_every_group_begins_a_new_block(
 ) -> None:
     chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
     problem = measured(chain, "position", ["placement"], sum(groups))
-    _, starts = kernels.motions(problem.data.q, chain.revolute, groups)
+    _, starts = motions(problem.data.q, chain.revolute, groups)
     assert set(np.cumsum((0, *groups))) <= set(starts.tolist())
     assert np.diff(starts).min() > 0 and np.diff(starts).max() <= BLOCK
     assert len(starts) - 1 == sum(-(-size // BLOCK) for size in groups)
@@ -187,7 +180,7 @@ def test_every_group_begins_a_new_block(
 def test_motions_of_turning_and_shifting_joints() -> None:
     q = np.array([[0.3, -0.7, 40.0], [1.2, 0.4, -2.0], [0.0, 2.0, 0.1]])
     revolute = np.array([True, False, True])
-    motion, starts = kernels.motions(q, revolute, (2, 1))
+    motion, starts = motions(q, revolute, (2, 1))
     assert starts.tolist() == [0, 2, 3]
     assert motion.shape == (2, 3, 3 * BLOCK)
     parts = motion.reshape(2, 3, 3, BLOCK)
@@ -208,7 +201,7 @@ def link_of(twist: Floats, amount: float) -> Floats:
     result = np.empty((1, 1, 12))
     one = np.zeros(1, np.int64)
     nominal = np.eye(4)[None, :3].reshape(1, 12)
-    kernels.links(nominal, one, one, twist[None], np.array([[amount]]), result)
+    link_kernels.links(nominal, one, one, twist[None], np.array([[amount]]), result)
     return np.asarray(result.reshape(3, 4))
 
 
@@ -269,6 +262,19 @@ def test_rotation_vectors(angle: float) -> None:
         np.testing.assert_allclose(found, so3_log(R), rtol=1e-12, atol=1e-15)
 
 
+@pytest.mark.parametrize("angle", [0.0, 1e-9, 1e-3, 0.5, 1.04])
+def test_little_rotations_together(angle: float) -> None:
+    """The series agree with the logarithm up to 60 degrees, where they end."""
+    axes = np.random.default_rng(8).normal(size=(BLOCK, 3))
+    axes /= np.linalg.norm(axes, axis=1)[:, None]
+    R = so3_exp(angle * axes)
+    for i, weights in enumerate(np.eye(3)):
+        by_entry = R.reshape(-1, 9).T.ravel().copy()
+        found = kernels._little_turned(by_entry, np.tile(weights[:, None], BLOCK))
+        expected = np.sum(so3_log(R)[:, i] ** 2)
+        np.testing.assert_allclose(found, expected, rtol=1e-12, atol=1e-30)
+
+
 def test_rotation_vectors_of_half_turns() -> None:
     """Either sign is right."""
     axes = np.random.default_rng(7).normal(size=(20, 3))
@@ -282,7 +288,7 @@ def test_rotation_vectors_of_half_turns() -> None:
 
 def test_without_a_folder_for_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
     """A read-only installation compiles anew in every process."""
-    njit = kernels.njit
+    njit = blocks.njit
 
     def refuse(**options: object) -> object:
         if options.get("cache"):
@@ -292,5 +298,5 @@ def test_without_a_folder_for_machine_code(monkeypatch: pytest.MonkeyPatch) -> N
     def double(x: float) -> float:
         return 2.0 * x
 
-    monkeypatch.setattr(kernels, "njit", refuse)
-    assert kernels.compiled(double)(2.0) == 4.0
+    monkeypatch.setattr(blocks, "njit", refuse)
+    assert blocks.compiled(double)(2.0) == 4.0

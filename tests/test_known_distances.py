@@ -52,6 +52,15 @@ def test_those_whose_ends_are_known() -> None:
     np.testing.assert_allclose(residual, [1.0, (np.sqrt(8.0) - 2.0) / 1e-3])
 
 
+def test_many_members_at_once() -> None:
+    found, zero = known()
+    own = 0.1 * np.random.default_rng(1).normal(size=(2, 3, len(zero)))
+    together = found.residual(own)
+    assert together.shape == (2, 3, 2)
+    for place in np.ndindex(2, 3):
+        np.testing.assert_array_equal(together[place], found.residual(own[place]))
+
+
 def test_none() -> None:
     found = KnownDistances.of((), FEATURES)
     assert len(found) == 0

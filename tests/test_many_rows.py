@@ -9,11 +9,11 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.blocks import BLOCK
 from calib_pin.chain import Chain
 from calib_pin.fit import Fit, fit
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
-from calib_pin.kernels import BLOCK
 from calib_pin.many_rows import ManyRows
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.problem import Problem

@@ -10,10 +10,10 @@ from typing import Literal
 import numpy as np
 import pytest
 
+from calib_pin.blocks import BLOCK
 from calib_pin.chain import Chain
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
-from calib_pin.kernels import BLOCK
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.population import PopulationCost
@@ -27,7 +27,7 @@ Measured = Callable[..., Problem]
 class Unbatched(Position):
     """A measurement model that no kernel knows."""
 
-    batch = None  # type: ignore[assignment]
+    batches = None  # type: ignore[assignment]
 
 
 @dataclass(frozen=True)
@@ -61,8 +61,7 @@ def test_costs_of_members_with_priors(
     problem = measured(chain, model, ["dh"], 300, prior=prior)
     theta = members(problem, 5)
     costs = PopulationCost(problem)
-    relative = problem.measurement.relative
-    assert costs.evaluator == ("loop" if relative else "kernel")
+    assert costs.evaluator == "kernel"
     found = costs(theta)
     expected = [problem.cost(member) for member in theta]
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
@@ -74,12 +73,14 @@ def test_costs_of_members_with_priors(
     np.testing.assert_allclose(found - bare, added, rtol=0, atol=1e-11 * found.max())
 
 
-def test_a_model_without_a_batch_form_looks_at_the_poses(measured: Measured) -> None:
+def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
+    measured: Measured,
+) -> None:
     prior = {"*.placement.*": 1e-3}
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=prior)
     theta = members(problem, 3)
     plain = PopulationCost(replace(problem, measurement=Unbatched()))
-    assert plain.evaluator == "kernel"
+    assert plain.evaluator == "loop"
     compiled = PopulationCost(problem)
     np.testing.assert_allclose(plain(theta), compiled(theta), rtol=1e-12, atol=0)
 
@@ -106,10 +107,10 @@ def test_known_distances_cost_as_well(measured: Measured) -> None:
     "kinds", [["transmission"], ["placement", "compliance"]], ids=lambda k: k[-1]
 )
 @pytest.mark.parametrize("model", MEASUREMENT_MODELS)
-def test_joint_corrections_are_evaluated_in_a_loop(
+def test_joint_corrections(
     model: str, kinds: list[str], measured: Measured, framed: Setup
 ) -> None:
-    """Every member moves the joints in its own way, which no kernel knows."""
+    """Every member moves the joints in its own way, some of them far."""
     problem = measured(
         load_chain("space6"),
         model,
@@ -119,15 +120,47 @@ def test_joint_corrections_are_evaluated_in_a_loop(
         gear_ratios=framed.gear_ratios,
         prior={"joint_2.*": 1e-3},
     )
-    theta = members(problem, 3)
+    theta = members(problem, 4)
+    theta[1, problem.error.joint_corrections] *= 30.0
     costs = PopulationCost(problem)
-    assert costs.evaluator == "loop"
+    assert costs.evaluator == "kernel"
     expected = [problem.cost(member) for member in theta]
-    np.testing.assert_array_equal(costs(theta), expected)
+    np.testing.assert_allclose(costs(theta), expected, rtol=1e-12, atol=0)
     # The corrections do something.
     bare = theta.copy()
     bare[:, problem.error.joint_corrections] = 0.0
     assert (np.abs(costs(bare) - expected)[:-1] > 1.0).all()
+
+
+@pytest.mark.parametrize("mount", ["hand", "world"])
+def test_models_side_by_side(
+    mount: Literal["hand", "world"],
+    equipped: Setup,
+    equipped_problem: Callable[..., Problem],
+) -> None:
+    """Parts with frames of their own, starts of their own, and a known distance."""
+    assert equipped.camera is not None
+    problem = equipped_problem(
+        load_chain("space6"),
+        "pose+fixed-point+relative-distance+camera",
+        camera=replace(equipped.camera, mount=mount),
+        parameters=("placement", "transmission"),
+    )
+    zero = np.zeros(len(problem.parameters))
+    target = problem.data.target * 20
+    q = problem.error.chain.random_configurations(len(target), np.random.default_rng(5))
+    problem = problem.looking(q, target)
+    # Points behind the camera have no pixel.
+    seen = np.isfinite(problem.errors(zero)).all(axis=1)
+    assert seen.mean() > 0.3 and set(problem.data.by_part) == set(
+        problem.data.rows(seen).by_part
+    )
+    problem = replace(problem, data=problem.data.rows(seen))
+    theta = 0.1 * members(problem, 5)
+    costs = PopulationCost(problem)
+    assert costs.evaluator == "kernel"
+    expected = [problem.cost(member) for member in theta]
+    np.testing.assert_allclose(costs(theta), expected, rtol=1e-11, atol=0)
 
 
 def test_what_was_learned_is_evaluated_in_a_loop(measured: Measured) -> None:

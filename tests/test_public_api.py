@@ -96,3 +96,20 @@ def test_every_module_is_documented() -> None:
     package = Path(calib_pin.__file__).parent
     for path in package.rglob("*.py"):
         assert path.read_text().lstrip().startswith('"""'), path
+
+
+def test_a_calibration_loads_neither_scipy_nor_what_draws() -> None:
+    loaded = python(
+        "import sys, contextlib, io\n"
+        "from calib_pin import robot_file\n"
+        "from calib_pin.cli import main\n"
+        "rows = str(robot_file('space7', 'measurements.csv'))\n"
+        "setup = str(robot_file('space7', 'setup.yaml'))\n"
+        "words = ['calibrate', 'space7', rows, '--setup', setup]\n"
+        "with contextlib.redirect_stdout(io.StringIO()):\n"
+        "    assert main([*words, '--quiet']) == 0\n"
+        "print(*sys.modules)"
+    ).split()
+    heavy = {"scipy", "sklearn", "numba", "matplotlib", "jinja2", "viser"}
+    assert heavy.isdisjoint(loaded)
+    assert "calib_pin.report.html" not in loaded

@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin import kernels, row_kernels
-from calib_pin.kernels import BLOCK
+from calib_pin import blocks, row_kernels
+from calib_pin.blocks import BLOCK
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])
@@ -15,7 +15,7 @@ def test_reflections_of_few_rows_stay_finite(rows: int) -> None:
     """Each leaves a rounding of the one before, until squares underflow."""
     rng = np.random.default_rng(9)
     chain = np.tile(np.eye(4)[:3].reshape(-1), (8, 1))
-    motion, starts = kernels.motions(rng.normal(size=(rows, 7)), np.ones(7, bool))
+    motion, starts = blocks.motions(rng.normal(size=(rows, 7)), np.ones(7, bool))
     by_twist, others = rng.normal(size=(rows, 1, 6)), rng.normal(size=(rows, 1, 4))
     R, H = np.empty((52, 52)), np.empty((52, 52))
     weights = np.ones((rows, 1))
@@ -32,7 +32,7 @@ def test_householder_agrees_with_numpy() -> None:
     weights = rng.uniform(0.5, 2.0, (rows, d))
     chain = np.tile(np.eye(4)[:3].reshape(-1), (2, 1))
     chain[1, 3] = 0.7  # The second link shifts along x.
-    motion, starts = kernels.motions(np.zeros((rows, 1)), np.array([True]))
+    motion, starts = blocks.motions(np.zeros((rows, 1)), np.array([True]))
     size = 16  # 12 + 3, and a column of padding.
     R, H = np.empty((size, size)), np.empty((size, size))
     row_kernels.triangular_factor(chain, motion, starts, by_twist, others, weights, R)

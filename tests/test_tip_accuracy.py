@@ -66,26 +66,28 @@ def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
     rows = rows if stated else replace(rows, sigma=None)
     tip = fit(rows).tip
     assert tip is not None
-    assert tip.counts[-1] == 80 and (np.diff(tip.counts) > 0).all()
-    assert (np.diff(tip.by_count) < 0).all()
-    assert tip.by_count[-1] == pytest.approx(tip.rms[0])
-    k = int(np.searchsorted(tip.counts, 35))
+    counts, errors = tip.by_count.curve
+    assert counts[-1] == 80 and (np.diff(counts) > 0).all()
+    assert (np.diff(errors) < 0).all()
+    assert errors[-1] == pytest.approx(tip.rms[0])
+    k = int(np.searchsorted(counts, 35))
     few = [
-        fit(rows.rows(np.random.default_rng(n).permutation(80)[: tip.counts[k]])).tip
+        fit(rows.rows(np.random.default_rng(n).permutation(80)[: int(counts[k])])).tip
         for n in range(3)
     ]
     refits = [part.rms[0] for part in few if part is not None]
-    assert np.median(refits) == pytest.approx(tip.by_count[k], rel=0.25)
+    assert np.median(refits) == pytest.approx(errors[k], rel=0.25)
 
 
 def test_very_many_rows_are_sampled() -> None:
     *_, rows = simulated(2, 2000, model="position")
     result = fit(rows)
     assert result.tip is not None
-    assert result.tip.counts[-2] <= 400 < result.tip.counts[-1] == 2000
+    counts, errors = result.tip.by_count.curve
+    assert counts[-2] <= 400 < counts[-1] == 2000
     # Five times as many rows, the root of five better.
-    ratio = result.tip.by_count[-2] / result.tip.by_count[-1]
-    assert ratio == pytest.approx(np.sqrt(2000 / result.tip.counts[-2]), rel=0.15)
+    ratio = errors[-2] / errors[-1]
+    assert ratio == pytest.approx(np.sqrt(2000 / counts[-2]), rel=0.15)
 
 
 def test_points_are_those_of_the_tool_in_the_base_link() -> None:

@@ -3,10 +3,25 @@
 from __future__ import annotations
 
 import os
+import signal
 import sys
-from collections.abc import Sequence
+import threading
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
 
 __all__ = ["main"]
+
+INTERRUPTED = 130
+"""What the application returns after Ctrl-C."""
+
+BLAS_THREADS = (
+    "BLIS_NUM_THREADS",
+    "MKL_NUM_THREADS",
+    "OMP_NUM_THREADS",
+    "OPENBLAS_NUM_THREADS",
+    "VECLIB_MAXIMUM_THREADS",
+)
+"""Variables that BLAS libraries read when they are loaded."""
 
 
 def main(arguments: Sequence[str] | None = None) -> int:
@@ -17,12 +32,12 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     Returns:
         Exit status: 0 good, 1 the input or an option is wrong, 2 it ran but the
-        result must not be trusted.
+        result must not be trusted, 130 after Ctrl-C, 143 after SIGTERM.
     """
-    # Matrices here are small: threads cost more than they bring, and their number
-    # would change the last bits of a result.
-    for name in ("OPENBLAS_NUM_THREADS", "OMP_NUM_THREADS", "MKL_NUM_THREADS"):
-        os.environ.setdefault(name, "1")
+    # Whatever multiplies matrices is `serial_blas`, here as in any script. In a process
+    # of our own BLAS need not even start threads that nobody uses.
+    for name in BLAS_THREADS:
+        os.environ[name] = "1"
     _prepare_streams()
 
     from typer.exceptions import TyperException
@@ -33,14 +48,17 @@ def main(arguments: Sequence[str] | None = None) -> int:
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word != "--debug"]
     try:
-        status = app(words, standalone_mode=False, prog_name="calib-pin", obj=given)
+        with _stopped_by_sigterm():
+            status = app(words, standalone_mode=False, prog_name="calib-pin", obj=given)
+    except _Terminated:
+        _complain("terminated")
+        return 143
+    except KeyboardInterrupt:  # Outside the application, which returns a status.
+        status = INTERRUPTED
     except BrokenPipeError:
         # The reader of our output went away; that is its right.
         os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
-    except KeyboardInterrupt:
-        _complain("interrupted")
-        return 130
     except Exception as error:
         if "--debug" in given:
             raise
@@ -54,7 +72,33 @@ def main(arguments: Sequence[str] | None = None) -> int:
             reason = f"{type(error).__name__}: {error}"
             _complain(f"internal error, please report it with --debug: {reason}")
         return 1
+    if status == INTERRUPTED:
+        _complain("interrupted")
     return status if isinstance(status, int) else 0
+
+
+class _Terminated(BaseException):
+    """The process was asked to end, and does what a `finally` asks for first."""
+
+
+@contextmanager
+def _stopped_by_sigterm() -> Iterator[None]:
+    """Let SIGTERM end the command as Ctrl-C does; a second one ends it at once."""
+
+    def stop(number: int, _: object) -> None:
+        signal.signal(number, signal.SIG_DFL)
+        raise _Terminated
+
+    # Only the main thread may set handlers, and what is ignored stays ignored.
+    mine = threading.current_thread() is threading.main_thread()
+    if not mine or signal.getsignal(signal.SIGTERM) != signal.SIG_DFL:
+        yield
+        return
+    signal.signal(signal.SIGTERM, stop)
+    try:
+        yield
+    finally:
+        signal.signal(signal.SIGTERM, signal.SIG_DFL)
 
 
 def _prepare_streams() -> None:

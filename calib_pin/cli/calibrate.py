@@ -11,8 +11,9 @@ from calib_pin.cli.figures import (
     FigureFormat,
     Figures,
     draw_calibration,
+    figure_contents,
     figure_files,
-    write_figures,
+    told_figures,
 )
 from calib_pin.cli.files import (
     check_outputs,
@@ -35,8 +36,14 @@ from calib_pin.cli.options import (
     Tip,
     number,
 )
-from calib_pin.cli.printing import notice, progress_bar, show
-from calib_pin.cli.results import Run, result_files, write_results
+from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.results import (
+    Run,
+    check_results,
+    result_contents,
+    result_files,
+    write_results,
+)
 
 __all__ = ["calibrate"]
 
@@ -122,16 +129,18 @@ def calibrate(
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
-    DIR gets <robot name>.urdf, calibration.json and report.html, which opens in a
-    browser, and residual_model.json where something was learned. Without --validation,
-    --holdout or a column 'set' (train, validate) the fit is checked by five-fold
-    cross-validation. Exit status 2: the result must not be trusted, the reason comes
-    first, and no URDF is written.
+    DIR gets <robot name>.urdf, nominal.urdf, calibration.json and report.html, which
+    opens in a browser, and residual_model.json where something was learned; it can be
+    moved as a whole. Without --validation, --holdout or a column 'set' (train,
+    validate) the fit is checked by five-fold cross-validation. Exit status 2: the
+    result must not be trusted, the reason comes first, and no <robot name>.urdf is
+    written.
     """
     import time
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
+    from calib_pin.io.staging import write_files
     from calib_pin.measurements import AT
     from calib_pin.remedies import as_found, remedies
     from calib_pin.report.text import report
@@ -152,7 +161,10 @@ def calibrate(
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else result_files(output, chain.robot.name)
     pictures = figure_files(figures, figure_format, "calibration")
-    check_outputs([*(files or ()), *pictures], inputs, force)
+    if files is None:
+        check_outputs(pictures, inputs, force)
+    else:
+        check_results(files, pictures, chain.robot, inputs, force)
     require_distinct([*measurements, *([] if validation is None else [validation])])
     with progress_bar(quiet=quiet) as bar:
         rows = open_measurements(measurements, chain, stated, quiet=quiet, bar=bar)
@@ -184,16 +196,20 @@ def calibrate(
         better = remedies(chain, rows.model, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
-        pictured = write_figures(drawn, pictures, force)
-        written = []
+        contents = drawings = figure_contents(drawn, pictures)
         if files is not None:
-            written = write_results(
-                result, files, fitted, figures=drawn, remedies=better, force=force
-            )
+            contents = result_contents(result, files, fitted, drawn, drawings, better)
+    with (
+        write_files(contents, force=force)
+        if files is None
+        else write_results(result, files, contents, force=force)
+    ):
+        if not quiet:
+            show(report(result, better))
+    pictured = told_figures(drawings, pictures)
     if not quiet:
-        show(report(result, better))
-        for line in [*(f"wrote {path}" for path in written), *pictured]:
-            typer.echo(line)
+        written = [path for path in files or () if path in contents]
+        say_written([*(f"wrote {path}" for path in written), *pictured])
     elif result.verdict != "good":
         notice(f"untrusted: {result.reason}")
     return 0 if result.verdict == "good" else 2

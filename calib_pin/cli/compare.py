@@ -11,12 +11,13 @@ from calib_pin.cli.figures import (
     FigureFormat,
     Figures,
     draw_comparison,
+    figure_contents,
     figure_files,
-    write_figures,
+    told_figures,
 )
 from calib_pin.cli.files import check_outputs, require_distinct, require_file
 from calib_pin.cli.options import Force, Json, seed
-from calib_pin.cli.printing import show
+from calib_pin.cli.printing import say, say_written, show
 
 __all__ = ["compare"]
 
@@ -54,6 +55,7 @@ def compare(
     from calib_pin.io.comparisons import comparison_document
     from calib_pin.io.documents import encode
     from calib_pin.io.records import read_record
+    from calib_pin.io.staging import write_files
     from calib_pin.report.comparison_text import comparison_report
 
     files = (first, second)
@@ -65,11 +67,13 @@ def compare(
     A, B = map(read_record, files)
     found = run(A, B, seed=seed)
     drawn = draw_comparison(found) if pictures else []
-    pictured = write_figures(drawn, pictures, force)
-    if json:
-        typer.echo(encode(comparison_document(found)).decode(), nl=False)
-    else:
-        show(comparison_report(found))
-        for line in pictured:
-            typer.echo(line)
+    contents = figure_contents(drawn, pictures)
+    with write_files(contents, force=force):
+        if json:
+            say(encode(comparison_document(found)).decode())
+        else:
+            show(comparison_report(found))
+    pictured = told_figures(contents, pictures)
+    if not json:
+        say_written(pictured)
     return 0 if A.verdict == B.verdict == "good" else 2

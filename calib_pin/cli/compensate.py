@@ -15,7 +15,14 @@ from calib_pin.cli.files import (
     require_joints_only,
 )
 from calib_pin.cli.options import Force, Json, Quiet, SetupFile, csv_file
-from calib_pin.cli.printing import notice, progress_bar, show, stage
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say,
+    say_written,
+    show,
+    stage,
+)
 
 if TYPE_CHECKING:
     from calib_pin.compensation import Compensation
@@ -105,7 +112,8 @@ def compensate(
     from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import encode
     from calib_pin.io.results import read_accuracy, read_calibration
-    from calib_pin.io.targets import command_columns, read_target_file, write_commands
+    from calib_pin.io.staging import write_files
+    from calib_pin.io.targets import command_columns, encode_commands, read_target_file
     from calib_pin.parameterizations import NOTHING
     from calib_pin.report.accuracy import untrusted
     from calib_pin.report.compensation_text import (
@@ -177,27 +185,32 @@ def compensate(
     torn = motion and bool(found.jumps.any())
     good = not doubts and whole and not torn
     written = bool(len(rows)) and not doubts and (good or not motion)
+    contents = {}
     if written:
         # `--force` is left out: it changes nothing of what follows.
         words = [word for word in context.obj if word != "--force"]
         comment = f"commands of: {shlex.join(['calib-pin', *words])}"
-        write_commands(
-            output, asked, found.q[rows], rows, comments=[comment], force=force
-        )
+        table = encode_commands(asked, found.q[rows], rows, comments=[comment])
+        contents[output] = table
+    with write_files(contents, force=force):
+        if json:
+            made = output if written else None
+            document = _document(found, model, asked, doubts, made)
+            document["model_errors"] = accuracy
+            say(encode(document).decode())
+        elif not quiet:
+            if doubts:
+                show([untrusted(doubts[0])])
+                say("\n")
+            lines = asked.lines.tolist()
+            said = compensation_report(
+                found, model.chain, motion=motion, file=str(targets), lines=lines
+            )
+            show([*said, *accuracy_lines(accuracy)])
     if json:
-        document = _document(found, model, asked, doubts, output if written else None)
-        document["model_errors"] = accuracy
-        typer.echo(encode(document).decode(), nl=False)
-    elif not quiet:
-        if doubts:
-            show([untrusted(doubts[0])])
-            typer.echo()
-        lines = asked.lines.tolist()
-        said = compensation_report(
-            found, model.chain, motion=motion, file=str(targets), lines=lines
-        )
-        show([*said, *accuracy_lines(accuracy)])
-        typer.echo(f"wrote {output}" if written else "wrote nothing")
+        return 0 if good else 2
+    if not quiet:
+        say_written([f"wrote {output}" if written else "wrote nothing"])
     elif doubts:
         notice(f"untrusted: {doubts[0]}")
     elif not good:
@@ -209,10 +222,10 @@ def compensate(
 
 def _read_along(calibration: Path, model: CalibratedModel) -> list[str | Path]:
     """Files that a calibration refers to."""
-    from calib_pin.io.residual_model import FILE_NAME
+    from calib_pin.io.result_folder import written_before
 
     robot = model.chain.robot.file
-    return [robot, calibration.parent / robot, calibration.parent / FILE_NAME]
+    return [robot, calibration.parent / robot, *written_before(calibration)]
 
 
 def _run(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,8 +24,9 @@ __all__ = [
     "draw_calibration",
     "draw_comparison",
     "draw_plan",
+    "figure_contents",
     "figure_files",
-    "write_figures",
+    "told_figures",
 ]
 
 FORMATS = ("png", "pdf", "svg")
@@ -120,27 +121,30 @@ def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:
     return result
 
 
-def write_figures(
-    drawn: Sequence[Drawn], files: Sequence[Path], force: bool
-) -> list[str]:
-    """Write figures, and tell of those that may pass for some of this run.
+def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:
+    """Figures as pictures.
 
     Args:
         drawn: The figures.
-        files: What `figure_files` gave; nothing is written where that is empty.
-        force: Whether existing files may be replaced.
-
-    Returns:
-        What was written, in words.
+        files: What `figure_files` gave; there are no pictures where that is empty.
     """
-    from calib_pin.io.files import write_atomically
-
     figures = {figure.name: figure for figure in drawn}
+    return {
+        path: figures[path.stem].picture(path.suffix[1:])
+        for path in files
+        if path.stem in figures
+    }
+
+
+def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]:
+    """Figures that were written, in words, and a note on those of an earlier run.
+
+    Args:
+        pictures: Those that were written.
+        files: What `figure_files` gave.
+    """
     for path in files:
-        figure = figures.get(path.stem)
-        if figure is not None:
-            write_atomically(path, figure.picture(path.suffix[1:]), force=force)
-        elif exists(path):
+        if path not in pictures and exists(path):
             notice(f"{path} is not of this run, which has no such figure")
-    count = f"{len(drawn)} figure{'s' if len(drawn) != 1 else ''}"
+    count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
     return [f"wrote {count} to {files[0].parent}"] if files else []

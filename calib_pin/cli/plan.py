@@ -14,8 +14,9 @@ from calib_pin.cli.figures import (
     FigureFormat,
     Figures,
     draw_plan,
+    figure_contents,
     figure_files,
-    write_figures,
+    told_figures,
 )
 from calib_pin.cli.files import (
     check_outputs,
@@ -40,7 +41,7 @@ from calib_pin.cli.options import (
     number,
 )
 from calib_pin.cli.options import seed as seed_option
-from calib_pin.cli.printing import notice, progress_bar, show
+from calib_pin.cli.printing import notice, progress_bar, say, say_written, show
 
 if TYPE_CHECKING:
     from calib_pin.chain import Chain
@@ -208,9 +209,10 @@ def plan(
     from calib_pin.io.documents import encode, plan_document
     from calib_pin.io.measurements import (
         check_columns,
+        encode_configurations,
         read_configurations,
-        write_configurations,
     )
+    from calib_pin.io.staging import write_files
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.search import METHODS
@@ -270,27 +272,26 @@ def plan(
             progress=progress,
         )
         drawn = draw_plan(found, bar) if pictures else []
-    pictured = write_figures(drawn, pictures, force)
+        contents = figure_contents(drawn, pictures)
     import shlex
 
     # `--force` is left out: it changes nothing of what follows.
     words = [word for word in context.obj if word != "--force"]
-    write_configurations(
-        output,
+    table = encode_configurations(
         chain,
         found.q,
         found.target,
         joints=stated.joints,
         comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
-        force=force,
     )
-    if json:
-        typer.echo(encode(plan_document(found)).decode(), nl=False)
-    elif not quiet:
-        show(plan_report(found))
-        typer.echo(f"wrote {len(found.q)} configurations to {output}")
-        for line in pictured:
-            typer.echo(line)
+    with write_files({output: table, **contents}, force=force):
+        if json:
+            say(encode(plan_document(found)).decode())
+        elif not quiet:
+            show(plan_report(found))
+    pictured = told_figures(contents, pictures)
+    if not (json or quiet):
+        say_written([f"wrote {len(found.q)} configurations to {output}", *pictured])
     if found.status is Status.STOPPED:
         notice("interrupted: this is the best plan found so far")
     return 0

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -14,7 +15,7 @@ from calib_pin.progress import Progress, named
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
 
-__all__ = ["Bar", "notice", "progress_bar", "show", "stage"]
+__all__ = ["Bar", "notice", "progress_bar", "say", "say_written", "show", "stage"]
 
 Bar = Callable[[str, float | None], None]
 """Told the stage and the part that is done, 0 to 1; None where that is not known."""
@@ -33,7 +34,27 @@ def show(blocks: Iterable[Block]) -> None:
         console.width = max(console.width, WIDTH)
         console.print(laid_out(blocks))
     else:
-        typer.echo(plain_text(blocks), nl=False)
+        say(plain_text(blocks))
+
+
+def say(text: str) -> None:
+    """Print to standard output, at once; that nobody listens any more is no error.
+
+    Raises:
+        OSError: If it cannot be written, as to a full disk.
+    """
+    try:
+        typer.echo(text, nl=False)
+    except BrokenPipeError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
+
+
+def say_written(lines: Iterable[str]) -> None:
+    """Tell of files that are in place, which nothing that fails now can change."""
+    try:
+        say("".join(f"{line}\n" for line in lines))
+    except OSError as error:
+        notice(f"standard output: {error.strerror}")
 
 
 def notice(message: str) -> None:

@@ -2,19 +2,28 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, Any, NamedTuple
+from typing import TYPE_CHECKING, NamedTuple
 
-from calib_pin.cli.files import exists
+from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.printing import notice
 
 if TYPE_CHECKING:
+    from calib_pin.chain import Robot
+    from calib_pin.io.documents import Provenance
     from calib_pin.remedies import Remedy
     from calib_pin.report.figures import Drawn
     from calib_pin.result import CalibrationResult
 
-__all__ = ["Run", "result_files", "write_results"]
+__all__ = [
+    "Run",
+    "check_results",
+    "result_contents",
+    "result_files",
+    "write_results",
+]
 
 
 class Run(NamedTuple):
@@ -24,99 +33,158 @@ class Run(NamedTuple):
     seconds: float
 
 
-class _Files(NamedTuple):
+class ResultFiles(NamedTuple):
     """Paths of the results."""
 
     urdf: Path
+    nominal: Path
     residual_model: Path
     json: Path
     report: Path
 
 
-def result_files(folder: Path, robot: str) -> _Files:
+def result_files(folder: Path, robot: str) -> ResultFiles:
     """Where the results go.
+
+    Args:
+        folder: The folder.
+        robot: Name of the robot.
 
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    import re
-
     from calib_pin.errors import OptionError
     from calib_pin.io.residual_model import FILE_NAME
+    from calib_pin.io.result_folder import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    # The name comes from the file: it must not lead out of the folder.
-    name = re.sub(r"[^\w.-]", "_", robot).lstrip(".") or "robot"
-    return _Files(
-        folder / f"{name}.urdf",
-        folder / FILE_NAME,
-        folder / "calibration.json",
-        folder / "report.html",
-    )
+    names = urdf_name(robot), NOMINAL, FILE_NAME, DOCUMENT, REPORT
+    return ResultFiles(*(folder / name for name in names))
 
 
+def check_results(
+    files: ResultFiles,
+    pictures: Sequence[Path],
+    robot: Robot,
+    inputs: Sequence[str | Path | None],
+    force: bool,
+) -> None:
+    """Complain about results that must not be written, before the work is done.
+
+    What an earlier run wrote there goes, and so must be no input either.
+
+    Args:
+        files: Where the results go.
+        pictures: Where the figures go.
+        robot: The robot.
+        inputs: The files that are read, that of the robot among them.
+        force: Whether existing results may be replaced.
+
+    Raises:
+        OptionError: See `cli.files.check_outputs`.
+    """
+    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.urdf import is_source
+
+    # The nominal robot of a folder may be calibrated again: it stays as it is.
+    kept = files.nominal if is_source(files.nominal, robot) else None
+    new = [path for path in (*files, *pictures) if path != kept]
+    old = [p for p in written_before(files.json) if p not in new and p != kept]
+    check_outputs([*new, *old], inputs, force)
+
+
+def result_contents(
+    result: CalibrationResult,
+    files: ResultFiles,
+    run: Run,
+    figures: Sequence[Drawn],
+    pictures: Mapping[Path, bytes],
+    remedies: Sequence[Remedy],
+) -> dict[Path, bytes]:
+    """All files of a result, of which the last one knows the hashes of the others.
+
+    Args:
+        result: The result; the corrected URDF is there if it can be trusted.
+        files: Where its files go.
+        run: How it came about.
+        figures: What is drawn of it.
+        pictures: Figures that go into files of their own.
+        remedies: What would tell more of the robot.
+    """
+    from calib_pin.io.documents import calibration_document, encode
+    from calib_pin.io.journal import inside, listed, sha256
+    from calib_pin.io.residual_model import encode_residual_model, reference
+    from calib_pin.io.result_folder import run_id
+    from calib_pin.io.results import encode_urdf
+    from calib_pin.io.urdf import is_source
+    from calib_pin.report.html import html_report
+
+    document = calibration_document(result, _provenance(run), remedies=remedies)
+    document["run"] = run_id(document, encode_residual_model(result.model))
+    contents = {files.nominal: result.model.chain.robot.source}
+    if result.geometry is not None:
+        contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
+    learned = encode_residual_model(result.model, document["run"])
+    if learned is not None:
+        document["residual_model"] = reference(learned)
+        contents[files.residual_model] = learned
+    page = html_report(result, document, figures=figures, remedies=remedies)
+    contents |= {files.report: page, **pictures}
+    hashes = {listed(p, files.json.parent): sha256(d) for p, d in contents.items()}
+    document["files"] = {name: hashes[name] for name in hashes if inside(name)}
+    if is_source(files.nominal, result.model.chain.robot):
+        del contents[files.nominal]  # It is an input, and stays as it is.
+    return {**contents, files.json: encode(document)}
+
+
+@contextmanager
 def write_results(
     result: CalibrationResult,
-    files: _Files,
-    run: Run,
+    files: ResultFiles,
+    contents: Mapping[Path, bytes],
     *,
-    figures: Sequence[Drawn],
-    remedies: Sequence[Remedy],
     force: bool,
-) -> list[Path]:
-    """Write the corrected URDF, if it can be trusted, and what is said of it.
+) -> Iterator[None]:
+    """Put the files of a result in place when the block ends well.
 
     What is there of an earlier run and not written now would pass for a result of this
     one, so it is removed.
 
-    Returns:
-        The files that were written.
+    Args:
+        result: The result.
+        files: Where its files go.
+        contents: What `result_contents` gave.
+        force: Replace existing files.
     """
-    from calib_pin.io.files import write_atomically
-    from calib_pin.io.residual_model import encode_residual_model
-    from calib_pin.io.results import write_urdf
-    from calib_pin.report.html import html_report
+    from calib_pin.io.journal import listed
+    from calib_pin.io.result_folder import written_before
+    from calib_pin.io.staging import write_folder
 
-    learned = encode_residual_model(result.model)
-    document, encoded = _document(result, run, learned, remedies)
-    page = html_report(result, document, figures=figures, remedies=remedies)
-    contents = {files.json: encoded, files.report: page}
-    if learned is not None:
-        contents = {files.residual_model: learned, **contents}
-    written = []
-    if result.geometry is not None:
-        write_urdf(result.geometry, files.urdf, force=force)
-        written.append(files.urdf)
-    for path, content in contents.items():
-        write_atomically(path, content, force=force)
-        written.append(path)
-    for path in files:
-        if path not in written and exists(path):
-            path.unlink()
-            notice(f"removed {path} of an earlier run")
+    folder = files.json.parent
+    names = {listed(path, folder) for path in (*contents, files.nominal)}
+    old = [p for p in written_before(files.json) if listed(p, folder) not in names]
+    with write_folder(folder, contents, old, force=force, notice=notice):
+        yield
+    for path in old:
+        notice(f"removed {path} of an earlier run")
+    for path in (files.urdf, files.residual_model):
+        if path not in contents and exists(path):
+            notice(f"{path} is not of this run, which has no such file")
     if result.geometry is not None and result.geometry.tool_carries_tip:
         notice(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "
             "error behind that joint stands in frames.tool of calibration.json"
         )
-    return written
 
 
-def _document(
-    result: CalibrationResult,
-    run: Run,
-    learned: bytes | None,
-    remedies: Sequence[Remedy],
-) -> tuple[dict[str, Any], bytes]:
-    """`calibration.json`, and its bytes."""
+def _provenance(run: Run) -> Provenance:
     from datetime import UTC, datetime
     from importlib.metadata import version
 
-    from calib_pin.io.documents import Provenance, calibration_document, encode
-    from calib_pin.io.residual_model import reference
+    from calib_pin.io.documents import Provenance
 
-    provenance = Provenance(
+    return Provenance(
         command=run.words,
         created=datetime.now(UTC).isoformat(timespec="seconds"),
         seconds=run.seconds,
@@ -126,6 +194,3 @@ def _document(
             "numpy": version("numpy"),
         },
     )
-    refers = None if learned is None else reference(learned)
-    document = calibration_document(result, provenance, refers, remedies)
-    return document, encode(document)

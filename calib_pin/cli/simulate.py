@@ -25,7 +25,7 @@ from calib_pin.cli.options import (
     number,
 )
 from calib_pin.cli.options import seed as seed_option
-from calib_pin.cli.printing import notice, progress_bar, stage
+from calib_pin.cli.printing import notice, progress_bar, say_written, stage
 
 __all__ = ["simulate"]
 
@@ -134,11 +134,12 @@ def simulate(
     from calib_pin.errors import OptionError
     from calib_pin.formulation import nominal_problem
     from calib_pin.io.measurements import (
+        encode_measurements,
         read_configurations,
         read_names,
-        write_measurements,
     )
-    from calib_pin.io.results import write_urdf
+    from calib_pin.io.results import encode_urdf
+    from calib_pin.io.staging import write_files
     from calib_pin.io.true_errors import read_true_errors
     from calib_pin.result import CalibratedModel
     from calib_pin.simulation import draw_errors
@@ -180,14 +181,18 @@ def simulate(
             average=average,
         )
         tell = stage(bar, "write")
-        write_measurements(output, rows, [comment], force=force, progress=tell)
-    typer.echo(f"wrote {len(rows)} rows to {output}")
-    if truth is not None:
+        contents = {output: encode_measurements(rows, [comment], tell)}
         true = CalibratedModel.create(problem, theta)
-        write_urdf(true.without_corrections, truth, force=force)
+        if truth is not None:
+            contents[truth] = encode_urdf(true.without_corrections, truth)
+        with write_files(contents, force=force):
+            pass
+    told = [f"wrote {len(rows)} rows to {output}"]
+    if truth is not None:
         if true.tool_carries_tip:
             notice(f"{truth} lacks the error behind the last joint, which has no place")
         if not true.geometric:
             notice(f"{truth} holds the geometry; other errors have no place in a URDF")
-        typer.echo(f"wrote the true robot to {truth}")
+        told.append(f"wrote the true robot to {truth}")
+    say_written(told)
     return 0

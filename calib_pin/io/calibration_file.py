@@ -7,7 +7,7 @@ from __future__ import annotations
 
 import json
 import math
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
 from reprlib import repr
@@ -25,14 +25,20 @@ LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
 
 
-def read_document(path: str | Path) -> Json:
+def read_document(
+    path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
+) -> Json:
     """What a `calibration.json` holds.
+
+    Args:
+        path: The file.
+        read: Gives its bytes.
 
     Raises:
         InputError: If the file is not such a document or of a later version.
     """
     try:
-        document = json.loads(read_bytes(path).decode("utf-8-sig"))
+        document = json.loads(read(path).decode("utf-8-sig"))
     except RecursionError as error:
         raise InputError("not a calibration of calib-pin", file=path) from error
     except ValueError as error:

@@ -14,7 +14,8 @@ import pinocchio as pin
 
 from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
-from calib_pin.io.files import read_bytes
+from calib_pin.io.files import read_blocks
+from calib_pin.io.journal import sha256
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
 from calib_pin.measurement_models.features import Frame
@@ -40,7 +41,6 @@ __all__ = [
     "identification_document",
     "plan_document",
     "require_format",
-    "sha256",
 ]
 
 FORMAT = "calib-pin/calibration"
@@ -64,11 +64,6 @@ class Provenance:
     created: str
     seconds: float
     versions: Mapping[str, str]
-
-
-def sha256(data: bytes) -> str:
-    """Hexadecimal SHA-256 of bytes."""
-    return hashlib.sha256(data).hexdigest()
 
 
 def encode(document: Mapping[str, Any]) -> bytes:
@@ -322,7 +317,12 @@ def _setup_file(file: str) -> Json | None:
 
 def _sha256_of(file: str) -> str:
     # A pipe cannot be read twice.
-    return sha256(read_bytes(file)) if Path(file).is_file() else ""
+    if not Path(file).is_file():
+        return ""
+    digest = hashlib.sha256()
+    for block in read_blocks(file, 1 << 20):
+        digest.update(block)
+    return digest.hexdigest()
 
 
 def _frame(pose: pin.SE3) -> Json:

@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 import difflib
-import errno
-import os
-import uuid
+from collections.abc import Iterator
 from pathlib import Path
 
-from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.errors import InputError
+from calib_pin.io.staging import reason_of, write_files
 
-__all__ = ["read_bytes", "write_atomically"]
+__all__ = ["read_blocks", "read_bytes", "write_atomically"]
 
 
 def read_bytes(path: str | Path) -> bytes:
@@ -30,22 +29,36 @@ def read_bytes(path: str | Path) -> bytes:
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/arm.urdf: no such file
     """
+    # Joining one block copies nothing.
+    return b"".join(read_blocks(path, -1))
+
+
+def read_blocks(path: str | Path, size: int) -> Iterator[bytes]:
+    """Read a file block by block, so that it need not fit into memory.
+
+    Args:
+        path: The file.
+        size: Bytes of a block; -1 for all of them.
+
+    Raises:
+        InputError: If there is no such file, or it cannot be read.
+    """
     path = Path(path)
     try:
-        return path.read_bytes()
+        with path.open("rb") as stream:
+            while block := stream.read(size):
+                yield block
     except FileNotFoundError as error:
         reason = f"no such file{_nearest_sibling(path)}"
         raise InputError(reason, file=path) from error
     except IsADirectoryError as error:
         raise InputError("is a directory, not a file", file=path) from error
     except (OSError, ValueError) as error:
-        raise InputError(f"cannot be read: {_reason(error)}", file=path) from error
+        raise InputError(f"cannot be read: {reason_of(error)}", file=path) from error
 
 
 def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
     """Write a file so that it is either complete or untouched.
-
-    The bytes go to a temporary file beside it, which is then renamed.
 
     Args:
         path: The file; folders that are missing above it are made.
@@ -63,31 +76,8 @@ def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
         ...     read_bytes(Path(folder, "a", "b.csv"))
         b'x,y'
     """
-    # A short name of its own: a long file name plus a suffix could be too long.
-    temporary = path.parent / f".{uuid.uuid4().hex}.tmp"
-    try:
-        if path.is_dir():
-            raise IsADirectoryError(errno.EISDIR, "it is a directory")
-        if path.exists() and not force:
-            raise OptionError("exists already; --force replaces it", file=path)
-        path.parent.mkdir(parents=True, exist_ok=True)
-        # Not tempfile: its files are private (0600), and the mode survives a rename.
-        with temporary.open("xb") as stream:
-            stream.write(data)
-            stream.flush()
-            os.fsync(stream.fileno())
-        temporary.replace(path)
-    except (OSError, ValueError) as error:
-        raise OutputError(f"{path}: cannot be written: {_reason(error)}") from error
-    finally:
-        _discard(temporary)
-
-
-def _reason(error: Exception) -> str:
-    """The system's words without the error number and the file names."""
-    if isinstance(error, FileExistsError):
-        return "a file stands in the place of its folder"
-    return (error.strerror if isinstance(error, OSError) else None) or str(error)
+    with write_files({path: data}, force=force):
+        pass
 
 
 def _nearest_sibling(path: Path) -> str:
@@ -98,11 +88,3 @@ def _nearest_sibling(path: Path) -> str:
         return ""
     match = difflib.get_close_matches(path.stem, stems, n=1, cutoff=0.6)
     return f" (did you mean '{stems[match[0]]}'?)" if match else ""
-
-
-def _discard(temporary: Path) -> None:
-    """Remove what a failed write left; the reason of the failure comes first."""
-    try:
-        temporary.unlink(missing_ok=True)
-    except (OSError, ValueError):
-        return

@@ -9,8 +9,9 @@ import numpy as np
 
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, nearest
-from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, Table, closest
+from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import RESERVED
+from calib_pin.io.table import Table
 from calib_pin.setup import JointMap
 
 __all__ = [

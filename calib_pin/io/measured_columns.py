@@ -13,7 +13,6 @@ from calib_pin.io.columns import (
     PIXEL,
     Floats,
     Kind,
-    Table,
     closest,
 )
 from calib_pin.io.orientation_columns import (
@@ -25,6 +24,7 @@ from calib_pin.io.orientation_columns import (
     read_kinds,
     read_quaternions,
 )
+from calib_pin.io.table import Table
 from calib_pin.measurements import AT
 
 __all__ = [

@@ -10,13 +10,14 @@ import csv
 import io
 from collections.abc import Callable, Collection, Mapping, Sequence
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError
-from calib_pin.io.columns import LINES, Floats, Table, read_table
+from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
     JointSource,
@@ -33,6 +34,7 @@ from calib_pin.io.measured_columns import (
     read_values,
 )
 from calib_pin.io.models_of_files import check_model, split_by_model
+from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.measurements import AT, PLUS, Measurements
 from calib_pin.progress import Progress, portion
@@ -40,16 +42,21 @@ from calib_pin.setup import JointMap
 
 __all__ = [
     "check_columns",
+    "encode_configurations",
+    "encode_measurements",
+    "encode_table",
     "read_configurations",
     "read_measurements",
     "read_names",
     "write_configurations",
     "write_measurements",
-    "write_table",
 ]
 
-CUT, POSITIONS = 0.4, 0.6
+CUT, POSITIONS = 0.9, 0.95
 """Parts of the time after which lines are cut into cells, and joint positions read."""
+
+LINES = 5000
+"""Lines that are written between two reports of the progress."""
 
 PLACES = {
     "point-distance": "anchor",
@@ -118,8 +125,10 @@ def read_measurements(
     parts: list[Measurements] = []
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        table = read_table(file, portion(tell, 0.0, CUT))
-        parts += _read(table, chain, sources, joints, model, notice, tell)
+        parts += _read(
+            read_table(file, portion(tell, 0.0, CUT)),
+            *(chain, sources, joints, model, notice, tell),
+        )
     asked = [] if model is None else model.split(PLUS)
     result = []
     for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
@@ -231,8 +240,25 @@ def write_configurations(
         ...     file.read_text().splitlines()[1]
         '0.0,0.0,0.0,0.5,0.0,0.0'
     """
-    columns = configuration_columns(chain, q, target, joints)
-    write_table(path, columns, comments, force)
+    data = encode_configurations(chain, q, target, joints=joints, comments=comments)
+    write_atomically(Path(path), data, force=force)
+
+
+def encode_configurations(
+    chain: Chain,
+    q: Floats,
+    target: Sequence[str] = (),
+    *,
+    joints: Mapping[str, JointMap] = {},
+    comments: Sequence[str] = (),
+) -> bytes:
+    """The file that `write_configurations` writes.
+
+    Raises:
+        InputError: If the joint map cannot be undone.
+        OutputError: If a name would not read back.
+    """
+    return encode_table(configuration_columns(chain, q, target, joints), comments)
 
 
 def write_measurements(
@@ -271,44 +297,58 @@ def write_measurements(
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """
-    check_model(measurements.model)
-    columns = dict(measurement_columns(measurements))
-    write_table(path, columns, comments, force, progress)
+    data = encode_measurements(measurements, comments, progress)
+    write_atomically(Path(path), data, force=force)
 
 
-def write_table(
-    path: str | Path,
-    columns: Mapping[str, Sequence[object]],
-    comments: Sequence[str],
-    force: bool,
+def encode_measurements(
+    measurements: Measurements,
+    comments: Sequence[str] = (),
     progress: Progress | None = None,
-) -> None:
-    """Write a CSV file.
-
-    Args:
-        path: File to write.
-        columns: Cells of every column by its header.
-        comments: Lines for the head of the file.
-        force: Whether an existing file is replaced.
-        progress: Told the part that is done, 0 to 1.
+) -> bytes:
+    """The file that `write_measurements` writes.
 
     Raises:
-        OptionError: If the file exists and `force` is false.
-        OutputError: If it cannot be written.
+        OptionError: If there is no such measurement model.
+        OutputError: If a name or a relative distance would not read back.
     """
-    buffer = io.StringIO(newline="")
+    check_model(measurements.model)
+    columns = dict(measurement_columns(measurements))
+    return encode_table(columns, comments, progress)
+
+
+def encode_table(
+    columns: Mapping[str, Sequence[object] | NDArray[Any]],
+    comments: Sequence[str],
+    progress: Progress | None = None,
+) -> bytes:
+    """A CSV file.
+
+    Args:
+        columns: Cells of every column by its header.
+        comments: Lines for the head of the file.
+        progress: Told the part that is done, 0 to 1.
+    """
+    data, text = io.BytesIO(), io.StringIO(newline="")
     for comment in comments:
         for line in comment.splitlines() or [""]:
-            buffer.write(f"# {line}".rstrip() + "\n")
+            text.write(f"# {line}".rstrip() + "\n")
     # The csv module writes floats by repr, which loses nothing.
-    writer = csv.writer(buffer, lineterminator="\n")
+    writer = csv.writer(text, lineterminator="\n")
     writer.writerow(columns)
-    rows = list(zip(*columns.values(), strict=True))
-    for start in range(0, len(rows), LINES):
-        writer.writerows(rows[start : start + LINES])
+    count = max(map(len, columns.values()), default=0)
+    for start in range(0, count, LINES):
+        parts = [column[start : start + LINES] for column in columns.values()]
+        # numpy's own numbers would be written slowly.
+        cells = [p.tolist() if isinstance(p, np.ndarray) else p for p in parts]
+        writer.writerows(zip(*cells, strict=True))
+        data.write(text.getvalue().encode())
+        text.seek(0)
+        text.truncate()
         if progress is not None:
-            progress(start / len(rows))
-    write_atomically(Path(path), buffer.getvalue().encode(), force=force)
+            progress(start / count)
+    data.write(text.getvalue().encode())
+    return data.getvalue()
 
 
 def _read(

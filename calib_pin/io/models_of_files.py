@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, nearest
-from calib_pin.io.columns import Table
 from calib_pin.io.measured_columns import (
     COMPONENTS,
     CONTACTS,
@@ -21,6 +20,7 @@ from calib_pin.io.measured_columns import (
     RESERVED,
     SIGMAS,
 )
+from calib_pin.io.table import Table
 from calib_pin.measurements import PLUS
 
 __all__ = ["check_model", "infer_model", "split_by_model"]
@@ -96,7 +96,7 @@ def infer_model(table: Table, model: str | None = None) -> str:
 
 def split_by_model(
     table: Table, model: str | None = None
-) -> dict[str, tuple[NDArray[np.int64], Table]]:
+) -> dict[str, tuple[NDArray[np.int64] | slice, Table]]:
     """The rows of each model, in the order in which these occur.
 
     Every row names its model in the column `model`; without that the file is of one. In
@@ -116,9 +116,8 @@ def split_by_model(
         InputError: If a row names no model, or one that there is not, or has a value
             of another.
     """
-    everything = np.arange(len(table.lines))
     if "model" not in table:
-        return {infer_model(table, model): (everything, table)}
+        return {infer_model(table, model): (slice(None), table)}
     names = table.texts("model")
     first: dict[str, int] = {}
     label = np.array([first.setdefault(name, row) for row, name in enumerate(names)])
@@ -134,10 +133,10 @@ def split_by_model(
             )
     found = {name: np.flatnonzero(label == row) for name, row in first.items()}
     if len(found) == 1:
-        return {names[0]: (everything, table)}
+        return {names[0]: (slice(None), table)}
     read = {name: _read_by(name) for name in found}
     anybody = frozenset().union(*read.values())
-    result = {}
+    result: dict[str, tuple[NDArray[np.int64] | slice, Table]] = {}
     for name, rows in found.items():
         own = table.rows(rows, RESERVED)
         _check_blank(own, name, anybody - read[name])
@@ -193,7 +192,7 @@ def _without_blank(table: Table, keep: Set[str]) -> Table:
     columns = {
         name: column
         for name, column in table.columns.items()
-        if name not in (MEASURED | SIGMAS) - keep or any(map(str.strip, column.cells))
+        if name not in (MEASURED | SIGMAS) - keep or not column.blank().all()
     }
     return replace(table, columns=columns)
 
@@ -203,12 +202,11 @@ def _check_blank(table: Table, model: str, names: frozenset[str]) -> None:
     for name in table.columns:
         if name not in names:
             continue
-        cells = table.columns[name].cells
-        row = next((k for k, cell in enumerate(cells) if cell.strip()), None)
-        if row is not None:
+        blank = table.columns[name].blank()
+        if not blank.all():
             raise table.cell_error(
                 f"the row measures '{model}', which has no {name}",
                 name,
-                row,
+                int(np.argmin(blank)),
                 "a blank cell; what else was measured stands in a row of its own",
             )

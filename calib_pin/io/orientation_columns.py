@@ -7,7 +7,8 @@ from collections.abc import Mapping
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.io.columns import ANGLE, PURE, Floats, Kind, Table
+from calib_pin.io.columns import ANGLE, PURE, Floats, Kind
+from calib_pin.io.table import Table
 
 __all__ = [
     "FIXED_AXES",
@@ -75,7 +76,7 @@ def read_quaternions(table: Table, orientation: Mapping[str, Kind]) -> Floats:
             file=table.file,
             line=int(table.lines[row]),
             column=", ".join(orientation),
-            value=", ".join(table.columns[c].cells[row].strip() for c in orientation),
+            value=", ".join(table.cell(c, row) for c in orientation),
             allowed="a norm of 0.99 to 1.01",
         )
     # Dividing a unit quaternion once more may change its last bit, and a file that was

@@ -16,6 +16,7 @@ from calib_pin.io.calibration_file import (
     text,
 )
 from calib_pin.io.documents import Json
+from calib_pin.io.result_folder import opened
 from calib_pin.io.results import read_calibration
 from calib_pin.result import CalibratedModel, CoupledGroup, ParameterEstimate
 
@@ -35,7 +36,8 @@ def read_record(path: str | Path) -> CalibrationRecord:
         RobotError: If the robot cannot be found.
     """
     model = read_calibration(path)
-    document = read_document(path)
+    with opened(path) as read:
+        document = read_document(path, read)
     with reading(path):
         return _record(str(path), model, document)
 

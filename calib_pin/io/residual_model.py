@@ -1,6 +1,7 @@
 """Residual models in files of their own: plain numbers in JSON, nothing to execute.
 
     {"format": "calib-pin/residual-model", "version": 1,
+     "run": "",           # id of the run that learned it, where there was one
      "robot": {"name", "sha256", "base", "tip", "joints"},
      "shift": [],         # of the parameters of the error model, in their order
      "model": {...},      # what `ResidualModel.document` gives
@@ -13,15 +14,16 @@ numbers that one of them has been changed; so both are checked.
 from __future__ import annotations
 
 import json
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError
-from calib_pin.io.documents import Json, require_format, sha256
+from calib_pin.io.documents import Json, require_format
 from calib_pin.io.files import read_bytes
+from calib_pin.io.journal import sha256
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.result import CalibratedModel
@@ -35,14 +37,22 @@ FILE_NAME = "residual_model.json"
 """Name beside `calibration.json`."""
 
 
-def encode_residual_model(model: CalibratedModel) -> bytes | None:
-    """The file of what a calibration has learned; None where it has not."""
+def encode_residual_model(
+    model: CalibratedModel, run: str | None = None
+) -> bytes | None:
+    """The file of what a calibration has learned; None where it has not.
+
+    Args:
+        model: The calibrated robot.
+        run: Id of the run that learned it.
+    """
     learned = model.error.learned
     if not isinstance(learned, LearnedCorrection):
         return None
     document: Json = {
         "format": FORMAT,
         "version": VERSION,
+        **({} if run is None else {"run": run}),
         "robot": _robot(model.chain),
         "shift": learned.shift.tolist(),
         "model": learned.model.document(),
@@ -58,7 +68,10 @@ def reference(data: bytes) -> dict[str, str]:
 
 
 def read_residual_model(
-    path: str | Path, error: ErrorModel, content: str | None = None
+    path: str | Path,
+    error: ErrorModel,
+    content: str | None = None,
+    read: Callable[[str | Path], bytes] = read_bytes,
 ) -> LearnedCorrection:
     """What the residual model of a file corrects.
 
@@ -66,12 +79,13 @@ def read_residual_model(
         path: The file.
         error: The error model that it corrects.
         content: SHA-256 that the file must have, as a calibration states it.
+        read: Gives the bytes of the file.
 
     Raises:
         InputError: If it is no such file, of a later version, of another robot, or
             not as it was written.
     """
-    data = read_bytes(path)
+    data = read(path)
     try:
         document = json.loads(data)
     except (ValueError, RecursionError) as mistake:

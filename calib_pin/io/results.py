@@ -22,11 +22,19 @@ from calib_pin.io.calibration_file import (
     stated_errors,
     text,
 )
-from calib_pin.io.documents import Json, sha256
-from calib_pin.io.files import read_bytes
+from calib_pin.io.documents import Json
+from calib_pin.io.files import write_atomically
+from calib_pin.io.journal import sha256
 from calib_pin.io.residual_model import read_residual_model
+from calib_pin.io.result_folder import (
+    NOMINAL,
+    Read,
+    members,
+    opened,
+    require_one_run,
+)
 from calib_pin.io.setup import CONDITIONS, setup_of
-from calib_pin.io.urdf import locate_robot, parse_robot, write_corrected_urdf
+from calib_pin.io.urdf import corrected_urdf, locate_robot, parse_robot
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
@@ -43,8 +51,9 @@ from calib_pin.setup import (
     SphereSetup,
     Triple,
 )
+from calib_pin.threads import serial_blas
 
-__all__ = ["read_accuracy", "read_calibration", "write_urdf"]
+__all__ = ["encode_urdf", "read_accuracy", "read_calibration", "write_urdf"]
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""
@@ -56,26 +65,37 @@ SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
 """What rows can refer to, by name."""
 
 
+@serial_blas
 def read_calibration(
     path: str | Path, *, notice: Callable[[str], None] | None = None
 ) -> CalibratedModel:
     """The calibrated robot of a `calibration.json`.
 
     The robot is looked for where the file says, from the working folder and from that
-    of the file, and beside the file itself. It must be the one that was calibrated.
+    of the file, and beside the file itself, where `calibrate` keeps a copy. It must be
+    the one that was calibrated.
 
     Args:
         path: The file.
         notice: Called with one sentence if the calibration must not be trusted.
 
     Raises:
-        InputError: If the file is not such a document or of a later version, or the
-            robot has changed.
+        InputError: If the file is not such a document or of a later version, the
+            robot has changed, or the files beside it are of another run.
+        OutputError: If another program does not let go of the folder.
         RobotError: If the robot cannot be found.
     """
-    document = read_document(path)
-    robot = _find_robot(document, Path(path))
+    with opened(path) as read:
+        return _read(Path(path), read, notice)
+
+
+def _read(
+    path: Path, read: Read, notice: Callable[[str], None] | None
+) -> CalibratedModel:
+    document = read_document(path, read)
+    robot = _find_robot(document, path, read)
     with reading(path):
+        listed = members(document)
         model = _model(document, robot)
         learned = _learned(document.get("residual_model"))
         if (learned is None) != (model.setup.learned is None):
@@ -83,10 +103,11 @@ def read_calibration(
         verdict = document["verdict"]
         if notice is not None and verdict["status"] != "good":
             notice(f"{path} must not be trusted: {verdict['reason']}")
+    require_one_run(listed, robot.source, path, read)
     if learned is None:
         return model
     name, content = learned
-    found = read_residual_model(Path(path).parent / name, model.error, content)
+    found = read_residual_model(path.parent / name, model.error, content, read)
     return replace(model, error=model.error.with_learned(found))
 
 
@@ -99,7 +120,8 @@ def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
     Returns:
         Unit, mean, max and method of every quantity; none where nothing was checked.
     """
-    document = read_document(path)
+    with opened(path) as read:
+        document = read_document(path, read)
     with reading(path):
         stated = stated_errors(document)
     return {
@@ -119,9 +141,6 @@ def write_urdf(
 ) -> None:
     """Write the corrected URDF of a calibrated robot.
 
-    Only the joint origins that change are edited. The result is read again and its
-    forward kinematics compared with the model before it is put in place.
-
     Args:
         model: The calibrated robot, `CalibrationResult.geometry`.
         path: The new file.
@@ -131,6 +150,24 @@ def write_urdf(
         OptionError: If the file exists or is the robot's own, or the model has
             corrections that a URDF cannot hold.
         OutputError: If it cannot be written or does not agree with the model.
+    """
+    write_atomically(Path(path), encode_urdf(model, path), force=force)
+
+
+def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
+    """The corrected URDF of a calibrated robot.
+
+    Only the joint origins that change are edited. The result is read again and its
+    forward kinematics compared with the model.
+
+    Args:
+        model: The calibrated robot, `CalibrationResult.geometry`.
+        path: The file it is for, never the robot's own.
+
+    Raises:
+        OptionError: If the file is the robot's own, or the model has corrections that
+            a URDF cannot hold.
+        OutputError: If it does not agree with the model.
     """
     chain = model.chain
     if not model.geometric:
@@ -151,29 +188,37 @@ def write_urdf(
                 f"{path}: the written robot differs from the model by {difference:.2g}"
             )
 
-    write_corrected_urdf(path, chain.robot, model.urdf_corrections(), check, force)
+    return corrected_urdf(path, chain.robot, model.urdf_corrections(), check)
 
 
-def _find_robot(document: Json, path: Path) -> Robot:
-    """The robot that was calibrated, recognized by its content."""
+def _find_robot(document: Json, path: Path, read: Read) -> Robot:
+    """The robot that was calibrated, recognized by its content.
+
+    Where it was calibrated comes before the copy: meshes are beside the former.
+    """
+    missing: RobotError | None = None
+    copy = path.parent / NOMINAL
     try:
         name, content = document["robot"]["file"], document["robot"]["sha256"]
         stated = locate_robot(name)
-        places = (stated, path.parent / stated, path.parent / stated.name)
-    except RobotError:
-        raise
+        places = [stated, path.parent / stated, path.parent / stated.name, copy]
+    except RobotError as error:  # The package it came from is not installed here.
+        missing, stated, places = error, copy, [copy]
     except (KeyError, TypeError, AttributeError) as error:
         reason = "damaged or edited calibration: it names no robot"
         raise InputError(reason, file=path) from error
     found = None
     for place in dict.fromkeys(places):
         try:
-            data = read_bytes(place)
+            data = read(place)
         except InputError:
             continue
         if sha256(data) == content:
-            return parse_robot(data, name if place == stated else str(place))
+            kept = place == stated and missing is None
+            return parse_robot(data, name if kept else str(place))
         found = found or place
+    if missing is not None:
+        raise missing
     if found is None:
         raise RobotError(
             f"the robot '{name}' that was calibrated is neither there nor beside the "
@@ -181,7 +226,8 @@ def _find_robot(document: Json, path: Path) -> Robot:
             file=path,
         )
     raise InputError(
-        f"'{found}' is not the robot that was calibrated: its content differs",
+        f"'{found}' is not the robot that was calibrated: its content differs; keep "
+        "the files of one run together",
         file=path,
     )
 

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.errors import OutputError
-from calib_pin.io.columns import Table, read_table
 from calib_pin.io.joint_columns import (
     JointSource,
     column_values,
@@ -20,13 +19,14 @@ from calib_pin.io.joint_columns import (
     spare_columns,
 )
 from calib_pin.io.measured_columns import POSITION, check_spread, read_values
-from calib_pin.io.measurements import write_table
+from calib_pin.io.measurements import encode_table
 from calib_pin.io.orientation_columns import ORIENTATIONS
+from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
 from calib_pin.setup import JointMap
 from calib_pin.spatial import Floats, from_quaternion
 
-__all__ = ["Targets", "read_target_file", "write_commands"]
+__all__ = ["Targets", "encode_commands", "read_target_file"]
 
 ROW = "row"
 """Column that holds the line of a target."""
@@ -121,50 +121,48 @@ def read_target_file(
     return Targets(table, sources, q, T, oriented)
 
 
-def write_commands(
-    path: Path,
+def encode_commands(
     targets: Targets,
     q: Floats,
     rows: NDArray[np.int64],
     *,
     comments: Sequence[str] = (),
-    force: bool = False,
-) -> None:
-    r"""Write joint commands as a CSV file.
+) -> bytes:
+    r"""Joint commands as a CSV file.
 
     Joint columns have the names and units of the file of targets, if it has any. For
     targets there is a column `row` with the line of each; in a motion the other columns
     stay as they are.
 
     Args:
-        path: File to write.
         targets: What was asked for.
         q: Commands of some rows, shape (K, n) [rad, m].
         rows: These rows, shape (K,).
         comments: Lines for the head of the file.
-        force: Whether an existing file is replaced.
 
     Raises:
-        OptionError: If the file exists and `force` is false.
         InputError: If the joint map cannot be undone.
-        OutputError: If a name would not read back, or the file cannot be written.
+        OutputError: If a name would not read back.
 
     Example:
         >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space6")
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     asked, told = Path(folder) / "targets.csv", Path(folder) / "told.csv"
+        ...     asked = Path(folder) / "targets.csv"
         ...     _ = asked.write_text("x,y,z\n0.9,0,0.25\n")
         ...     targets = read_target_file(asked, chain)
-        ...     write_commands(told, targets, np.zeros((1, 6)), np.array([0]))
-        ...     told.read_text().splitlines()[1]
-        '0.0,0.0,0.0,0.0,0.0,0.0,2'
+        >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
+        b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
     found = command_columns(targets, q, rows)
     if targets.T is None:
+        all_columns = targets.table.columns
+        others = targets.table.cells(
+            [name for name in all_columns if name not in found]
+        )
         columns = dict(
-            found.get(name, (column.header, column.cells))
-            for name, column in targets.table.columns.items()
+            found[name] if name in found else (column.header, others[name])
+            for name, column in all_columns.items()
         )
     else:
         if ROW in found:
@@ -172,7 +170,7 @@ def write_commands(
                 f"a joint column is called '{ROW}', which is the line of a target"
             )
         columns = {**dict(found.values()), ROW: targets.lines[rows].tolist()}
-    write_table(path, columns, comments, force)
+    return encode_table(columns, comments)
 
 
 def command_columns(
@@ -196,10 +194,11 @@ def command_columns(
     result: dict[str, tuple[str, Sequence[object]]] = {}
     own = {source.column for source in targets.sources}
     kinds = {c: kind for source in targets.sources for c, kind in source.kinds.items()}
+    others = targets.table.cells([name for name in kinds if name not in own])
     for name, kind in kinds.items():
         column = targets.table.columns[name]
         if name not in own:
-            result[name] = column.header, [column.cells[row] for row in rows]
+            result[name] = column.header, [others[name][row] for row in rows]
             continue
         stated = targets.table.numbers(name, kind)[rows]
         factor = kind.units[column.unit or kind.si]

@@ -26,7 +26,9 @@ from calib_pin.io.urdf_bytes import (
 
 __all__ = [
     "bundled_robots",
+    "corrected_urdf",
     "edit_origins",
+    "is_source",
     "load_chain",
     "load_robot",
     "locate_robot",
@@ -200,10 +202,9 @@ def write_corrected_urdf(
 
     Args:
         path: The new file; never the robot's own.
-        robot: The robot.
-        corrections: Correction of each joint by name, multiplied from the right.
-        check: Called with the robot as it reads back before anything is written;
-            raises `OutputError` if the robot is not as it should be.
+        robot: As for `corrected_urdf`.
+        corrections: As for `corrected_urdf`.
+        check: As for `corrected_urdf`.
         force: Replace an existing file.
 
     Raises:
@@ -219,8 +220,31 @@ def write_corrected_urdf(
         ...     new.read_bytes() == robot.source
         True
     """
-    path = Path(path)
-    if _is_source(path, robot):
+    corrected = corrected_urdf(path, robot, corrections, check)
+    write_atomically(Path(path), corrected, force=force)
+
+
+def corrected_urdf(
+    path: str | Path,
+    robot: Robot,
+    corrections: Mapping[str, pin.SE3],
+    check: Callable[[Robot], None] | None,
+) -> bytes:
+    """A robot's URDF with corrected joint origins.
+
+    Args:
+        path: The file it is for; never the robot's own.
+        robot: The robot.
+        corrections: Correction of each joint by name, multiplied from the right.
+        check: Called with the robot as it reads back; raises `OutputError` if the
+            robot is not as it should be.
+
+    Raises:
+        OptionError: If the file is the robot's own.
+        OutputError: If it does not read back.
+        RobotError: If the robot has no joint of such a name.
+    """
+    if is_source(Path(path), robot):
         raise OptionError(
             "is the robot's own URDF, which is never changed",
             file=path,
@@ -233,7 +257,7 @@ def write_corrected_urdf(
         raise OutputError(f"the corrected URDF does not read back: {error}") from error
     if check is not None:
         check(reread)
-    write_atomically(path, corrected, force=force)
+    return corrected
 
 
 def locate_robot(name: str) -> Path:
@@ -293,7 +317,8 @@ def _example(name: str) -> Path:
     raise RobotError(reason, file=name, allowed=", ".join(longer) or None)
 
 
-def _is_source(path: Path, robot: Robot) -> bool:
+def is_source(path: Path, robot: Robot) -> bool:
+    """Whether a file is the one that a robot was read from."""
     try:
         return path.samefile(locate_robot(robot.file))
     except (OSError, ValueError, RobotError):

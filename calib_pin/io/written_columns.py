@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import replace
 from itertools import count
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,11 +23,11 @@ __all__ = ["column_name", "configuration_columns", "measurement_columns"]
 
 def measurement_columns(
     measurements: Measurements,
-) -> Iterator[tuple[str, Sequence[object]]]:
+) -> Iterator[tuple[str, Sequence[object] | NDArray[Any]]]:
     """Names and cells of the columns that hold measurements."""
     rows = _with_starts(measurements)
     for name, column in zip(rows.joints, rows.q.T, strict=True):
-        yield column_name(name), column.tolist()
+        yield column_name(name), column
     models, target = _models(rows), rows.target
     if len(rows.parts) > 1:
         yield "model", models
@@ -51,13 +52,13 @@ def _models(rows: Measurements) -> tuple[str, ...]:
     return models
 
 
-def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, list[object]]:
+def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[Any]]:
     """Cells of the columns of all models, blank where a row's own has none."""
-    values: dict[str, list[object]] = {}
-    sigmas: dict[str, list[object]] = {}
+    values: dict[str, NDArray[Any]] = {}
+    sigmas: dict[str, NDArray[Any]] = {}
     a = b = 0
     for model in rows.parts:
-        (width, components), own = LAYOUT[model], np.array(models) == model
+        (width, components), own = LAYOUT[model], _rows_of(models, model)
         _fill(values, VALUES[model], rows.values[:, a : a + width], own)
         told = None if rows.sigma is None else rows.sigma[:, b : b + components]
         a, b = a + width, b + components
@@ -69,21 +70,24 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, list[objec
     return values | sigmas
 
 
+def _rows_of(models: Sequence[str], model: str) -> NDArray[np.bool_]:
+    """Whether each row is of a model, shape (N,)."""
+    return np.fromiter((name == model for name in models), bool, len(models))
+
+
 def _fill(
-    columns: dict[str, list[object]],
+    columns: dict[str, NDArray[Any]],
     names: Sequence[str],
     table: Floats,
     own: NDArray[np.bool_],
 ) -> None:
     """Put the rows of one model into columns that others may share."""
-    if not own.any():
-        return
-    for name, column in zip(names, table.T, strict=True):
-        cells = columns.setdefault(name, [""] * len(own))
-        for row, value in zip(
-            np.flatnonzero(own).tolist(), column[own].tolist(), strict=True
-        ):
-            cells[row] = value
+    if own.all():
+        columns.update(zip(names, table.T, strict=True))
+    elif own.any():
+        for name, column in zip(names, table.T, strict=True):
+            cells = columns.setdefault(name, np.full(len(own), "", object))
+            cells[own] = column[own]
 
 
 def _with_starts(data: Measurements) -> Measurements:
@@ -92,7 +96,7 @@ def _with_starts(data: Measurements) -> Measurements:
     Raises:
         OutputError: If a relative distance would not read back.
     """
-    relative = np.array(_models(data)) == RELATIVE
+    relative = _rows_of(_models(data), RELATIVE)
     if not relative.any():
         return data
     before = data.parts[: data.parts.index(RELATIVE)]
@@ -149,11 +153,11 @@ def _start_names(
 
 def configuration_columns(
     chain: Chain, q: Floats, target: Sequence[str], joints: Mapping[str, JointMap]
-) -> dict[str, Sequence[float] | Sequence[str]]:
+) -> dict[str, Floats | Sequence[str]]:
     """Names and cells of the columns that hold configurations."""
-    columns: dict[str, Sequence[float] | Sequence[str]] = {}
+    columns: dict[str, Floats | Sequence[str]] = {}
     for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[column_name(name)] = values.tolist()
+        columns[column_name(name)] = values
     if any(target):
         columns["target"] = _writable("target", target)
     return columns
@@ -172,7 +176,7 @@ def column_name(joint: str) -> str:
 
 def _writable(column: str, names: Sequence[str]) -> Sequence[str]:
     """The cells of a column of names."""
-    for name in names:
+    for name in dict.fromkeys(names):
         if name != name.strip() or set(name) & set("\r\n\0"):
             raise OutputError(f"{column} {name!r} would not read back")
     return names

@@ -25,8 +25,9 @@ __all__ = [
     "Linearization",
     "MeasurementModel",
     "Quantity",
-    "plain_batch",
+    "References",
     "rotation_curvature",
+    "tool_references",
 ]
 
 
@@ -214,50 +215,58 @@ class MeasurementModel(Protocol):
 
 
 @dataclass(frozen=True)
+class References:
+    """What rows look at, for the S members of a population.
+
+    Attributes:
+        points: Points that are carried through the chain, shape (S, J, 3) [m].
+        places: What these are compared with, shape (S, L, w), see `kernels`.
+        stand: What stands before the chain, links (R | p), shape (S, 12).
+        mount: The same behind it.
+    """
+
+    points: Floats
+    places: Floats
+    stand: Floats | None = None
+    mount: Floats | None = None
+
+
+@dataclass(frozen=True)
 class Batch:
     """What a compiled kernel needs to cost a whole population on some rows.
 
     Attributes:
-        order: The rows in the order of the kernel's arrays, shape (N,).
-        groups: Sizes of successive groups of these rows that share a block.
-        costs: Half the sums of squared whitened residuals of the members, from their
-            links (S, n + 1, 12), joint motions and starts (`kernels.motions`), and the
-            model's own parameters (S, K), into an array (S,).
-    """
-
-    order: NDArray[np.int64]
-    groups: Sequence[int]
-    costs: Callable[[Floats, Floats, NDArray[np.int64], Floats, Floats], None]
-
-
-def plain_batch(
-    kernel: Callable[[Floats, Floats, NDArray[np.int64], Floats, Floats, Floats], None],
-    values: Floats,
-    weights: Floats,
-) -> Batch:
-    """The batch form of rows in their own order, of an instrument without parameters.
-
-    Args:
-        kernel: One of the costs in `kernels`.
-        values: What it compares with, shape (N, D).
+        comparison: One of `kernels.COMPARISONS`.
+        rows: Positions of the N rows in the data, shape (N,).
+        point: Which point of the references each looks at, shape (N,).
+        place: Which place that is compared with, shape (N,).
+        values: What was measured, shape (N, D).
         weights: Reciprocal standard deviations of the residual, shape (N, d).
+        references: Those of members, from the model's own parameters (S, K).
+        inward: Whether points are carried from the base to the tool.
     """
-    by_component, weight = values.T.copy(), weights.T.copy()
-    return Batch(
-        order=np.arange(len(values)),
-        groups=(len(values),),
-        costs=lambda chains, motion, starts, own, costs: kernel(
-            chains, motion, starts, by_component, weight, costs
-        ),
-    )
+
+    comparison: str
+    rows: NDArray[np.intp]
+    point: NDArray[np.int64]
+    place: NDArray[np.int64]
+    values: Floats
+    weights: Floats
+    references: Callable[[Floats], References]
+    inward: bool = False
+
+
+def tool_references(own: Floats) -> References:
+    """The origin of the tool, compared with values alone."""
+    return References(np.zeros((len(own), 1, 3)), np.zeros((len(own), 1, 3)))
 
 
 @runtime_checkable
 class BatchedModel(Protocol):
     """A measurement model that a compiled kernel can evaluate."""
 
-    def batch(self, data: Measurements, weights: Floats) -> Batch | None:
-        """The batch form of some rows, None where they have none.
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """The batch form of some rows; empty where they have none.
 
         Args:
             data: The rows.

@@ -20,10 +20,12 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.measurement_models.base import (
+    Batch,
     Curvature,
     Featured,
     Linearization,
     Quantity,
+    References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.camera_start import Rays
@@ -258,6 +260,28 @@ class CameraModel(Featured):
             for k in range(3):
                 by_own[rows, :, column[rows] + k] = by_point[:, k, rows].T
         return Linearization(view.image.pixels - data.values, by_twist, by_own)
+
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """Carries the points into the camera."""
+        rows, point = np.arange(len(data)), self._index(data.target)
+        known = np.array([p.xyz for p in self.points], float)
+        column = self._columns
+        moving = column >= 0
+        columns = column[moving, None] + np.arange(3)
+        intrinsics, count = self.camera.intrinsics, len(INTRINSICS)
+
+        def references(own: Floats) -> References:
+            points = np.tile(known, (len(own), 1, 1))
+            points[:, moving] += own[:, columns]
+            places = np.full((len(own), 1, count + 1), NEAR)
+            places[:, 0, :count] = intrinsics + own[:, :count]
+            return References(points, places)
+
+        camera = np.zeros_like(point)
+        hand = self.camera.mount == "hand"
+        return [
+            Batch("pixel", rows, point, camera, data.values, weights, references, hand)
+        ]
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
         """Second derivatives: the point moves in the image, and its motion turns.

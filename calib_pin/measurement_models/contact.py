@@ -14,7 +14,13 @@ from calib_pin.contact_registration import (
     register_touched_plane,
 )
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.measurement_models.features import Anchor, Feature, Plane, Sphere
+from calib_pin.measurement_models.features import (
+    Anchor,
+    Feature,
+    Plane,
+    Sphere,
+    turned_planes,
+)
 from calib_pin.measurement_models.tool_point import (
     Bend,
     PlaceModel,
@@ -24,7 +30,14 @@ from calib_pin.measurement_models.tool_point import (
 from calib_pin.measurements import Measurements
 from calib_pin.spatial import Floats
 
-__all__ = ["PlaneContact", "SphereContact", "directions", "rays", "round_bend"]
+__all__ = [
+    "PlaneContact",
+    "SphereContact",
+    "directions",
+    "rays",
+    "round_bend",
+    "rounds",
+]
 
 
 @dataclass(frozen=True)
@@ -42,6 +55,7 @@ class PlaneContact(Contact):
     """`residual = n . p + f`, the height of the tool point above a plane [m]."""
 
     name: str = "plane-contact"
+    comparison = "height"
 
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """The height, with the plane turned by (u, v) and shifted by f."""
@@ -51,6 +65,11 @@ class PlaneContact(Contact):
             [np.einsum("ni,nik->nk", p, by_turn), np.ones((len(p), 1))], axis=1
         )
         return Touch(height[:, None], n[:, None], by_plane[:, None])
+
+    def seen(self, own: Floats) -> Floats:
+        """Normals and offsets."""
+        planes = [plane for plane in self.places if isinstance(plane, Plane)]
+        return turned_planes(planes, own)
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """A plane is flat; what it turns about is as far as the point."""
@@ -102,11 +121,19 @@ class SphereContact(Contact):
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """The height."""
         e, distance = rays(p, self.places, place, own)
-        spheres = [s for s in self.places if isinstance(s, Sphere)]
-        radius = np.array([sphere.radius for sphere in spheres], float)[place]
-        height = distance - radius - own[:, 3]
+        height = distance - self._radii[place] - own[:, 3]
         by_sphere = np.concatenate([-e, np.full((len(p), 1), -1.0)], axis=1)
         return Touch(height[:, None], e[:, None], by_sphere[:, None])
+
+    def seen(self, own: Floats) -> Floats:
+        """Centers, and radii to be subtracted."""
+        larger = own.reshape(len(own), -1, 4) * [1.0, 1.0, 1.0, -1.0]
+        return rounds(self.places, -self._radii) + larger
+
+    @property
+    def _radii(self) -> Floats:
+        spheres = [s for s in self.places if isinstance(s, Sphere)]
+        return np.array([sphere.radius for sphere in spheres], float)
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """As round as the point is far from the center."""
@@ -144,8 +171,16 @@ def rays(
         place: Position of each row's, shape (N,).
         own: Its parameters, the coordinates first, shape (N, k).
     """
-    centers = [s.xyz for s in places if isinstance(s, Sphere | Anchor)]
-    return directions(p - np.array(centers)[place] - own[:, :3])
+    return directions(p - _centers(places)[place] - own[:, :3])
+
+
+def rounds(places: Sequence[Feature], added: Floats) -> Floats:
+    """Centers of L spheres or anchors, and what is added to distances, (L, 4)."""
+    return np.column_stack([_centers(places), added])
+
+
+def _centers(places: Sequence[Feature]) -> Floats:
+    return np.array([s.xyz for s in places if isinstance(s, Sphere | Anchor)])
 
 
 def directions(x: Floats) -> tuple[Floats, Floats]:

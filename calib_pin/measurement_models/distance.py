@@ -15,7 +15,7 @@ from calib_pin.contact_registration import (
     register_relative_distances,
 )
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.measurement_models.contact import directions, rays, round_bend
+from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
 from calib_pin.measurement_models.features import Anchor, Feature
 from calib_pin.measurement_models.tool_point import (
     Bend,
@@ -51,11 +51,18 @@ class PointDistance(PlaceModel):
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """The reading."""
         e, distance = rays(p, self.places, place, own)
-        anchors = [a for a in self.places if isinstance(a, Anchor)]
-        bias = np.array([anchor.bias for anchor in anchors])[place]
+        bias = self._biases[place]
         by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
         reading = distance + bias + own[:, 3]
         return Touch(reading[:, None], e[:, None], by_anchor[:, None])
+
+    def seen(self, own: Floats) -> Floats:
+        """Anchors and biases."""
+        return rounds(self.places, self._biases) + own.reshape(len(own), -1, 4)
+
+    @property
+    def _biases(self) -> Floats:
+        return np.array([a.bias for a in self.places if isinstance(a, Anchor)])
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """As round as the point is far from the anchor."""
@@ -123,6 +130,10 @@ class RelativeDistance(PointModel):
         """The length of the way."""
         e, distance = directions(p)
         return Touch(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
+
+    def seen(self, own: Floats) -> Floats:
+        """The start, from which on the kernel counts."""
+        return np.zeros((len(own), 1, 4))
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """As round as the way is long."""

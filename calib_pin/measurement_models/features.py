@@ -43,6 +43,7 @@ __all__ = [
     "locate",
     "nuisances",
     "slices",
+    "turned_planes",
 ]
 
 METER = 1.0
@@ -363,6 +364,17 @@ class Frame:
             pose = pose * pin.exp6(np.eye(6)[k] * own[k])
         return replace(self, pose=pose)
 
+    def moved(self, own: Floats) -> Floats:
+        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
+        from calib_pin import link_kernels
+
+        assert self.pose is not None
+        reference = self.pose.homogeneous[:3].reshape(1, 12)
+        result, first = np.empty((len(own), 1, 12)), np.zeros(6, np.int64)
+        screws = first, np.arange(6), np.eye(6)
+        link_kernels.links(reference, *screws, np.ascontiguousarray(own), result)
+        return result[:, 0]
+
     def twists(self, own: Floats) -> Floats:
         """Body twists of the frame by its parameters, shape (6, 6)."""
         result, behind = np.eye(6), pin.SE3.Identity()
@@ -377,6 +389,13 @@ class Frame:
         roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
         xyz = _triple(self.pose.translation)
         return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
+
+
+def turned_planes(planes: Sequence[Plane], own: Floats) -> Floats:
+    """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
+    parts = [own[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
+    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
+    return np.stack(turned, axis=1)
 
 
 def slices(features: Sequence[Feature]) -> list[slice]:

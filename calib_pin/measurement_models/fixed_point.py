@@ -37,6 +37,7 @@ class FixedPoint(Touching, PointModel):
     """
 
     name: str = "fixed-point"
+    comparison = "position"
 
     @property
     def quantities(self) -> Sequence[Quantity]:
@@ -46,14 +47,22 @@ class FixedPoint(Touching, PointModel):
     def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
         """From the socket to the ball."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-        sockets = [s for s in self.places if isinstance(s, Point)]
-        centers = np.array([socket.xyz for socket in sockets])[place] + own
+        centers = self._centers[place] + own
         return Touch(p - centers, identity, -identity)
+
+    def seen(self, own: Floats) -> Floats:
+        """Centers of the sockets."""
+        return self._centers + own.reshape(len(own), -1, 3)
 
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """Nothing bends."""
         flat = np.zeros((len(p), 3, 3, 3))
         return Bend(flat, flat)
+
+    @property
+    def _centers(self) -> Floats:
+        sockets = [s for s in self.places if isinstance(s, Point)]
+        return np.array([socket.xyz for socket in sockets])
 
     def new(self, name: str) -> Point:
         """A socket that nobody has given."""

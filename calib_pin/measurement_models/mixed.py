@@ -20,6 +20,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.measurement_models.base import (
+    Batch,
+    BatchedModel,
     Featured,
     Linearization,
     MeasurementModel,
@@ -202,6 +204,19 @@ class Mixed(Featured):
             by_own[rows, components] = block
         return Linearization(residual, by_twist, by_own)
 
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """Those of all parts; none where one has none."""
+        result: list[Batch] = []
+        for name, (rows, seen) in data.by_part.items():
+            part, components = self.parts[name], self._layout[name][1]
+            found: Sequence[Batch] = []
+            if isinstance(part, BatchedModel):
+                found = part.batches(seen, weights[rows, components])
+            if not found:
+                return []
+            result += [_within(batch, rows, self._own[name]) for batch in found]
+        return result
+
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
     ) -> tuple[Mixed, pin.SE3, pin.SE3]:
@@ -293,6 +308,21 @@ def qualified(
         part, _, plain = target.partition(PART)
         found[part][plain] = None
     return {name: tuple(plain) for name, plain in found.items()}
+
+
+def _within(batch: Batch, rows: NDArray[np.intp], own: NDArray[np.intp]) -> Batch:
+    """A batch of a part among all rows and all parameters.
+
+    Args:
+        batch: The batch form of the part's rows.
+        rows: Positions of these in the data.
+        own: Positions of the part's parameters among the instrument's.
+    """
+    return replace(
+        batch,
+        rows=rows[batch.rows],
+        references=lambda values: batch.references(values[:, own]),
+    )
 
 
 def _key(feature: Feature) -> tuple[str, str]:

@@ -10,10 +10,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.measurement_models.base import (
+    Batch,
+    BatchedModel,
     Featured,
     Linearization,
     MeasurementModel,
     Quantity,
+    References,
 )
 from calib_pin.measurement_models.features import Feature, Frame
 from calib_pin.measurements import Measurements
@@ -122,6 +125,25 @@ class Mounted(Featured):
             by_twist=linear.by_twist @ adjoint(invert(E[None])),
             by_own=np.concatenate([linear.by_own, by_stand, by_place], axis=2),
         )
+
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """Those of the model, with both frames around the chain."""
+        if not isinstance(self.model, BatchedModel):
+            return []
+
+        def around(inner: Batch) -> Batch:
+            def references(own: Floats) -> References:
+                found = inner.references(own[:, :-12])
+                stand, mount = own[:, -12:-6], own[:, -6:]
+                return replace(
+                    found,
+                    stand=self.stand.moved(stand),
+                    mount=self.place.moved(mount),
+                )
+
+            return replace(inner, references=references)
+
+        return list(map(around, self.model.batches(data, weights)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -16,8 +16,14 @@ from calib_pin.measurement_models.base import (
     Featured,
     Linearization,
     Quantity,
+    References,
 )
-from calib_pin.measurement_models.features import Feature, Plane, locate
+from calib_pin.measurement_models.features import (
+    Feature,
+    Plane,
+    locate,
+    turned_planes,
+)
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_plane
 from calib_pin.setup import RangerSetup
@@ -176,43 +182,16 @@ class PlaneDistance(Featured):
         by_own[row, 0, 3 * index + 2, 3:] = by_c / c
         return Curvature(by_twist, by_own)
 
-    def batch(self, data: Measurements, weights: Floats) -> Batch:
-        """Carries the origin and the beam of the tool to the base, plane by plane."""
-        from calib_pin import kernels
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """Carries the origin and the beam of the tool to the base."""
+        rows, index = np.arange(len(data)), self._index(data.target)
 
-        index = self._index(data.target)
-        order = np.argsort(index, kind="stable")
-        groups = [int(size) for size in np.bincount(index) if size]
-        values, weights = data.values[order].T.copy(), weights[order].T.copy()
-        # A block of configurations looks at one plane.
-        of_block = index[order]
+        def references(own: Floats) -> References:
+            planes = turned_planes(self.planes, own)
+            return References(np.zeros((len(own), 1, 3)), planes)
 
-        def costs(
-            chains: Floats,
-            motion: Floats,
-            starts: NDArray[np.int64],
-            own: Floats,
-            costs: Floats,
-        ) -> None:
-            planes = np.stack(
-                [
-                    plane.turned_many(own[:, 3 * k : 3 * k + 3])
-                    for k, plane in enumerate(self.planes)
-                ],
-                axis=1,
-            )
-            kernels.plane_distance_costs(
-                chains,
-                motion,
-                starts,
-                planes,
-                of_block[starts[:-1]],
-                values,
-                weights,
-                costs,
-            )
-
-        return Batch(order, groups, costs)
+        origin = np.zeros_like(rows)
+        return [Batch("beam", rows, origin, index, data.values, weights, references)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

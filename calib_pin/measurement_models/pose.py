@@ -14,8 +14,8 @@ from calib_pin.measurement_models.base import (
     FreeInstrument,
     Linearization,
     Quantity,
-    plain_batch,
     rotation_curvature,
+    tool_references,
 )
 from calib_pin.measurements import Measurements
 from calib_pin.registration import register_poses
@@ -82,13 +82,13 @@ class Pose(FreeInstrument):
         by_twist[:, :3, :3] = rotation_curvature(T[:, :3, :3])
         return Curvature(by_twist, np.zeros((len(T), 6, 0, 6)))
 
-    def batch(self, data: Measurements, weights: Floats) -> Batch:
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the origin and the axes of the tool to the base."""
-        from calib_pin import kernels
-
+        rows = np.arange(len(data))
         R_y = from_quaternion(data.values[:, 3:]).reshape(-1, 9)
         values = np.concatenate([data.values[:, :3], R_y], axis=1)
-        return plain_batch(kernels.pose_costs, values, weights)
+        alone = np.zeros_like(rows)
+        return [Batch("pose", rows, alone, alone, values, weights, tool_references)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

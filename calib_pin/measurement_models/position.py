@@ -9,7 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.measurement_models.base import Batch, Quantity, plain_batch
+from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.tool_point import (
     Bend,
     PointModel,
@@ -34,6 +34,7 @@ class Position(PointModel):
     """
 
     name: str = "position"
+    comparison = "position"
 
     @property
     def quantities(self) -> Sequence[Quantity]:
@@ -60,17 +61,13 @@ class Position(PointModel):
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
         return Touch(p, identity, np.zeros((len(p), 3, 0)))
 
+    def seen(self, own: Floats) -> Floats:
+        """Nothing: values alone."""
+        return np.zeros((len(own), 1, 3))
+
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """Nothing bends."""
         return Bend(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
-
-    def batch(self, data: Measurements, weights: Floats) -> Batch | None:
-        """Carries the origin of the tool to the base; named points have none."""
-        if self.points:
-            return None
-        from calib_pin import kernels
-
-        return plain_batch(kernels.position_costs, data.values, weights)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from typing import Self
+from typing import ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
@@ -17,9 +17,11 @@ from numpy.typing import NDArray
 from calib_pin.contact_registration import Reached
 from calib_pin.errors import InputError, OptionError
 from calib_pin.measurement_models.base import (
+    Batch,
     Curvature,
     Featured,
     Linearization,
+    References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.features import Feature, Point, locate
@@ -85,6 +87,9 @@ class PointModel(Featured):
     points: tuple[Point, ...] = ()
     places: tuple[Feature, ...] = ()
     origin: bool = True
+
+    comparison: ClassVar[str] = "distance"
+    """How a kernel compares a point with a place, see `kernels.COMPARISONS`."""
 
     @property
     def measuring_frame(self) -> bool:
@@ -211,6 +216,32 @@ class PointModel(Featured):
     def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
         """How that changes with the points; arguments as for `compare`."""
         raise NotImplementedError
+
+    def seen(self, own: Floats) -> Floats:
+        """Places of many members as a kernel compares them, (S, K) -> (S, L, w).
+
+        Args:
+            own: Parameters of the places.
+        """
+        raise NotImplementedError
+
+    def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
+        """Carries the points of the tool to the base."""
+        point, place = self.names(data.target)
+        known = np.array([p.xyz for p in self.points] + [np.zeros(3)])
+        size = 3 * len(self.points)
+
+        def references(own: Floats) -> References:
+            points = np.tile(known, (len(own), 1, 1))
+            # The last is the origin.
+            points[:, :-1] += own[:, :size].reshape(len(own), -1, 3)
+            return References(points, self.seen(own[:, size:]))
+
+        rows, values = np.arange(len(data)), data.values
+        if self.contact:
+            values = np.zeros_like(weights)
+        how = self.comparison
+        return [Batch(how, rows, point, place, values, weights, references)]
 
     def new(self, name: str) -> Feature:
         """A place that nobody has given."""

@@ -21,7 +21,6 @@ from dataclasses import dataclass
 from functools import cached_property
 
 import numpy as np
-from scipy.linalg.lapack import dtrtri
 
 from calib_pin.spatial import Floats
 
@@ -50,6 +49,9 @@ class Information:
             M: Symmetric matrix, shape (m, m).
             nuisances: Number of its leading rows that are projected out.
         """
+        # Scipy takes as long to load as Pinocchio; a calibration does without it.
+        from scipy.linalg.lapack import dtrtri
+
         diagonal = np.sqrt(np.maximum(np.diag(M), 0.0))
         if not diagonal.all():
             return None

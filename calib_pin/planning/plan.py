@@ -34,6 +34,7 @@ from calib_pin.result import CoupledGroup, ParameterEstimate
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["CRITERION_NAMES", "Plan", "Step", "identification", "plan"]
 
@@ -133,6 +134,7 @@ class Plan:
     groups: tuple[CoupledGroup, ...]
 
 
+@serial_blas
 def plan(
     chain: Chain,
     model: str,

@@ -5,7 +5,6 @@ from __future__ import annotations
 from dataclasses import dataclass
 
 import numpy as np
-from scipy.linalg import block_diag
 
 from calib_pin.directions import WEAK, Directions
 from calib_pin.parameters import ParameterSet
@@ -80,7 +79,8 @@ def predict(
     f = found.nuisances
     _, s, right = found.svd
     strong = s * WEAK > 1.0
-    kept = block_diag(np.eye(f), right[:, strong])
+    kept = np.eye(len(found.factor))[:, : f + int(strong.sum())]
+    kept[f:, f:] = right[:, strong]
     R = found.factor @ kept
     covariance = kept @ np.linalg.inv(R.T @ R) @ kept.T
     scaled = basis / of.scales[:, None]

@@ -119,6 +119,7 @@ def html_report(
         style=Markup(_file("style.css")),
         script=Markup(_file("script.js")),
         version=document["provenance"]["calib_pin"],
+        run=document.get("run", ""),
     ).encode("utf-8", "backslashreplace")
 
 

@@ -12,10 +12,12 @@ from calib_pin.report.statistics import correlated, outliers, statistics
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
 from calib_pin.result import CalibrationResult
+from calib_pin.threads import serial_blas
 
 __all__ = ["format_report", "report"]
 
 
+@serial_blas
 def format_report(result: CalibrationResult) -> str:
     """The report of a calibration as plain text of at most 80 columns.
 

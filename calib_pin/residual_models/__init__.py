@@ -2,8 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
-from typing import Any, Protocol
+from collections.abc import Mapping
+from typing import Protocol
 
 import numpy as np
 
@@ -16,28 +16,16 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.correction import LearnedCorrection
 from calib_pin.residual_models.documents import checked, stated
-from calib_pin.residual_models.gaussian_process import (
-    GaussianProcess,
-    GaussianProcessOptions,
-    fit_gaussian_process,
-)
-from calib_pin.residual_models.network import Network, NetworkOptions, fit_network
 from calib_pin.residual_models.region import TrainedRegion
 
 __all__ = [
     "RESIDUAL_MODELS",
-    "GaussianProcess",
-    "GaussianProcessOptions",
     "LearnedCorrection",
     "Linearized",
-    "Network",
-    "NetworkOptions",
     "ResidualModel",
     "Space",
     "TrainedRegion",
     "TrainingRows",
-    "fit_gaussian_process",
-    "fit_network",
     "restore",
 ]
 
@@ -56,16 +44,29 @@ class Fitter(Protocol):
         ...
 
 
+# The members bring scipy, which takes as long to load as Pinocchio; most calibrations
+# learn nothing.
+def _fit_network(
+    rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
+) -> ResidualModel:
+    from calib_pin.residual_models.network import fit_network
+
+    return fit_network(rows, rng, progress=progress)
+
+
+def _fit_gaussian_process(
+    rows: TrainingRows, rng: np.random.Generator, *, progress: Progress | None = None
+) -> ResidualModel:
+    from calib_pin.residual_models.gaussian_process import fit_gaussian_process
+
+    return fit_gaussian_process(rows, rng, progress=progress)
+
+
 RESIDUAL_MODELS: Mapping[str, Fitter] = {
-    "network": fit_network,
-    "gaussian-process": fit_gaussian_process,
+    "network": _fit_network,
+    "gaussian-process": _fit_gaussian_process,
 }
 """How each residual model is fitted."""
-
-_RESTORED: Mapping[str, Callable[[Mapping[str, Any], int], ResidualModel]] = {
-    "network": Network.restore,
-    "gaussian-process": GaussianProcess.restore,
-}
 
 
 def restore(document: object, joints: int) -> ResidualModel:
@@ -79,4 +80,10 @@ def restore(document: object, joints: int) -> ResidualModel:
         ValueError: With the reason, if it is anything else.
     """
     parts = checked(document, "residual model")
-    return _RESTORED[stated(parts, "kind", tuple(_RESTORED))](parts, joints)
+    if stated(parts, "kind", tuple(RESIDUAL_MODELS)) == "network":
+        from calib_pin.residual_models.network import Network
+
+        return Network.restore(parts, joints)
+    from calib_pin.residual_models.gaussian_process import GaussianProcess
+
+    return GaussianProcess.restore(parts, joints)

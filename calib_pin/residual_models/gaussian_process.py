@@ -31,6 +31,7 @@ from calib_pin.residual_models.covariance import Covariance
 from calib_pin.residual_models.documents import checked, numbers, stated
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
 
 __all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
 
@@ -100,6 +101,7 @@ class GaussianProcess:
         """Name as users write it."""
         return "gaussian-process"
 
+    @serial_blas
     def __call__(self, q: Floats) -> Floats:
         """Corrections, shape (N, m) [rad, m], zero outside the region.
 
@@ -110,6 +112,7 @@ class GaussianProcess:
         inside = self.covariance.predict(at, self._angle, self.weights) * self.unit
         return np.asarray(self.region.weight(q)[:, None] * inside)
 
+    @serial_blas
     def deviation(
         self,
         q: Floats,
@@ -231,6 +234,7 @@ class GaussianProcess:
         )
 
 
+@serial_blas
 def fit_gaussian_process(
     rows: TrainingRows,
     rng: np.random.Generator,

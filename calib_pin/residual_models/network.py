@@ -22,7 +22,7 @@ from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.training import Member
 from calib_pin.residual_models.units import Inputs, Weights, combined, series
 from calib_pin.spatial import Floats
-from calib_pin.threads import Threads
+from calib_pin.threads import Threads, serial_blas
 
 __all__ = ["Network", "NetworkOptions", "fit_network"]
 
@@ -97,6 +97,7 @@ class Network:
         """Joint positions."""
         return "joint"
 
+    @serial_blas
     def __call__(self, q: Floats) -> Floats:
         """Corrections, shape (N, n) [rad, m], zero outside the region.
 
@@ -111,6 +112,7 @@ class Network:
             inside[start : start + PIECE] += combined(circle, self._average)
         return np.asarray(self.region.weight(q)[:, None] * inside)
 
+    @serial_blas
     def deviation(
         self,
         q: Floats,
@@ -201,6 +203,7 @@ class Network:
         )
 
 
+@serial_blas
 def fit_network(
     rows: TrainingRows,
     rng: np.random.Generator,

@@ -9,29 +9,36 @@ from benchmarks import (
     beyond,
     camera,
     evolution,
+    guard,
     planning,
+    reading,
     recovery,
     report,
     rows,
+    startup,
 )
 
 BENCHMARKS = {
     "fit": basic.fit_talos,
     "jacobian": basic.jacobian,
     "commands": basic.commands,
+    "startup": startup.main,
     "evolution": evolution.main,
     "rows": rows.main,
     "camera": camera.main,
     "planning": planning.main,
     "beyond": beyond.main,
+    "reading": reading.main,
     "recovery": recovery.main,
     "report": report.main,
+    "guard": guard.main,
 }
 
 
 def main() -> None:
     """Run the benchmarks that are named, or all."""
-    chosen = sys.argv[1:] or list(BENCHMARKS)
+    named = [word for word in sys.argv[1:] if word != guard.RECORD]
+    chosen = named or list(BENCHMARKS)
     unknown = [name for name in chosen if name not in BENCHMARKS]
     if unknown:
         sys.exit(f"unknown benchmark {unknown[0]}; there are {', '.join(BENCHMARKS)}")

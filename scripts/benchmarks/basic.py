@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.fit import fit
+from calib_pin.chain import Chain
 from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.measurements import Measurements
 from calib_pin.setup import FrameSetup, Setup
 
 __all__ = ["commands", "fit_talos", "jacobian"]
@@ -26,37 +26,33 @@ DATA = Path(
 )
 
 
-def talos_problem() -> Problem:
+def talos_rows() -> tuple[Chain, Measurements]:
     """The TALOS measurements, or as many simulated ones where they are absent."""
     chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
     file = DATA / "talos_left_arm" / "measurements.csv"
     if file.is_file():
-        return make_problem(chain, calib_pin.read_measurements(file, chain), Setup())
+        return chain, calib_pin.read_measurements(file, chain)
     print(f"(no real measurements in {DATA}: simulated ones)")
     tool = FrameSetup((0.1, 0.05, 0.1))
     nominal = nominal_problem(chain, "position", Setup(tool_frame=tool))
     rng = np.random.default_rng(0)
     truth = calib_pin.draw_errors(nominal.parameters, rng)
-    rows = calib_pin.simulate(nominal, truth, rng, count=61, noise=3e-4)
-    return make_problem(chain, rows, Setup())
+    return chain, calib_pin.simulate(nominal, truth, rng, count=61, noise=3e-4)
 
 
 def fit_talos() -> None:
-    """A whole fit of 61 rows against scipy on the same residual, without a rank."""
-    problem = talos_problem()
-    seconds = best(lambda: fit(problem, np.random.default_rng(0)))
-    registered = fit(problem, np.random.default_rng(0))
+    """A calibration of 61 rows against scipy on the same residual, without a rank."""
+    chain, rows = talos_rows()
+    seconds = best(lambda: calib_pin.calibrate(chain, rows, validate=False))
+    problem = make_problem(chain, rows, Setup())
+    problem = problem.register(np.zeros(len(problem.parameters)))
     scales = problem.parameters.scales
 
     def scipy_fit() -> None:
-        least_squares(
-            lambda x: registered.problem.residual(x * scales),
-            registered.before / scales,
-            method="trf",
-        )
+        least_squares(lambda x: problem.residual(x * scales), 0.0 * scales)
 
     reference = best(scipy_fit, 1)
-    show("TALOS fit, 61 rows x 66", seconds, "scipy's", reference)
+    show("TALOS calibration, 61 rows x 66", seconds, "scipy's", reference)
 
 
 def jacobian() -> None:

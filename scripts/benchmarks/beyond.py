@@ -8,15 +8,15 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.inverse_kinematics import commands
+from calib_pin.chain import Chain
+from calib_pin.compensation import compensate
+from calib_pin.formulation import nominal_problem
+from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
-from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
+from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
-from calib_pin.training import shifts, training_rows
 
 __all__ = ["main"]
 
@@ -28,10 +28,16 @@ TARGETS, SINGLE = 10_000, 100
 def main() -> None:
     """Residual models on 500 rows of a UR10, and joint commands for 10 000 poses."""
     problem, theta = _truth()
-    rows, residual = _left(problem, theta)
-    plain = best(lambda: _regression(rows.q, residual), 1)
-    for name, train in RESIDUAL_MODELS.items():
-        seconds = best(lambda train=train: train(rows, np.random.default_rng(0)), 2)
+    chain, rng = problem.error.chain, np.random.default_rng(2)
+    rows = calib_pin.simulate(problem, theta, rng, count=ROWS, noise=NOISE)
+    left = _left(chain, rows)
+    plain = best(lambda: _regression(rows.q, left), 1)
+    for name in RESIDUAL_MODELS:
+        setup = Setup(learned=name)
+        seconds = best(
+            lambda setup=setup: calib_pin.calibrate(chain, rows, setup, validate=False),
+            2,
+        )
         show(f"{name}, {ROWS} rows", seconds, "regression of the residual", plain)
     _commands(CalibratedModel.create(problem, theta))
 
@@ -47,13 +53,10 @@ def _truth() -> tuple[Problem, Floats]:
     return problem, calib_pin.draw_errors(problem.parameters, rng)
 
 
-def _left(problem: Problem, theta: Floats) -> tuple[TrainingRows, Floats]:
-    """Rows to learn from, and what geometry leaves of them [m]."""
-    rng = np.random.default_rng(2)
-    data = calib_pin.simulate(problem, theta, rng, count=ROWS, noise=NOISE)
-    fitted = fit(make_problem(problem.error.chain, data, Setup()), rng)
-    about, values = fitted.problem.at(fitted.theta)
-    return training_rows(about, values, shifts(fitted)), about.errors(values)
+def _left(chain: Chain, rows: Measurements) -> Floats:
+    """What geometry leaves of the rows, shape (N, 3) [m]."""
+    model = calib_pin.calibrate(chain, rows, validate=False).model
+    return model.problem(rows).errors(model.theta)
 
 
 def _regression(q: Floats, residual: Floats) -> None:
@@ -72,10 +75,10 @@ def _commands(model: CalibratedModel) -> None:
 
     def one_by_one() -> None:
         for k in range(SINGLE):
-            commands(model, targets[k : k + 1], start[k : k + 1])
+            compensate(model, targets[k : k + 1], start[k : k + 1])
 
     loop = best(one_by_one, 1)
     for label, given in (("from nominal commands", start), ("without a start", None)):
-        seconds = best(lambda given=given: commands(model, targets, given), 2)
+        seconds = best(lambda given=given: compensate(model, targets, given), 2)
         name = f"{TARGETS} poses, {label}"
         show(name, seconds, "one by one", loop * TARGETS / SINGLE)

@@ -1,4 +1,4 @@
-"""A camera on the hand: the fit of very many pixels, and one residual of them.
+"""A camera on the hand: a calibration by very many pixels, and one residual of them.
 
 What the residual is compared with is what one writes without a library: forward
 kinematics of Pinocchio for every image, and its points projected with numpy.
@@ -16,8 +16,7 @@ from numba import config
 import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.chain import Chain
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.formulation import nominal_problem
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
@@ -59,22 +58,21 @@ def main() -> None:
     print(f"space6, {len(q)} images of {len(BOARD)} points, {threads} threads")
     for estimate in (False, True):
         setup = Setup(targets=BOARD, camera=replace(CAMERA, estimate=estimate))
-        _fit(chain, data, setup, "estimated" if estimate else "known")
+        _calibrate(chain, data, setup, "estimated" if estimate else "known")
     _residual(nominal, data)
 
 
-def _fit(chain: Chain, data: Measurements, setup: Setup, intrinsics: str) -> None:
-    """Fit, and print how long it took."""
+def _calibrate(chain: Chain, data: Measurements, setup: Setup, intrinsics: str) -> None:
+    """Calibrate, and print how long it took."""
     # Compiles, and loads what is loaded once.
     few = data.rows(np.arange(20_000))
-    fit(make_problem(chain, few, setup), np.random.default_rng(0))
-    problem = make_problem(chain, data, setup)
+    calib_pin.calibrate(chain, few, setup, validate=False)
     start = time.perf_counter()
-    found = fit(problem, np.random.default_rng(0))
+    found = calib_pin.calibrate(chain, data, setup, validate=False)
     seconds = time.perf_counter() - start
     print(
-        f"fit, intrinsics {intrinsics:<10}{seconds:9.2f} s{found.result.nit:5} steps"
-        f"{found.rank:5} of {len(problem.parameters)} parameters"
+        f"intrinsics {intrinsics:<10}{seconds:9.2f} s{found.iterations:5} steps"
+        f"{found.identifiability.rank:5} of {len(found.parameters)} parameters"
         f"{found.sigma0:9.4f} sigma0"
     )
 

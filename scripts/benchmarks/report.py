@@ -22,7 +22,7 @@ from calib_pin.report.html import html_report
 from calib_pin.result import CalibrationResult
 from calib_pin.setup import FrameSetup, Setup
 
-__all__ = ["main"]
+__all__ = ["main", "page_of", "scatter_of"]
 
 ROWS = (10_000, 100_000)
 """Numbers of fitted rows; as many others check the fit."""
@@ -35,9 +35,9 @@ def main() -> None:
     """Print time and size of the page."""
     for count in ROWS:
         result = _result(count)
-        size = len(_page(result))
-        seconds = best(lambda result=result: _page(result), 3)
-        other = best(lambda result=result: _scatter(result), 2)
+        size = len(page_of(result))
+        seconds = best(lambda result=result: page_of(result), 3)
+        other = best(lambda result=result: scatter_of(result), 2)
         name = f"page of {size / 1e6:.2f} MB, {count} + {count} poses"
         show(name, seconds, "one scatter as SVG", other)
 
@@ -52,7 +52,7 @@ def _result(count: int) -> CalibrationResult:
     return calib_pin.calibrate(chain, marked)
 
 
-def _page(result: CalibrationResult) -> bytes:
+def page_of(result: CalibrationResult) -> bytes:
     """All that a command does for the page."""
     chain = result.model.chain
     return html_report(
@@ -63,7 +63,8 @@ def _page(result: CalibrationResult) -> bytes:
     )
 
 
-def _scatter(result: CalibrationResult) -> bytes:
+def scatter_of(result: CalibrationResult) -> bytes:
+    """The fitted rows as one scatter plot."""
     sizes = result.fitted.sizes(result.fitted.quantities[0])
     stream = io.BytesIO()
     with mpl.rc_context({"svg.fonttype": "none"}):

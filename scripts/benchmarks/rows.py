@@ -28,8 +28,7 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.formulation import nominal_problem
 from calib_pin.many_rows import ManyRows
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
@@ -92,7 +91,7 @@ def _gemm() -> float:
 
 
 def _measure(size: int) -> dict[str, object]:
-    """Fit so many rows; seconds, bytes at most, and passes over rows."""
+    """Calibrate by so many rows; seconds, bytes at most, and passes over rows."""
     rng = np.random.default_rng(0)
     chain = calib_pin.load_chain("space6")
     tool = Setup(tool_frame=FrameSetup((0.05, 0.1, 0.1)))
@@ -106,13 +105,12 @@ def _measure(size: int) -> dict[str, object]:
     )
     # Compiles, and loads what is loaded once.
     few = data.rows(np.arange(SIZES[0]))
-    fit(make_problem(chain, few, Setup()), np.random.default_rng(0))
-    problem = make_problem(chain, data, Setup())
+    calib_pin.calibrate(chain, few, validate=False)
     passes: Counter[str] = Counter()
     for kind in OPERATIONS:
         setattr(ManyRows, kind, _counted(getattr(ManyRows, kind), kind, passes))
     start = time.perf_counter()
-    found = fit(problem, np.random.default_rng(0))
+    found = calib_pin.calibrate(chain, data, validate=False)
     seconds = time.perf_counter() - start
     return {
         "seconds": seconds,

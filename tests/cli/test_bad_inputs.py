@@ -99,7 +99,7 @@ CALIBRATE = "calibrate arm.urdf rows.csv -o out"
 SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
-TRUSTED_OR_NOT = {"calibration.json", "report.html"}
+TRUSTED_OR_NOT = {"calibration.json", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
@@ -651,13 +651,16 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     ),
     "another robot": (
         EVALUATE,
-        {"arm.urdf": swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"')},
+        dict.fromkeys(
+            ("arm.urdf", "done/nominal.urdf"),
+            swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"'),
+        ),
         dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
     ),
-    "robot is gone": (
+    "no robot is the one": (
         EVALUATE,
-        {"done/calibration.json": stored("robot", "file", to="gone.urdf")},
-        dict(file="done/calibration.json", reason="gone.urdf"),
+        {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
+        dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
     ),
     "measurements of another robot": (
         EVALUATE,

@@ -49,6 +49,7 @@ def test_a_calibration_as_a_process(here):
     assert {path.name for path in Path("out").iterdir()} == {
         "arm.urdf",
         "calibration.json",
+        "nominal.urdf",
         "report.html",
     }
 
@@ -311,7 +312,8 @@ def test_what_is_written(command, quantities, here, run):
     result = run(f"{command} -o out --seed 7")
     assert (result.status, result.err) == (0, "")
     assert result.out.endswith(
-        "wrote out/arm.urdf\nwrote out/calibration.json\nwrote out/report.html\n"
+        "wrote out/arm.urdf\nwrote out/nominal.urdf\nwrote out/calibration.json\n"
+        "wrote out/report.html\n"
     )
 
     found = document("out")
@@ -422,6 +424,8 @@ def test_the_same_input_gives_the_same_bytes(here, run):
         found = document("out")
         found["provenance"].pop("created")
         found["solver"].pop("seconds")
+        # The page tells both, and so its hash changes.
+        found["files"].pop("report.html")
         pairs.append((json.dumps(found), Path("out/arm.urdf").read_bytes()))
     assert pairs[0] == pairs[1]
 
@@ -451,7 +455,7 @@ def test_force_replaces(here, run):
     assert result.status == 0
     assert document("done")["measurements"]["files"][0]["file"] == "new.csv"
     assert Path("done/calibration.json").read_bytes() != old
-    assert len(list(Path("done").iterdir())) == 3
+    assert len(list(Path("done").iterdir())) == 4
 
 
 def test_options_win_over_the_setup_file(here, run):
@@ -569,6 +573,7 @@ def test_names_that_a_file_system_cannot_hold(here, run):
     assert {path.name for path in Path("out").iterdir()} == {
         "__red__ärm__1.urdf",
         "calibration.json",
+        "nominal.urdf",
         "report.html",
     }
     assert document("out")["robot"]["name"] == "../[red] ärm: 1"
@@ -929,16 +934,16 @@ def test_no_urdf_that_is_worse_than_the_nominal_one(tmp_path, monkeypatch, run):
     words = "simulate pa10 --setup setup.yaml --errors err.yaml --count 14 --seed 3"
     assert run(f"{words} --noise 2e-5 -o rows.csv").status == 0
     Path("out").mkdir()
-    Path("out/pa10.urdf").write_text("of an earlier run")
+    Path("out/pa10.urdf").write_text("of somebody else")
     result = run("calibrate pa10 rows.csv --setup setup.yaml -o out --force")
     assert result.status == 0 and result.out.startswith("GOOD")
     said = " ".join(result.out.split())
     assert "A URDF cannot hold compliance. None is written: " in said
-    assert result.err == "calib-pin: note: removed out/pa10.urdf of an earlier run\n"
-    assert {path.name for path in Path("out").iterdir()} == {
-        "calibration.json",
-        "report.html",
-    }
+    assert result.err == (
+        "calib-pin: note: out/pa10.urdf is not of this run, which has no such file\n"
+    )
+    assert Path("out/pa10.urdf").read_text() == "of somebody else"
+    assert "pa10.urdf" not in document("out")["files"]
     assert document("out")["urdf"]["reason"]
 
     words = "calibrate pa10 rows.csv --setup setup.yaml --parameters compliance -o bare"

@@ -144,8 +144,8 @@ def test_wrong_words(words, fields, there, refuses):
             dict(file="later/calibration.json", reason="'identifiability' is missing"),
         ),
         (
-            lambda d: d["robot"].update(file="gone.urdf"),
-            dict(file="later/calibration.json", reason="'gone.urdf'"),
+            lambda d: d["robot"].update(sha256="0" * 64),
+            dict(file="later/calibration.json", reason="is not the robot that was"),
         ),
     ],
 )

@@ -9,15 +9,12 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib_pin.residual_models import (
-    RESIDUAL_MODELS,
+from calib_pin.residual_models import RESIDUAL_MODELS, ResidualModel, restore
+from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
-    NetworkOptions,
-    ResidualModel,
     fit_gaussian_process,
-    fit_network,
-    restore,
 )
+from calib_pin.residual_models.network import NetworkOptions, fit_network
 
 
 @pytest.fixture(scope="module", params=[*RESIDUAL_MODELS, "tip"])

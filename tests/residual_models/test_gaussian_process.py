@@ -10,11 +10,11 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.residual_models import (
+from calib_pin.residual_models import restore
+from calib_pin.residual_models.gaussian_process import (
     GaussianProcess,
     GaussianProcessOptions,
     fit_gaussian_process,
-    restore,
 )
 
 NOISE = 5e-6

@@ -9,7 +9,8 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.residual_models import Network, NetworkOptions, fit_network, restore
+from calib_pin.residual_models import restore
+from calib_pin.residual_models.network import Network, NetworkOptions, fit_network
 
 NOISE = 5e-6
 QUICK = NetworkOptions(units=4, members=3)

@@ -15,15 +15,12 @@ import pytest
 import calib_pin
 from calib_pin.fit import Fit, fit
 from calib_pin.formulation import make_problem
-from calib_pin.residual_models import (
+from calib_pin.residual_models import Linearized, ResidualModel, TrainingRows
+from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
-    Linearized,
-    NetworkOptions,
-    ResidualModel,
-    TrainingRows,
     fit_gaussian_process,
-    fit_network,
 )
+from calib_pin.residual_models.network import NetworkOptions, fit_network
 from calib_pin.spatial import Floats
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from statistics import NormalDist
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -18,6 +19,7 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
+from calib_pin.report.figures.strokes import Marks
 from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
 from calib_pin.spatial import Floats
@@ -109,18 +111,13 @@ def _histogram(axes: Axes, values: Mapping[str, Floats]) -> None:
 
 def _normal_plot(axes: Axes, values: Mapping[str, Floats]) -> None:
     """Order statistics against what they would be if they were normal."""
-    from scipy.special import ndtri
-
     ends = [-4.0, 4.0]
     for (name, sizes), color, mark in zip(values.items(), GROUPS, MARKS, strict=False):
         ranks = _shown_ranks(len(sizes))
-        normal = ndtri((ranks + 0.5) / len(sizes))
-        axes.plot(
-            *(normal, sizes[ranks]),
-            **marks(color, mark, 3.5, hollow=True),
-            label=name,
-        )
-        ends += [float(normal[0]), float(normal[-1])]
+        normal = [NormalDist().inv_cdf((k + 0.5) / len(sizes)) for k in ranks]
+        style = marks(color, mark, 3.5, hollow=True)
+        axes.add_line(Marks(normal, sizes[ranks], **style, label=name))
+        ends += [normal[0], normal[-1]]
     line = [min(ends), max(ends)]
     axes.plot(line, line, color=INK, linewidth=1.0, label="normal", zorder=1.5)
     axes.set_xlabel("normal value of the same rank")

@@ -22,6 +22,7 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
+from calib_pin.report.figures.strokes import Marks
 from calib_pin.report.figures.thinning import thinned, thinning
 from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
@@ -148,12 +149,9 @@ def _points(axes: Axes, pane: _Pane) -> None:
     for (stage, sign), sizes in zip(SIGNS.items(), pane.sizes, strict=True):
         shown, style = sizes[pane.drawn], {**sign, "markersize": width}
         inside = np.isfinite(shown) & (shown > 0.0)
-        axes.plot(
-            *(pane.drawn[inside] + 1, shown[inside]),
-            **style,
-            label=stage,
-            rasterized=bool(inside.sum() > VECTORS),
-        )
+        points = Marks(pane.drawn[inside] + 1, shown[inside], **style, label=stage)
+        points.set_rasterized(bool(inside.sum() > VECTORS))
+        axes.add_line(points)
         _at_end(
             axes, pane.drawn[np.isposinf(shown)] + 1, {**style, "marker": "^"}, 0.97
         )

@@ -31,8 +31,9 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     if tip is None:
         return None
     unit, factor = unit_of("m")
-    usable = np.isfinite(tip.by_count) & (tip.by_count > 0.0)
-    counts, errors = tip.counts[usable], factor * tip.by_count[usable]
+    counts, errors = tip.by_count.curve
+    usable = np.isfinite(errors) & (errors > 0.0)
+    counts, errors = counts[usable], factor * errors[usable]
     limits, ends = log_limits(errors), log_limits(counts)
     if len(counts) < 2 or limits is None or ends is None:
         return None

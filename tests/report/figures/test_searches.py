@@ -35,16 +35,18 @@ def test_tip_errors_are_in_millimeters(
 ) -> None:
     tip = calibrated.tip
     assert tip is not None
+    counts, errors = tip.by_count.curve
     drawn = draw(tip_by_count, calibrated)
     (axes,) = drawn.figure.axes
     curve = next(x for x in axes.lines if x.get_label() == "some of these rows")
-    np.testing.assert_allclose(curve.get_xdata(), tip.counts)
-    np.testing.assert_allclose(curve.get_ydata(), 1e3 * tip.by_count)
+    np.testing.assert_allclose(curve.get_xdata(), counts)
+    np.testing.assert_allclose(curve.get_ydata(), 1e3 * errors)
     own = next(x for x in axes.lines if str(x.get_label()).startswith("40 measured"))
     assert np.asarray(own.get_xdata()).tolist() == [40]
     ticks = [label.get_text() for label in axes.get_yticklabels()]
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)
-    last = replace(tip, counts=tip.counts[-1:], by_count=tip.by_count[-1:])
+    last = replace(tip, by_count=replace(tip.by_count, last=(1, 1e-3)))
+    assert len(last.by_count.curve[0]) == 1
     assert tip_by_count(replace(calibrated, tip=last)) is None
 
 

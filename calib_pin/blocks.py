@@ -1,0 +1,92 @@
+"""The layout that compiled kernels share: joint motions of configurations in blocks.
+
+What does not depend on parameters is computed once: `motions` holds cosine, sine and
+shift of every joint position. The innermost loops of the kernels run over a block of
+configurations in one array whose parts lie a constant distance apart, so that the
+compiler sees that they do not overlap and uses vector instructions.
+
+numba keeps machine code on disk and notices a change only in a function's own file. So
+compiled functions call none of another file, and files share this layout alone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from itertools import pairwise
+from math import cos, sin
+from typing import Any, TypeVar, cast
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from calib_pin.spatial import Floats
+
+__all__ = ["BLOCK", "Booleans", "Indices", "compiled", "motions"]
+
+Booleans = NDArray[np.bool_]
+Indices = NDArray[np.int64]
+
+BLOCK = 128
+"""Configurations in a block; a constant, for the distances within work arrays.
+
+It is compiled in: clear the machine code (`__pycache__`) after a change.
+"""
+
+_Function = TypeVar("_Function", bound=Callable[..., object])
+
+
+def compiled(function: _Function) -> _Function:
+    """Compile at the first call and keep the machine code on disk.
+
+    Sums may be reordered and contracted, which vector instructions need; not-a-number
+    and infinity keep their meaning.
+    """
+    options: dict[str, Any] = {
+        "nogil": True,
+        "error_model": "numpy",
+        "fastmath": {"reassoc", "contract", "nsz", "arcp"},
+    }
+    try:
+        jit = njit(**options, cache=True)(function)
+    except RuntimeError:  # No folder to keep it in: a read-only installation.
+        jit = njit(**options)(function)
+    return cast(_Function, jit)
+
+
+def motions(
+    q: Floats, revolute: Booleans, groups: Sequence[int] = ()
+) -> tuple[Floats, Indices]:
+    """Joint motions of configurations in blocks.
+
+    Args:
+        q: Joint positions, shape (N, n) [rad, m], signs of reversed joints applied.
+        revolute: True for joints that turn, shape (n,).
+        groups: Sizes of successive groups of rows, each of which begins a new block;
+            default one group.
+
+    Returns:
+        Cosines, then sines, then shifts of every block, shape (blocks, n, 3 BLOCK), and
+        the first row of every block with the number of rows behind, (blocks + 1,).
+    """
+    first = np.cumsum([0, *(groups or [len(q)])])
+    cuts = [np.arange(start, stop, BLOCK) for start, stop in pairwise(first)]
+    starts = np.concatenate([*cuts, first[-1:]])
+    result = np.zeros((len(starts) - 1, q.shape[1], 3 * BLOCK))
+    _fill_motions(q, revolute, starts, result)
+    return result, starts
+
+
+@compiled
+def _fill_motions(
+    q: Floats, revolute: Booleans, starts: Indices, result: Floats
+) -> None:
+    for block in range(len(result)):
+        for row in range(starts[block], starts[block + 1]):
+            k = row - starts[block]
+            for joint in range(q.shape[1]):
+                motion, position = result[block, joint], q[row, joint]
+                if revolute[joint]:
+                    motion[k], motion[BLOCK + k] = cos(position), sin(position)
+                else:
+                    motion[k], motion[2 * BLOCK + k] = 1.0, position

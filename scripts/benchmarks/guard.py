@@ -1,0 +1,103 @@
+"""A guard for speed: every ratio of the races beside the one that was recorded.
+
+A ratio is the processor time of a path of the product by that of its reference. Both
+take turns and the shortest of each counts, so that a busy machine slows down both or
+neither. A path of more than FACTOR times its recorded ratio is measured once more, and
+then fails.
+
+    scripts/benchmark guard             # exit status 1 names the paths that are slow
+    scripts/benchmark guard --record    # prints RECORDED anew
+"""
+
+from __future__ import annotations
+
+import resource
+import sys
+import warnings
+from collections.abc import Callable
+
+from benchmarks.races import RACES, Race
+
+__all__ = ["RECORD", "main"]
+
+RECORD = "--record"
+"""Option that prints the ratios as they are."""
+
+FACTOR = 2.0
+"""How much slower than recorded a path may be.
+
+On one machine, idle or with twice as many processes as cores, a ratio stays within a
+quarter of what it was. Another processor changes it by up to a half, as its caches and
+vector instructions serve one side more than the other. What the guard is for costs
+more: a loop over members or measurements in Python takes 5 to 100 times as long.
+"""
+
+ROUNDS = 3
+"""Turns that path and reference take."""
+
+RECORDED = {
+    "calibrate --solver de, position": 0.013,
+    "calibrate --solver de, pose": 0.027,
+    "calibrate --solver de, plane distance": 0.013,
+    "calibrate --solver de, known distance": 0.019,
+    "calibrate --solver de, transmission": 0.1,
+    "calibrate": 0.071,
+    "calibrate --solver two-step": 0.34,
+    "calibrate, five folds": 4.3,
+    "calibrate, 100 000 rows": 20,
+    "calibrate --learned gaussian-process": 15,
+    "calibrate --learned network": 10,
+    "Jacobian": 0.028,
+    "identify": 8.3,
+    "evaluate": 3.8,
+    "simulate": 10,
+    "plan": 1.1,
+    "compensate": 27,
+    "reading": 2.6,
+    "page": 5.2,
+    "--help": 0.7,
+}
+"""Ratios of the path to its reference: two cores of an AMD EPYC with AVX-512, one BLAS
+thread, Python 3.11, numpy 2."""
+
+
+def main() -> None:
+    """Print the ratios; exit with 1 where one is too large."""
+    record, slow = RECORD in sys.argv, []
+    # scikit-learn warns of what it makes of rows that are made up.
+    warnings.simplefilter("ignore")
+    for name, make in RACES.items():
+        race = make()
+        found = _ratio(race)
+        if record:
+            print(f'    "{name}": {found:.2g},', flush=True)
+            continue
+        most = FACTOR * RECORDED[name]
+        if found > most:
+            found = min(found, _ratio(race))
+        times = found / RECORDED[name]
+        print(f"{name:<40}{found:10.3g}{times:8.2f} x recorded", flush=True)
+        if found > most:
+            slow.append(f"'{name}' takes {times:.1f} times as long as recorded")
+    if slow:
+        sys.exit(f"guard: {'; '.join(slow)} ({FACTOR:g} times are allowed)")
+
+
+def _ratio(race: Race) -> float:
+    """Time of the path by that of the reference, the shortest of each."""
+    race.path()  # Loads and compiles.
+    times = [(_seconds(race.reference), _seconds(race.path)) for _ in range(ROUNDS)]
+    reference, path = map(min, zip(*times, strict=True))
+    return path / reference / race.share
+
+
+def _seconds(job: Callable[[], object]) -> float:
+    """Processor time of a job, its threads and processes [s]."""
+    before = _spent()
+    job()
+    return _spent() - before
+
+
+def _spent() -> float:
+    whose = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
+    return sum(sum(resource.getrusage(who)[:2]) for who in whose)

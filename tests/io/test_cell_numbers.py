@@ -1,0 +1,86 @@
+"""Numbers in cells: to the last bit those of Python's `float`."""
+
+from __future__ import annotations
+
+from decimal import Decimal, localcontext
+
+import numpy as np
+import pytest
+
+from calib_pin.io.cell_numbers import read_numbers, what_is_wrong
+
+
+def halfway(values: np.ndarray) -> list[str]:
+    """Exact decimals midway between neighbors, and just above."""
+    with localcontext() as context:
+        context.prec = 1200
+        cells = [
+            f"{(Decimal(float(x)) + Decimal(float(np.nextafter(x, np.inf)))) / 2:f}"
+            for x in values
+        ]
+    return [*cells, *(cell + "1" for cell in cells)]
+
+
+def test_numbers_are_those_of_float():
+    rng = np.random.default_rng(0)
+    bits = rng.integers(0, 2**64, 3000, np.uint64).view(np.float64)
+    bits = bits[np.isfinite(bits)]
+    metric = rng.uniform(-4.0, 4.0, 3000)
+    for cells in (
+        [*map(repr, bits.tolist()), "5e-324", "-0.0", "1.7976931348623157e308"],
+        [f"{value:.14e}" for value in bits],
+        [f"{value:.25e}" for value in bits],
+        [*map(repr, metric.tolist())],
+        [f"{1e3 * value:.6f}" for value in metric],
+        halfway(rng.uniform(1e-3, 10.0, 300)),
+    ):
+        expected = np.array([float(cell) for cell in cells])
+        assert read_numbers(cells).tobytes() == expected.tobytes()
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        *((cell, float(cell)) for cell in (" 1.5", "2.5 ", "\t1\u2003", "+1", ".5")),
+        *((cell, float(cell)) for cell in ("5.", "1e5", "1E-5", "-0", "-00.0", "007")),
+        *((cell, float(cell)) for cell in ("1e-400", "1e400", "9007199254740993")),
+        *(
+            (cell, float(cell))
+            for cell in ("123456789012345678901234567890", "\u0663.5")
+        ),
+        *((cell, float(cell)) for cell in ("inf", "-Infinity", "nan", "NaN")),
+        *(
+            (cell, np.nan)
+            for cell in ("", " ", "1_000", "1_0.5", "0x1p3", "1j", "1.5#")
+        ),
+        *((cell, np.nan) for cell in ("true", "null", '"1.5"', "1.5,2.5", "[1.5]")),
+        *((cell, np.nan) for cell in ("{}", "1.5]", "ball", "--1.0", "1d5", "1e", "-")),
+    ],
+)
+def test_odd_cells(cell, expected):
+    for cells in ([cell], ["0.25", cell], [cell, "1", "x"]):
+        found = read_numbers(cells)
+        assert found.shape == (len(cells),)
+        np.testing.assert_array_equal(found[cells.index(cell)], expected)
+        assert np.signbit(found[cells.index(cell)]) == np.signbit(expected)
+
+
+def test_cells_that_add_up_are_not_shifted():
+    """Two numbers in one cell do not make up for a cell that holds none."""
+    found = read_numbers(["1.5,2.5", "", "3.5"])
+    np.testing.assert_array_equal(found, [np.nan, np.nan, 3.5])
+
+
+@pytest.mark.parametrize(
+    ("cell", "value", "reason"),
+    [
+        ("", np.nan, "the cell is empty"),
+        ("-1.0", -1.0, "not positive"),
+        ("1e999", np.inf, "not a finite number"),
+        ("-NaN", np.nan, "not a finite number"),
+        ("1,5", np.nan, "not a number (the decimal mark must be a point)"),
+        ("ball", np.nan, "not a number"),
+    ],
+)
+def test_what_is_wrong(cell, value, reason):
+    assert what_is_wrong(cell, value) == reason

@@ -1,0 +1,135 @@
+"""Tables: numbers and text of cells, whatever stands beside them."""
+
+from __future__ import annotations
+
+import csv
+import random
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import InputError
+from calib_pin.io import csv_text
+from calib_pin.io.columns import LENGTH, PURE
+from calib_pin.io.csv_text import CsvText
+from calib_pin.io.table import Table, read_table
+
+ODD = (
+    *(
+        "1_000",
+        "inf",
+        "nan",
+        "+1",
+        "-0",
+        "1e5",
+        ".5",
+        "5.",
+        "\u0663",
+        "0x1p3",
+        "1j",
+        "1#2",
+    ),
+    *("", "  ", " 1.5 ", '"1.0"', '"a,b"', '"a""b"', "true", "null", "ball", "1e400"),
+    *("\u00a01", "9007199254740993", "2.2250738585072011e-308", "0.10", "007"),
+)
+COMMENTS = ("# c", "", "  ", ' # "x', "\t")
+
+
+@pytest.fixture
+def table(tmp_path):
+    def table(text: str) -> Table:
+        file = tmp_path / "a.csv"
+        file.write_text(text, newline="")
+        return read_table(file)
+
+    return table
+
+
+def spoiled(rng: random.Random) -> list[str]:
+    """Lines of a table with odd cells and lines that are no rows."""
+    width = rng.randint(1, 5)
+    named = rng.random() < 0.5
+    lines = [",".join(f"c{k}" for k in range(width))]
+    for _ in range(rng.randint(1, 20)):
+        cells = [repr(rng.uniform(-4.0, 4.0)) for _ in range(width)]
+        if named:
+            cells[-1] = rng.choice(["ball", "ball_1", "01", "2"])
+        if rng.random() < 0.2:
+            cells[rng.randrange(width)] = rng.choice(ODD)
+        lines.append(",".join(cells) or '""')
+        if rng.random() < 0.1:
+            lines.append(rng.choice(COMMENTS))
+    return lines
+
+
+def number(cell: str) -> float:
+    try:
+        return float("nan") if "_" in cell else float(cell)
+    except ValueError:
+        return float("nan")
+
+
+@pytest.mark.parametrize("block", [50, 1 << 17])
+def test_cells_and_numbers_are_those_of_every_line_alone(monkeypatch, table, block):
+    monkeypatch.setattr(csv_text, "BLOCK", block)
+    rng = random.Random(1)
+    for _ in range(25):
+        lines = spoiled(rng)
+        found = table(rng.choice(["\n", "\r\n"]).join([*lines, ""]))
+        rows = {
+            at: next(csv.reader([line], skipinitialspace='"' in line))
+            for at, line in enumerate(lines, start=1)
+            if line.strip() and not line.strip().startswith("#")
+        }
+        assert [found.header_line, *found.lines] == list(rows)
+        header, *body = rows.values()
+        cells = found.cells(header)
+        for name, expected in zip(header, zip(*body, strict=True), strict=True):
+            column = found.columns[name]
+            assert list(cells[name]) == list(expected)
+            assert found.texts(name) == tuple(map(str.strip, expected))
+            assert column.blank().tolist() == [not cell.strip() for cell in expected]
+            numbers = np.array([number(cell) for cell in expected])
+            assert column.numbers.tobytes() == numbers.tobytes()
+            for row, cell in enumerate(expected):
+                assert found.cell(name, row) == cell.strip()
+            if np.isfinite(numbers).all():
+                assert not column.words
+                assert found.numbers(name, PURE).tobytes() == numbers.tobytes()
+                continue
+            row = int(np.argmin(np.isfinite(numbers)))
+            with pytest.raises(InputError) as caught:
+                found.numbers(name, PURE)
+            assert caught.value.line == found.lines[row]
+            assert caught.value.column == name
+            assert caught.value.value == expected[row].strip()
+
+
+def test_text_of_numbers_stands_in_the_file(table):
+    found = table("# c\nname,x [mm]\n 01,1.50\n\n1e0, 2.50\n3,7\n")
+    assert found.texts("name") == ("01", "1e0", "3")
+    some = found.rows(np.array([2, 1]), ["name", "x", "y"])
+    assert some.texts("name") == ("3", "1e0")
+    assert some.cells(["x"]) == {"x": ["7", " 2.50"]}
+    assert some.numbers("x", LENGTH).tolist() == [7e-3, 2.5e-3]
+    error = some.cell_error("too large", "x", 1)
+    assert (error.line, error.value) == (5, "2.50")
+
+
+def test_repeated_names_are_kept_once(table):
+    found = table("x,name\n" + "1,ball\n2,wall\n" * 50)
+    assert len({id(word) for word in found.columns["name"].words}) == 2
+
+
+def test_numbers_of_a_table_cannot_be_changed(table):
+    with pytest.raises(ValueError, match="read-only"):
+        table("x\n1.5\n").numbers("x", PURE)[0] = 0.0
+
+
+def test_a_file_that_changed_after_it_was_read(table):
+    found = table("a,x\n1,2\n3,4\n")
+    for text in ("a,x\n1,2\n", "a\n1\n3\n", "a,x\n\n1,2\n3,4\n", ""):
+        now = replace(found, text=CsvText("a.csv", len(text), text.encode()))
+        with pytest.raises(InputError, match=r"has changed|is empty"):
+            now.texts("x")

@@ -7,10 +7,14 @@ import shutil
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
 import pytest
+from typer.exceptions import TyperException
 
+import calib_pin.cli.app as cli_app
 from calib_pin.cli import main
+from calib_pin.errors import InputError, OutputError
 
 ARM = """<?xml version="1.0"?>
 <robot name="arm">
@@ -61,11 +65,12 @@ SETUP = "tip: tool\nparameters: [joint-offset]\nnoise: {position: 1.0e-4}\n"
 
 @dataclass(frozen=True)
 class Run:
-    """What a command left behind."""
+    """What a command left behind; `error` is what its last line is about."""
 
     status: int
     out: str
     err: str
+    error: Exception | None
 
 
 @pytest.fixture(scope="session")
@@ -122,15 +127,63 @@ def drawn() -> None:
 
 
 @pytest.fixture
-def run(capsys: pytest.CaptureFixture[str]) -> Callable[..., Run]:
+def run(
+    capsys: pytest.CaptureFixture[str], monkeypatch: pytest.MonkeyPatch
+) -> Callable[..., Run]:
     """Run a command in this process."""
+    errors: list[Exception | None] = []
+    app = cli_app.app
+
+    def watched(*arguments: Any, **options: Any) -> Any:
+        try:
+            return app(*arguments, **options)
+        except Exception as error:
+            errors[-1] = error
+            raise
+
+    monkeypatch.setattr(cli_app, "app", watched)
 
     def run(words: str | Sequence[str]) -> Run:
         capsys.readouterr()
+        errors.append(None)
         status = main(words.split() if isinstance(words, str) else words)
-        return Run(status, *capsys.readouterr())
+        return Run(status, *capsys.readouterr(), errors[-1])
 
     return run
+
+
+@pytest.fixture
+def refuses(
+    run: Callable[..., Run],
+    refused: Callable[..., Any],
+    listing: Callable[[Path], dict[str, str]],
+) -> Callable[..., None]:
+    """A command that refuses its input: `refuses(words, line=3, ...)`, see `refused`.
+
+    It prints one line, which is that of the error, and touches no file of the working
+    folder. Where the error has no fields, `text` are parts of its line.
+    """
+
+    def check(
+        words: str | Sequence[str], text: str | Sequence[str] = (), **fields: Any
+    ) -> None:
+        folder = Path.cwd()
+        before = listing(folder)
+        result = run(words)
+        assert (result.status, result.out) == (1, "")
+        assert result.err.startswith("calib-pin: ")
+        assert result.err.count("\n") == 1 and len(result.err) < 600
+        if text:
+            assert isinstance(result.error, TyperException | OutputError)
+            for part in (text,) if isinstance(text, str) else text:
+                assert part in result.err
+        else:
+            assert result.err == f"calib-pin: {' '.join(str(result.error).split())}\n"
+            with refused(InputError, **fields):
+                raise result.error or AssertionError("nothing was refused")
+        assert listing(folder) == before
+
+    return check
 
 
 @pytest.fixture

@@ -38,8 +38,8 @@ def header(old: str, new: str) -> Edit:
     return edit
 
 
-def column(name: str, values: Callable[[int, float], object] | None) -> Edit:
-    """Replace the numbers of a column, or add it, or drop it."""
+def column(name: str, values: Callable[[int, float], object]) -> Edit:
+    """Replace the numbers of a column, or add it."""
 
     def edit(file: str) -> str:
         comment, names, *rows = file.splitlines()
@@ -49,15 +49,8 @@ def column(name: str, values: Callable[[int, float], object] | None) -> Edit:
             heads.append(name)
             table = [[*row, "0"] for row in table]
         k = heads.index(name)
-        if values is None:
-            heads.pop(k)
-        else:
-            for i, row in enumerate(table):
-                row.append(str(values(i, float(row[k]))))
-                row[k] = row.pop()
-        if values is None:
-            for row in table:
-                row.pop(k)
+        for i, row in enumerate(table):
+            row[k] = str(values(i, float(row[k])))
         lines = [comment, ",".join(heads), *map(",".join, table)]
         return "\n".join(lines) + "\n"
 
@@ -86,15 +79,6 @@ def lines(count: int) -> Edit:
     return lambda file: "\n".join(file.splitlines()[:count]) + "\n"
 
 
-def both(*edits: Edit) -> Edit:
-    def edit(file: str) -> str:
-        for one in edits:
-            file = one(file)
-        return file
-
-    return edit
-
-
 def stored(*path: str | int, to: object) -> Edit:
     """Change an entry of a JSON document."""
 
@@ -103,10 +87,7 @@ def stored(*path: str | int, to: object) -> Edit:
         part: Any = document
         for step in path[:-1]:
             part = part[step]
-        if to is None:
-            del part[path[-1]]
-        else:
-            part[path[-1]] = to
+        part[path[-1]] = to
         return json.dumps(document)
 
     return edit
@@ -117,14 +98,11 @@ def stored(*path: str | int, to: object) -> Edit:
 CALIBRATE = "calibrate arm.urdf rows.csv -o out"
 SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
-POSES = "calibrate arm.urdf poses.csv -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
 TRUSTED_OR_NOT = {"calibration.json", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
-
-DEEP = "[" * 100_000
 
 
 def touch(*rows: str, columns: str = "target") -> str:
@@ -146,172 +124,159 @@ CAMERA = "camera: {mount: hand, focal: [900, 900], center: [640, 480]}\n"
 PIXELS = touch("1,2,m", columns="u,v,target")
 APART = "model: fixed-point\ndistances:\n"
 
-# (command, files to write first, what the line must contain)
-CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
+# (command, files to write first, fields of the error). What reading a file refuses is
+# tested with the reader, in tests/io; here stands one case of each kind of file.
+CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     # the command line
-    "unknown command": ("calibrat x y", {}, "calibrat|calibrate|--help"),
-    "unknown option": (f"{CALIBRATE} --setpu x", {}, "--setpu|--setup"),
-    "no robot": ("calibrate", {}, "ROBOT|calibrate --help"),
-    "no measurements": ("calibrate arm.urdf -o out", {}, "MEASUREMENTS"),
-    "option without value": (f"{CALIBRATE} --setup", {}, "--setup|argument"),
-    "unknown solver": (f"{CALIBRATE} --solver lm", {}, "solver|'lm'|gauss-newton"),
-    "population too small": (
-        SETUP,
-        {"bad.yaml": "solver:\n  name: de\n  population_size: 3\n"},
-        "bad.yaml:3|solver.population_size|'3'|a whole number, 4 to 100000",
+    "unknown command": (
+        "calibrat x y",
+        {},
+        dict(text=("calibrat", "calibrate", "--help")),
     ),
-    "recombination out of range": (
-        SETUP,
-        {"bad.yaml": "solver: {recombination: 1.2}\n"},
-        "bad.yaml:1|solver.recombination|'1.2'|0 to 1",
+    "unknown option": (
+        f"{CALIBRATE} --setpu x",
+        {},
+        dict(text=("--setpu", "--setup")),
     ),
-    "unknown mutation": (
-        SETUP,
-        {"bad.yaml": "solver: {name: hybrid, strategy: rand/2}\n"},
-        "bad.yaml:1|solver.strategy|'rand/2'|rand/1, best/1, rand-to-best/1",
+    "no robot": ("calibrate", {}, dict(text=("ROBOT", "calibrate --help"))),
+    "no measurements": ("calibrate arm.urdf -o out", {}, dict(text="MEASUREMENTS")),
+    "option without value": (
+        f"{CALIBRATE} --setup",
+        {},
+        dict(text=("--setup", "argument")),
     ),
-    "mutation of zero": (
-        SETUP,
-        {"bad.yaml": "solver: {mutation: 0}\n"},
-        "bad.yaml:1|solver.mutation|'0'|more than 0, up to 2",
-    ),
-    "infinite target": (
-        SETUP,
-        {"bad.yaml": "solver: {name: de, target: .inf}\n"},
-        "bad.yaml:1|solver.target|'.inf'|a finite number",
-    ),
-    "population for no memory": (
-        SETUP,
-        {"bad.yaml": "solver: {population_size: 1000000000000}\n"},
-        "bad.yaml:1|solver.population_size|a whole number, 4 to 100000",
-    ),
-    "half a generation": (
-        SETUP,
-        {"bad.yaml": "solver: {maxiter: 2.5}\n"},
-        "bad.yaml:1|solver.maxiter|'2.5'|a whole number",
-    ),
-    "a word for a number": (
-        SETUP,
-        {"bad.yaml": "solver: {tol: tight}\n"},
-        "bad.yaml:1|solver.tol|'tight'|0 or more",
-    ),
-    "unknown solver in the setup": (
-        SETUP,
-        {"bad.yaml": "solver: {name: simplex}\n"},
-        "bad.yaml:1|solver.name|'simplex'|gauss-newton, two-step, de, hybrid",
-    ),
-    "unknown option of the solver": (
-        SETUP,
-        {"bad.yaml": "solver: {popsize: 15}\n"},
-        "bad.yaml:1|solver.popsize|did you mean 'population_size'",
-    ),
-    "bounds reversed": (
-        SETUP,
-        {"bad.yaml": "bounds: {'*.placement.x': [0.01, -0.01]}\n"},
-        "bad.yaml:1|bounds|0.01",
-    ),
-    "bounds infinite": (
-        SETUP,
-        {"bad.yaml": "bounds: {'*.placement.x': .inf}\n"},
-        "bad.yaml:1|bounds|.inf",
+    "unknown solver": (
+        f"{CALIBRATE} --solver lm",
+        {},
+        dict(reason=("solver", "'lm'"), allowed="gauss-newton"),
     ),
     "unknown parameterization": (
         f"{CALIBRATE} --parameters placements",
         {},
-        "'placements'|did you mean 'placement'|joint-offset",
+        dict(
+            reason=("'placements'", "did you mean 'placement'"), allowed="joint-offset"
+        ),
     ),
     "parameterization twice": (
         f"{CALIBRATE} --parameters dh,dh",
         {},
-        "twice|'dh,dh'",
+        dict(value="dh,dh", reason="twice"),
     ),
     "overlapping parameterizations": (
         f"{CALIBRATE} --parameters dh,dh-full",
         {},
-        "joint1.dh.theta|twice",
+        dict(reason=("joint1.dh.theta", "twice")),
     ),
     "unknown model": (
         f"{CALIBRATE} --model positions",
         {},
-        "'positions'|did you mean 'position'|plane-distance",
+        dict(
+            reason=("'positions'", "did you mean 'position'"), allowed="plane-distance"
+        ),
     ),
     "columns of another model": (
         f"{CALIBRATE} --model camera",
         {},
-        "rows.csv:2|model 'camera' needs the missing u, v",
+        dict(
+            file="rows.csv",
+            line=2,
+            column="u",
+            reason="model 'camera' needs the missing u, v",
+        ),
     ),
     "unknown model among several": (
         f"{CALIBRATE} --model position+camra",
         {},
-        "'camra'|did you mean 'camera'|fixed-point",
+        dict(reason=("'camra'", "did you mean 'camera'"), allowed="fixed-point"),
     ),
     "model twice": (
         f"{CALIBRATE} --model position+position",
         {},
-        "twice|'position+position'",
+        dict(value="position+position", reason="twice"),
     ),
-    "empty tip": (["calibrate", "arm.urdf", "rows.csv", "--tip", ""], {}, "--tip"),
-    "holdout too large": (f"{CALIBRATE} --holdout 1.5", {}, "holdout|1.5|0 and 1"),
-    "holdout no number": (f"{CALIBRATE} --holdout 20%", {}, "--holdout|'20%'|0 and 1"),
-    "holdout nan": (f"{CALIBRATE} --holdout nan", {}, "--holdout|'nan'|0 and 1"),
+    "empty tip": (
+        ["calibrate", "arm.urdf", "rows.csv", "--tip", ""],
+        {},
+        dict(reason="--tip"),
+    ),
+    "holdout too large": (
+        f"{CALIBRATE} --holdout 1.5",
+        {},
+        dict(value=1.5, reason="holdout", allowed="0 and 1"),
+    ),
+    "holdout no number": (
+        f"{CALIBRATE} --holdout 20%",
+        {},
+        dict(reason=("--holdout", "'20%'"), allowed="0 and 1"),
+    ),
+    "holdout nan": (
+        f"{CALIBRATE} --holdout nan",
+        {},
+        dict(reason=("--holdout", "'nan'"), allowed="0 and 1"),
+    ),
     "holdout and validation": (
         f"{CALIBRATE} --holdout 0.2 --validation new.csv",
         {},
-        "validation|holdout|both",
+        dict(reason=("validation", "holdout", "both")),
     ),
-    "seed no number": (f"{CALIBRATE} --seed one", {}, "--seed|'one'"),
-    "negative seed": (f"{CALIBRATE} --seed -1", {}, "--seed|'-1'|0, 1"),
+    "seed no number": (f"{CALIBRATE} --seed one", {}, dict(reason=("--seed", "'one'"))),
+    "negative seed": (
+        f"{CALIBRATE} --seed -1",
+        {},
+        dict(reason=("--seed", "'-1'"), allowed="0, 1"),
+    ),
     "the same file twice": (
         "calibrate arm.urdf rows.csv ./rows.csv",
         {},
-        "rows.csv|twice",
+        dict(file="rows.csv", reason="twice"),
     ),
     "validated on the fitted rows": (
         f"{CALIBRATE} --validation rows.csv",
         {},
-        "rows.csv|twice",
+        dict(file="rows.csv", reason="twice"),
     ),
     "validated by other measurements": (
         f"{CALIBRATE} --validation distances.csv",
         {},
-        "distances.csv:2|'position'|x, y, z",
+        dict(
+            file="distances.csv", line=2, column="x", reason=("'position'", "x, y, z")
+        ),
     ),
     # the robot
     "missing robot": (
         "calibrate ram.urdf rows.csv",
         {},
-        "ram.urdf|no such file|did you mean 'arm.urdf'|bundled robot",
+        dict(
+            file="ram.urdf",
+            reason=("no such file", "did you mean 'arm.urdf'"),
+            allowed="bundled robot",
+        ),
     ),
-    "robot is a folder": ("calibrate . rows.csv", {}, ".: is a directory|a URDF file"),
-    "robot is no XML": ("calibrate rows.csv rows.csv", {}, "rows.csv|XML"),
-    "robot is cut off": (
-        "calibrate bad.urdf rows.csv",
-        {"bad.urdf": lambda _: "<robot name='x'><link name='a'/>"},
-        "bad.urdf|XML",
+    "robot is a folder": (
+        "calibrate . rows.csv",
+        {},
+        dict(file=".", reason="is a directory", allowed="a URDF file"),
+    ),
+    "robot is no XML": (
+        "calibrate rows.csv rows.csv",
+        {},
+        dict(file="rows.csv", reason="XML"),
     ),
     "robot is a calibration": (
         "calibrate done/calibration.json new.csv",
         {},
-        "done/calibration.json|robot",
+        dict(file="done/calibration.json", reason="robot"),
     ),
-    "entity expansion": (
-        "calibrate bad.urdf rows.csv",
-        {
-            "bad.urdf": '<!DOCTYPE r [<!ENTITY a "aaaaaaaaaa"><!ENTITY b "'
-            + "&a;" * 1000
-            + '"><!ENTITY c "'
-            + "&b;" * 1000
-            + '">]><robot name="&c;"/>'
-        },
-        "bad.urdf:1|DOCTYPE",
+    "unknown tip": (
+        f"{CALIBRATE} --tip tol",
+        {},
+        dict(file="arm.urdf", reason=("'tol'", "did you mean 'tool'")),
     ),
-    "document type": (
-        "calibrate bad.urdf rows.csv",
-        {"bad.urdf": '<?xml version="1.0"?>\n<!DOCTYPE robot SYSTEM "/etc/passwd">\n'},
-        "bad.urdf:2|DOCTYPE",
+    "unknown base": (
+        f"{CALIBRATE} --base baselink",
+        {},
+        dict(file="arm.urdf", reason="'base_link'"),
     ),
-    "unknown tip": (f"{CALIBRATE} --tip tol", {}, "arm.urdf|'tol'|did you mean 'tool'"),
-    "unknown base": (f"{CALIBRATE} --base baselink", {}, "arm.urdf|'base_link'"),
     "several leaves": (
         "calibrate two.urdf rows.csv",
         {
@@ -320,13 +285,17 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             '<child link="b"/></joint><joint name="k" type="fixed"><parent link="a"/>'
             '<child link="c"/></joint></robot>'
         },
-        "two.urdf|--tip|b, c",
+        dict(file="two.urdf", reason="--tip", allowed="b, c"),
     ),
-    "tip is the base": (f"{CALIBRATE} --tip base_link", {}, "arm.urdf|no moving joint"),
+    "tip is the base": (
+        f"{CALIBRATE} --tip base_link",
+        {},
+        dict(file="arm.urdf", reason="no moving joint"),
+    ),
     "no moving joint": (
         f"{CALIBRATE} --base link4 --tip tool",
         {},
-        "arm.urdf|no moving joint|'link4'|'tool'",
+        dict(file="arm.urdf", reason=("no moving joint", "'link4'", "'tool'")),
     ),
     "mimic joint": (
         CALIBRATE,
@@ -336,153 +305,63 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
                 '<child link="link3"/><mimic joint="joint2"/>',
             )
         },
-        "arm.urdf|joint3|mimic",
+        dict(file="arm.urdf", reason=("joint3", "mimic")),
     ),
     "floating joint": (
         CALIBRATE,
         {"arm.urdf": swap('"joint2" type="revolute"', '"joint2" type="floating"')},
-        "arm.urdf|joint2|floating",
+        dict(file="arm.urdf", reason=("joint2", "floating")),
     ),
     # measurement files
     "missing measurements": (
         "calibrate arm.urdf row.csv",
         {},
-        "row.csv|no such file|did you mean 'rows.csv'",
+        dict(file="row.csv", reason=("no such file", "did you mean 'rows.csv'")),
     ),
-    "measurements are a folder": ("calibrate arm.urdf done", {}, "done|directory"),
-    "empty file": (CALIBRATE, {"rows.csv": ""}, "rows.csv|empty"),
-    "header only": (CALIBRATE, {"rows.csv": lines(2)}, "rows.csv|no rows"),
-    "not text": (CALIBRATE, {"rows.csv": b"\x89PNG\r\n\0\0"}, "rows.csv"),
+    "measurements are a folder": (
+        "calibrate arm.urdf done",
+        {},
+        dict(file="done", reason="directory"),
+    ),
     "missing joint": (
         CALIBRATE,
         {"rows.csv": header("joint3", "joint_3")},
-        "rows.csv:2|joint 'joint3'|did you mean 'joint_3'",
+        dict(
+            file="rows.csv",
+            line=2,
+            column="joint3",
+            reason=("joint 'joint3'", "did you mean 'joint_3'"),
+        ),
     ),
-    "joint11 is not joint1": (
-        CALIBRATE,
-        {"rows.csv": header("joint1", "joint11")},
-        "rows.csv:2|joint 'joint1'|'joint11'",
-    ),
-    "missing coordinate": (CALIBRATE, {"rows.csv": column("z", None)}, "rows.csv:2|z"),
     "not a number": (
         CALIBRATE,
         {"rows.csv": cell(7, "y", "NaN")},
-        "rows.csv:7|column 'y'|value 'NaN'|finite",
-    ),
-    "infinite": (CALIBRATE, {"rows.csv": cell(5, "joint2", "inf")}, "rows.csv:5|'inf'"),
-    "text in a number": (
-        CALIBRATE,
-        {"rows.csv": cell(4, "x", "1.0m")},
-        "rows.csv:4|column 'x'|value '1.0m'|not a number",
-    ),
-    "empty cell": (CALIBRATE, {"rows.csv": cell(6, "x", "")}, "rows.csv:6|'x'|empty"),
-    "decimal comma": (
-        CALIBRATE,
-        {"rows.csv": cell(6, "x", '"0,5"')},
-        "rows.csv:6|'x'|decimal mark",
-    ),
-    "short row": (
-        CALIBRATE,
-        {"rows.csv": lambda file: file + "0.1,0.2\n"},
-        "rows.csv:43|2 cells|10 columns",
-    ),
-    "long row": (
-        CALIBRATE,
-        {"rows.csv": cell(3, "x", "1,2")},
-        "rows.csv:3|11 cells|10 columns",
-    ),
-    "column twice": (CALIBRATE, {"rows.csv": header("y", "x")}, "rows.csv:2|'x'|two"),
-    "joint twice with a unit": (
-        CALIBRATE,
-        {"rows.csv": header("joint2", "joint1 [deg]")},
-        "rows.csv:2|joint1 [deg]|two",
-    ),
-    "unknown unit": (
-        CALIBRATE,
-        {"rows.csv": header("x", "x [cm]")},
-        "rows.csv:2|cm|m, mm, um, in",
-    ),
-    "unit of another kind": (
-        CALIBRATE,
-        {"rows.csv": header("joint1", "joint1 [mm]")},
-        "rows.csv:2|'joint1'|mm|rad, deg, mrad",
-    ),
-    "positions in millimeters": (
-        CALIBRATE,
-        {"rows.csv": scaled(1e3, "x", "y", "z")},
-        "rows.csv:|wrong unit|[mm]",
+        dict(file="rows.csv", line=7, column="y", value="NaN", reason="finite"),
     ),
     "angles in degrees": (
         CALIBRATE,
         {"rows.csv": scaled(57.3, "joint1", "joint2", "joint3", "joint4")},
-        "rows.csv:|wrong unit|joint1 [deg]",
-    ),
-    "distances in millimeters": (
-        DISTANCES,
-        {"distances.csv": scaled(1e3, "distance")},
-        "distances.csv:|wrong unit|distance [mm]",
-    ),
-    "zero sigma": (
-        CALIBRATE,
-        {"rows.csv": cell(9, "sigma_x", "0")},
-        "rows.csv:9|'sigma_x'|value '0'|positive",
-    ),
-    "negative sigma": (
-        CALIBRATE,
-        {"rows.csv": cell(9, "sigma_x", "-1e-4")},
-        "rows.csv:9|'sigma_x'|positive",
-    ),
-    "sigma of some components": (
-        CALIBRATE,
-        {"rows.csv": column("sigma_y", None)},
-        "rows.csv:2|sigma_y",
-    ),
-    "one sigma for a pose": (
-        POSES,
-        {"poses.csv": header("sigma_x", "sigma")},
-        "poses.csv:2|'sigma'|sigma_rx",
-    ),
-    "half a quaternion": (POSES, {"poses.csv": column("qw", None)}, "poses.csv:2|qw"),
-    "no unit quaternion": (
-        POSES,
-        {"poses.csv": scaled(2.0, "qw")},
-        "poses.csv:|quaternion|norm|0.99 to 1.01",
-    ),
-    "unknown set": (
-        CALIBRATE,
-        {"rows.csv": column("set", lambda i, _: "train" if i else "test")},
-        "rows.csv:3|'set'|'test'|train, validate",
+        dict(file="rows.csv", column="joint1", reason=("wrong unit", "joint1 [deg]")),
     ),
     "all rows for validation": (
         CALIBRATE,
         {"rows.csv": column("set", lambda *_: "validate")},
-        "no row|validation",
+        dict(reason=("no row", "validation")),
     ),
-    "semicolons": (CALIBRATE, {"rows.csv": swap(",", ";")}, "rows.csv:2|semicolons"),
     "two models at once": (
         CALIBRATE,
         {"rows.csv": column("distance", lambda *_: 1.0)},
-        "rows.csv:2|--model|position, pose, plane-distance",
-    ),
-    "unknown model of a row": (
-        CALIBRATE,
-        {"rows.csv": column("model", lambda i, _: "position" if i else "positon")},
-        "rows.csv:3|column 'model'|'positon'|did you mean 'position'|camera",
-    ),
-    "model of a row with the cells of another": (
-        CALIBRATE,
-        {"rows.csv": column("model", lambda i, _: "camera" if i == 4 else "position")},
-        "rows.csv:7|'camera'|has no x|a blank cell",
-    ),
-    "no measured columns": (
-        "calibrate arm.urdf bare.csv",
-        {"bare.csv": "joint1,joint2,joint3,joint4\n0,0,0,0\n"},
-        "bare.csv:1|no measured columns",
+        dict(
+            file="rows.csv",
+            line=2,
+            reason="--model",
+            allowed="position, pose, plane-distance",
+        ),
     ),
     "unknown plane": (
         DISTANCES,
         {"distances.csv": cell(5, "target", "wal")},
-        "'wal'|did you mean 'wall'",
+        dict(column="target", reason=("'wal'", "did you mean 'wall'")),
     ),
     # points, sockets, wires and cameras
     "unknown target": (
@@ -491,7 +370,7 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "rows.csv": column("target", lambda i, _: "ball" if i else "bal"),
             "bad.yaml": "targets: {ball: {xyz: [0, 0, 0.1]}}\n",
         },
-        "rows.csv:3|column 'target'|'bal'|did you mean 'ball'",
+        dict(column="target", reason=("'bal'", "did you mean 'ball'")),
     ),
     "unknown point in a socket": (
         CONTACT,
@@ -499,7 +378,10 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("ball@s", "bal@s"),
             "bad.yaml": "model: fixed-point\ntargets: {ball: {}}\n",
         },
-        "touch.csv:3|there is no target 'bal'|did you mean 'ball'",
+        dict(
+            column="target",
+            reason=("there is no target 'bal'", "did you mean 'ball'"),
+        ),
     ),
     "unknown socket": (
         CONTACT,
@@ -507,28 +389,13 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("front/0", "front/l"),
             "bad.yaml": "model: fixed-point\nsockets: {front/0: {}, front/1: {}}\n",
         },
-        "touch.csv:3|there is no socket 'front/l'|did you mean 'front/",
-    ),
-    "socket with one row": (
-        CONTACT,
-        {
-            "touch.csv": touch(*["a"] * 11, "b"),
-            "bad.yaml": "model: fixed-point\n",
-        },
-        "touch.csv:13|the socket 'b' has one configuration only|two configurations",
-    ),
-    "no socket": (
-        CONTACT,
-        {"touch.csv": touch("a", ""), "bad.yaml": "model: fixed-point\n"},
-        "touch.csv:3|the row names no socket|column 'target'",
-    ),
-    "no column of sockets": (
-        CONTACT,
-        {
-            "touch.csv": touch("a", columns="note"),
-            "bad.yaml": "model: fixed-point\n",
-        },
-        "touch.csv:1|needs a column 'target' with the socket of each row",
+        dict(
+            column="target",
+            reason=(
+                "there is no socket 'front/l'",
+                "did you mean 'front/",
+            ),
+        ),
     ),
     "distance between unknown sockets": (
         CONTACT,
@@ -536,49 +403,21 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("a/0", "a/1"),
             "bad.yaml": APART + "  - {between: [a/0, a/2], value: 0.05}\n",
         },
-        "bad.yaml|'distances' names 'a/2', which no row does|did you mean 'a/",
-    ),
-    "negative distance": (
-        CONTACT,
-        {
-            "touch.csv": touch("a/0", "a/1"),
-            "bad.yaml": APART + "  - {between: [a/0, a/1], value: -0.05}\n",
-        },
-        "bad.yaml:3|distances[0].value|'-0.05'|a positive number",
-    ),
-    "distance from a socket to itself": (
-        CONTACT,
-        {
-            "touch.csv": touch("a/0", "a/1"),
-            "bad.yaml": APART + "  - {between: [a/0, a/0], value: 0.05}\n",
-        },
-        "bad.yaml:3|distances[0].between|two different names",
+        dict(
+            file="bad.yaml",
+            value=["a/0", "a/2"],
+            reason=("'distances' names 'a/2', which no row does", "did you mean 'a/"),
+        ),
     ),
     "camera without intrinsics": (
         "calibrate arm.urdf touch.csv -o out",
         {"touch.csv": PIXELS},
-        "'camera' in a setup file (--setup)|mount, focal and center",
-    ),
-    "camera without a focal length": (
-        CONTACT,
-        {
-            "touch.csv": PIXELS,
-            "bad.yaml": "camera:\n  mount: hand\n  center: [640, 480]\n",
-        },
-        "bad.yaml:1|'camera.focal' is missing",
-    ),
-    "camera on the head": (
-        CONTACT,
-        {
-            "touch.csv": PIXELS,
-            "bad.yaml": CAMERA.replace("hand", "head"),
-        },
-        "bad.yaml:1|camera.mount|'head'|hand, world",
+        dict(reason=("'camera' in a setup file (--setup)", "mount, focal and center")),
     ),
     "camera without points": (
         CONTACT,
         {"touch.csv": PIXELS, "bad.yaml": CAMERA},
-        "'camera' needs known points|the xyz of 'm' under 'targets'",
+        dict(reason=("'camera' needs known points", "the xyz of 'm' under 'targets'")),
     ),
     "unknown point of a camera": (
         CONTACT,
@@ -586,7 +425,11 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": PIXELS,
             "bad.yaml": CAMERA + "targets: {n: {xyz: [0, 0, 0]}}\n",
         },
-        "touch.csv:2|there is no target 'm'|allowed: n",
+        dict(
+            column="target",
+            reason=("there is no target 'm'"),
+            allowed="n",
+        ),
     ),
     "unknown anchor": (
         CONTACT,
@@ -594,23 +437,10 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("0.5,wire", "0.5,wier", columns="distance,target"),
             "bad.yaml": "model: point-distance\nanchors: {wire: {}}\n",
         },
-        "touch.csv:3|there is no anchor 'wier'|did you mean 'wire'",
-    ),
-    "way without a start": (
-        CONTACT,
-        {
-            "touch.csv": touch("0.5,a", columns="distance,target"),
-            "bad.yaml": "model: relative-distance\n",
-        },
-        "touch.csv:2|the first row of a target is its start|'0.5'|allowed: 0",
-    ),
-    "negative way": (
-        CONTACT,
-        {
-            "touch.csv": touch("0,a", *["-0.5,a"] * 11, columns="distance,target"),
-            "bad.yaml": "model: relative-distance\n",
-        },
-        "touch.csv:3|'-0.5'|more than 0",
+        dict(
+            column="target",
+            reason=("there is no anchor 'wier'", "did you mean 'wire'"),
+        ),
     ),
     "something learned from ways": (
         f"{CONTACT} --learned network",
@@ -618,7 +448,7 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("0,a", *["0.5,a"] * 11, columns="distance,target"),
             "bad.yaml": "model: relative-distance\n",
         },
-        "bad.yaml|nothing can be learned|'network'",
+        dict(file="bad.yaml", value="network", reason="nothing can be learned"),
     ),
     "prior of a socket that nobody has placed": (
         CONTACT,
@@ -626,7 +456,10 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "touch.csv": touch("a/0", "a/1"),
             "bad.yaml": "model: fixed-point\nprior: {a/0.socket.x: 0.001}\n",
         },
-        "bad.yaml|fixed, bounds or prior|'sockets' in a setup file",
+        dict(
+            file="bad.yaml",
+            reason=("fixed, bounds or prior", "'sockets' in a setup file"),
+        ),
     ),
     "beam parallel to the plane": (
         "calibrate arm.urdf flat.csv --setup bad.yaml",
@@ -637,115 +470,55 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             + "0,0.5,0,0.1,1\n" * 12
             + "0,0,0,0,1\n",
         },
-        "flat.csv:14|parallel|'wall'",
+        dict(reason=("parallel", "'wall'")),
     ),
     # setup files
-    "missing setup": (f"{CALIBRATE} --setup setpu.yaml", {}, "setpu.yaml|'setup.yaml'"),
+    "missing setup": (
+        f"{CALIBRATE} --setup setpu.yaml",
+        {},
+        dict(file="setpu.yaml", reason="'setup.yaml'"),
+    ),
     "unknown key": (
         SETUP,
         {"bad.yaml": "tip: tool\nparamters: [dh]\n"},
-        "bad.yaml:2|'paramters'|'parameters'",
-    ),
-    "unknown key of a target": (
-        SETUP,
-        {"bad.yaml": "targets:\n  ball: {xy: [0, 0, 0]}\n"},
-        "bad.yaml:2|'targets.ball.xy'|did you mean 'xyz'|xyz, estimate",
-    ),
-    "known target without a place": (
-        SETUP,
-        {"bad.yaml": "targets:\n  ball: {estimate: false}\n"},
-        "bad.yaml:2|'targets.ball'|estimate: false only together with xyz",
-    ),
-    "bad YAML": (SETUP, {"bad.yaml": "tip: tool\nbase: [a\n"}, "bad.yaml|YAML"),
-    "key twice": (SETUP, {"bad.yaml": "tip: a\ntip: b\n"}, "bad.yaml:2|'tip'|twice"),
-    "setup is a list": (SETUP, {"bad.yaml": "- tip\n"}, "bad.yaml:1|mapping"),
-    "number as text": (
-        SETUP,
-        {"bad.yaml": "noise: {position: 0.1 mm}\n"},
-        "bad.yaml:1|noise.position|'0.1 mm'|number",
-    ),
-    "zero normal": (
-        SETUP,
-        {"bad.yaml": "planes:\n  wall: {normal: [0, 0, 0], offset: 1}\n"},
-        "bad.yaml:2|planes.wall.normal|not all 0",
-    ),
-    "unknown parameterization in a setup": (
-        SETUP,
-        {"bad.yaml": "parameters: [placments]\n"},
-        "bad.yaml:1|'placments'|placement",
+        dict(file="bad.yaml", line=2, reason=("'paramters'", "'parameters'")),
     ),
     "glob without a match": (
         SETUP,
         {"bad.yaml": 'fixed: ["*.placment.z"]\n'},
-        "'*.placment.z'",
+        dict(file="bad.yaml", reason="'*.placment.z'"),
     ),
     "bound that excludes zero": (
         SETUP,
         {"bad.yaml": 'bounds: {"*.placement.x": [0.001, 0.002]}\n'},
-        "'*.placement.x'|zero",
+        dict(file="bad.yaml", value=[0.001, 0.002], reason=("'*.placement.x'", "zero")),
     ),
     "mapped joint that is not there": (
         SETUP,
         {"bad.yaml": "joints: {J1: {joint: joint_1}}\n"},
-        "'J1'|'joint_1'|did you mean 'joint1'",
+        dict(reason=("'J1'", "'joint_1'", "did you mean 'joint1'")),
     ),
     # gravity, payloads and gears
-    "payload without a mass": (
-        SETUP,
-        {"bad.yaml": "payloads:\n  gripper: {com: [0, 0, 0.1]}\n"},
-        "bad.yaml:2|'payloads.gripper.mass' is missing",
-    ),
-    "negative mass": (
-        SETUP,
-        {"bad.yaml": "payloads:\n  gripper:\n    mass: -2\n    com: [0, 0, 0]\n"},
-        "bad.yaml:3|payloads.gripper.mass|'-2'|in kg, more than 0",
-    ),
-    "mass in grams of a ship": (
-        SETUP,
-        {"bad.yaml": "payloads: {ship: {mass: 2.0e+8}}\n"},
-        "bad.yaml:1|payloads.ship.mass|'2.0e+8'|in kg|100000",
-    ),
-    "center of mass of two numbers": (
-        SETUP,
-        {"bad.yaml": "payloads:\n  gripper:\n    mass: 2\n    com: [0, 0.1]\n"},
-        "bad.yaml:4|payloads.gripper.com|[0, 0.1]|three finite numbers in m",
-    ),
-    "center of mass in millimeters": (
-        SETUP,
-        {"bad.yaml": "payloads: {gripper: {mass: 2, com: [0, 0, 150]}}\n"},
-        "bad.yaml:1|payloads.gripper.com|[0, 0, 150]|in m",
-    ),
-    "gravity of two numbers": (
-        SETUP,
-        {"bad.yaml": "parameters: [placement]\ngravity: [0, -9.81]\n"},
-        "bad.yaml:2|'gravity'|[0, -9.81]|three finite numbers in m/s^2",
-    ),
-    "gravity that is not finite": (
-        SETUP,
-        {"bad.yaml": "gravity: [0, 0, -.inf]\n"},
-        "bad.yaml:1|'gravity'|[0, 0, -.inf]|three finite numbers in m/s^2",
-    ),
-    "gravity in millimeters": (
-        SETUP,
-        {"bad.yaml": "gravity: [0, 0, -9810]\n"},
-        "bad.yaml:1|'gravity'|[0, 0, -9810]|in m/s^2, such as [0, 0, -9.81]",
-    ),
-    "gear ratio of zero": (
-        SETUP,
-        {"bad.yaml": "gear_ratios:\n  joint1: 100\n  joint2: 0\n"},
-        "bad.yaml:3|gear_ratios.joint2|'0'|other than 0",
-    ),
     "gear ratio of no joint": (
         SETUP,
         {
             "bad.yaml": "parameters: [transmission]\ngear_ratios: {joint_2: 100}\n",
         },
-        "bad.yaml|'joint_2'|did you mean 'joint2'|gear_ratios|joint1, joint2, joint3",
+        dict(
+            file="bad.yaml",
+            column="gear_ratios",
+            reason=("'joint_2'", "did you mean 'joint2'"),
+            allowed="joint1, joint2, joint3",
+        ),
     ),
     "several payloads": (
         SETUP,
         {"bad.yaml": LOADS},
-        "rows.csv:3|several payloads|the row names none|none, light, heavy",
+        dict(
+            column="payload",
+            reason=("several payloads", "the row names none"),
+            allowed="none, light, heavy",
+        ),
     ),
     "unknown payload": (
         SETUP,
@@ -753,135 +526,128 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "rows.csv": column("payload", lambda i, _: "hevy" if i == 3 else "heavy"),
             "bad.yaml": LOADS,
         },
-        "rows.csv:6|there is no payload 'hevy'|did you mean 'heavy'|light, heavy",
+        dict(
+            column="payload",
+            reason=("there is no payload 'hevy'", "did you mean 'heavy'"),
+            allowed="light, heavy",
+        ),
     ),
     "compliance without a mass": (
         f"{CALIBRATE} --parameters placement,compliance",
         {},
-        "'compliance'|'arm'|no mass|<inertial>|payloads in the setup file",
+        dict(
+            reason=("'compliance'", "'arm'", "no mass"),
+            allowed=("<inertial>", "payloads in the setup file"),
+        ),
     ),
     "simulated compliance without a mass": (
         f"{SIMULATE} --parameters compliance",
         {},
-        "'compliance'|'arm'|no mass|payloads in the setup file",
+        dict(
+            reason=("'compliance'", "'arm'", "no mass"),
+            allowed="payloads in the setup file",
+        ),
     ),
     "structure of a compliance without a mass": (
         "identify arm.urdf --model pose --parameters compliance",
         {},
-        "'compliance'|'arm'|no mass",
+        dict(reason=("'compliance'", "'arm'", "no mass")),
     ),
     "name of a correction": (
         f"{CALIBRATE} --parameters placement,compliances",
         {},
-        "'compliances'|did you mean 'compliance'|transmission, compliance",
+        dict(
+            reason=("'compliances'", "did you mean 'compliance'"),
+            allowed="transmission, compliance",
+        ),
     ),
     "unknown residual model": (
         f"{CALIBRATE} --learned netwrok",
         {},
-        "unknown residual model 'netwrok'|did you mean 'network'|gaussian-process",
-    ),
-    "unknown residual model in the setup": (
-        SETUP,
-        {"bad.yaml": "tip: tool\nlearned: netwrok\n"},
-        "bad.yaml:2|'learned'|'netwrok'|network, gaussian-process",
+        dict(
+            reason=("unknown residual model 'netwrok'", "did you mean 'network'"),
+            allowed="gaussian-process",
+        ),
     ),
     "too few rows for a ladder": (
         f"{CALIBRATE} --model-ladder",
         {"rows.csv": lines(6)},
-        "the model ladder has no footing|4 configurations are too few",
+        dict(
+            reason=("the model ladder has no footing", "4 configurations are too few")
+        ),
     ),
     "name on no rung of a ladder": (
         f"{SETUP} --model-ladder",
         {"bad.yaml": "fixed: [joint1.transmision.sin1]\n"},
-        "bad.yaml|'joint1.transmision.sin1'|did you mean 'joint1.transmission.sin1'",
+        dict(
+            file="bad.yaml",
+            reason=(
+                "'joint1.transmision.sin1'",
+                "did you mean 'joint1.transmission.sin1'",
+            ),
+        ),
     ),
     "unknown error of a gear": (
         f"{SIMULATE} --parameters transmission --errors bad.yaml",
         {"bad.yaml": "joint1.transmission.sin: 1.0e-3\n"},
-        "bad.yaml:1|'joint1.transmission.sin'|did you mean",
+        dict(
+            file="bad.yaml",
+            line=1,
+            reason=("'joint1.transmission.sin'", "did you mean"),
+        ),
     ),
     # outputs
     "output folder is a file": (
         "calibrate arm.urdf rows.csv -o setup.yaml",
         {},
-        "setup.yaml|not a folder",
+        dict(file="setup.yaml", reason="not a folder"),
     ),
     "output exists": (
         "calibrate arm.urdf new.csv -o done",
         {},
-        "done/arm.urdf|--force",
+        dict(file="done/arm.urdf", reason="--force"),
     ),
     "output over the robot": (
         "calibrate arm.urdf rows.csv -o . --force",
         {},
-        "arm.urdf|input",
+        dict(file="arm.urdf", reason="input"),
     ),
     "simulation exists": (
         "simulate arm.urdf --model position --count 5 -o new.csv",
         {},
-        "new.csv|--force",
+        dict(file="new.csv", reason="--force"),
     ),
     "simulation over the robot": (
         "simulate arm.urdf --model position --count 5 -o arm.urdf --force",
         {},
-        "arm.urdf|input",
+        dict(file="arm.urdf", reason="input"),
     ),
     "truth over the robot": (
         f"{SIMULATE} --truth ./arm.urdf --force",
         {},
-        "arm.urdf|input",
+        dict(file="arm.urdf", reason="input"),
     ),
     "simulation over its configurations": (
         "simulate arm.urdf --model position --configurations new.csv -o new.csv "
         "--force",
         {},
-        "new.csv|input",
+        dict(file="new.csv", reason="input"),
     ),
-    "two outputs in one file": (f"{SIMULATE} --truth out.csv", {}, "out.csv|two"),
+    "two outputs in one file": (
+        f"{SIMULATE} --truth out.csv",
+        {},
+        dict(file="out.csv", reason="two"),
+    ),
     # calibrations
     "later version": (
         EVALUATE,
         {"done/calibration.json": stored("version", to=2)},
-        "done/calibration.json|version|value 2|1 to 1",
-    ),
-    "no calibration": (
-        EVALUATE,
-        {"done/calibration.json": '{"format": "something else"}'},
-        "done/calibration.json|not a calibration",
-    ),
-    "cut off": (
-        EVALUATE,
-        {"done/calibration.json": lines(30)},
-        "done/calibration.json:|not a calibration",
-    ),
-    "so deep that Python gives up": (
-        EVALUATE,
-        {"done/calibration.json": DEEP},
-        "done/calibration.json|not a calibration",
+        dict(file="done/calibration.json", value=2, reason="version", allowed="1 to 1"),
     ),
     "edited value": (
         EVALUATE,
         {"done/calibration.json": stored("parameters", 7, "value", to="1 mm")},
-        "done/calibration.json|edited|'1 mm'",
-    ),
-    "missing value": (
-        EVALUATE,
-        {"done/calibration.json": stored("parameters", 7, to=None)},
-        "done/calibration.json|edited|parameters",
-    ),
-    "missing part": (
-        EVALUATE,
-        {"done/calibration.json": stored("frames", "tool", to=None)},
-        "done/calibration.json|edited|'tool'",
-    ),
-    "value that is not finite": (
-        EVALUATE,
-        {
-            "done/calibration.json": stored(
-                "frames", "base", "xyz", to=[0.0, float("nan"), 0.0]
-            )
-        },
-        "done/calibration.json|edited|nan",
+        dict(file="done/calibration.json", reason=("edited", "'1 mm'")),
     ),
     "another robot": (
         EVALUATE,
@@ -889,62 +655,99 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             ("arm.urdf", "done/nominal.urdf"),
             swap('xyz="0 0 0.4"', 'xyz="0 0 0.41"'),
         ),
-        "done/calibration.json|arm.urdf|content differs",
+        dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
     ),
     "no robot is the one": (
         EVALUATE,
         {"done/calibration.json": stored("robot", "sha256", to="0" * 64)},
-        "done/calibration.json|arm.urdf|content differs",
+        dict(file="done/calibration.json", reason=("arm.urdf", "content differs")),
     ),
     "measurements of another robot": (
         EVALUATE,
         {"new.csv": header("joint1", "axis_1")},
-        "new.csv:2|joint1",
+        dict(file="new.csv", line=2, column="joint1", reason="missing"),
     ),
     "other kind of measurements": (
         "evaluate done/calibration.json distances.csv",
         {},
-        "distances.csv:2|'position'|x, y, z",
+        dict(
+            file="distances.csv", line=2, column="x", reason=("'position'", "x, y, z")
+        ),
     ),
-    "a calibration has its tip": (f"{EVALUATE} --tip tool", {}, "calibration|tip"),
+    "a calibration has its tip": (
+        f"{EVALUATE} --tip tool",
+        {},
+        dict(reason=("calibration", "tip")),
+    ),
     # simulation and structure
     "no planes": (
         "simulate arm.urdf --model plane-distance --count 5 -o out.csv",
         {},
-        "plane|planes|--setup",
+        dict(reason=("plane", "planes", "--setup")),
     ),
-    "no model": ("simulate arm.urdf --count 5 -o out.csv", {}, "--model|pose"),
-    "structure of no model": ("identify arm.urdf", {}, "--model|pose"),
-    "no count": ("simulate arm.urdf --model pose -o out.csv", {}, "--count"),
-    "count of zero": (f"{SIMULATE} --count 0", {}, "--count|'0'|1 to"),
-    "count is no number": (f"{SIMULATE} --count 5.5", {}, "--count|'5.5'"),
-    "no repeats": (f"{SIMULATE} --repeats 0", {}, "--repeats|'0'"),
-    "negative noise": (f"{SIMULATE} --noise -1e-4", {}, "--noise|'-1e-4'|0 to 1"),
-    "infinite noise": (f"{SIMULATE} --noise inf", {}, "--noise|'inf'"),
+    "no model": (
+        "simulate arm.urdf --count 5 -o out.csv",
+        {},
+        dict(reason="--model", allowed="pose"),
+    ),
+    "structure of no model": (
+        "identify arm.urdf",
+        {},
+        dict(reason="--model", allowed="pose"),
+    ),
+    "no count": (
+        "simulate arm.urdf --model pose -o out.csv",
+        {},
+        dict(reason="--count"),
+    ),
+    "count of zero": (
+        f"{SIMULATE} --count 0",
+        {},
+        dict(reason=("--count", "'0'"), allowed="1 to"),
+    ),
+    "count is no number": (
+        f"{SIMULATE} --count 5.5",
+        {},
+        dict(reason=("--count", "'5.5'")),
+    ),
+    "no repeats": (f"{SIMULATE} --repeats 0", {}, dict(reason=("--repeats", "'0'"))),
+    "negative noise": (
+        f"{SIMULATE} --noise -1e-4",
+        {},
+        dict(reason=("--noise", "'-1e-4'"), allowed="0 to 1"),
+    ),
+    "infinite noise": (
+        f"{SIMULATE} --noise inf",
+        {},
+        dict(reason=("--noise", "'inf'")),
+    ),
     "unknown error": (
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "joint1.placement.x: 1e-3\njoint1.placement.w: 1e-3\n"},
-        "bad.yaml:2|'joint1.placement.w'|did you mean",
+        dict(file="bad.yaml", line=2, reason=("'joint1.placement.w'", "did you mean")),
     ),
     "error is no number": (
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "joint1.placement.x: 1 mm\n"},
-        "bad.yaml:1|joint1.placement.x|'1 mm'",
+        dict(file="bad.yaml", line=1, value="1 mm", reason="joint1.placement.x"),
     ),
     "no errors in the file": (
         f"{SIMULATE} --errors bad.yaml",
         {"bad.yaml": "# none\n"},
-        "bad.yaml|empty",
+        dict(file="bad.yaml", reason="empty"),
     ),
     "no sockets": (
         "simulate arm.urdf --model fixed-point --count 5 -o out.csv",
         {},
-        "'sockets' in a setup file (--setup)",
+        dict(reason="'sockets' in a setup file (--setup)"),
     ),
     "ways among other measurements": (
         "simulate arm.urdf --model position+relative-distance --count 5 -o out.csv",
         {},
-        "relative distances are simulated by themselves",
+        dict(
+            value="position+relative-distance",
+            reason="relative distances are simulated by themselves",
+        ),
     ),
     "plane out of reach": (
         "simulate arm.urdf --setup bad.yaml --count 5 -o out.csv",
@@ -952,43 +755,25 @@ CASES: Mapping[str, tuple[str, Mapping[str, str | bytes | Edit], str]] = {
             "bad.yaml": "model: plane-distance\n"
             "planes: {wall: {normal: [1, 0, 0], offset: -50}}\n"
         },
-        "0 of|plane-distance",
+        dict(reason=("0 of", "plane-distance")),
     ),
     "configuration out of reach": (
         "simulate arm.urdf --setup plane.yaml --configurations bad.csv -o out.csv",
         {"bad.csv": "joint1,joint2,joint3,joint4\n0,0,0,0\n2.4,0,0,0\n"},
-        "configuration 2|plane-distance",
+        dict(reason=("configuration 2", "plane-distance")),
     ),
 }
 
 
-def test_there_are_enough_cases():
-    assert len(CASES) >= 40
-
-
 @pytest.mark.parametrize("name", CASES)
-def test_wrong_input(name, here, run, listing):
-    command, files, parts = CASES[name]
+def test_wrong_input(name, here, refuses):
+    command, files, fields = CASES[name]
     for file, content in files.items():
         path = Path(file)
         if callable(content):
             content = content(path.read_text() if path.exists() else "")
-        path.write_bytes(content if isinstance(content, bytes) else content.encode())
-    before = listing(here)
-
-    result = run(command)
-
-    assert result.out == ""
-    assert result.err.endswith("\n")
-    assert result.err.count("\n") == 1, result.err
-    assert result.err.startswith("calib-pin: ")
-    assert "Traceback" not in result.err
-    assert "internal error" not in result.err
-    for part in parts.split("|"):
-        assert part in result.err
-    assert len(result.err) < 500
-    assert result.status == 1
-    assert listing(here) == before
+        path.write_text(content)
+    refuses(command, **fields)
 
 
 # --- it ran, but the result must not be trusted ------------------------------------

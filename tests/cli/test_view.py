@@ -133,36 +133,64 @@ def test_few_rows_are_noted(
 
 
 @pytest.mark.parametrize(
-    ("words", "complaint"),
+    ("words", "fields"),
     [
-        ("", "Missing argument"),
-        ("no.urdf", "no.urdf: no such file"),
-        ("arm.urdf no.csv", "no.csv: no such file"),
-        ("arm.urdf --plan no.csv", "no.csv: no such file"),
-        ("arm.urdf rows.csv rows.csv", "given twice"),
-        ("arm.urdf --port 70000", "--port cannot be '70000'; allowed: 0 to 65535"),
-        ("arm.urdf --port x", "--port cannot be 'x'"),
-        ("arm.urdf --tip nowhere", "no link 'nowhere' for the tip"),
-        ("arm.urdf rows.csv --model sonar", "sonar"),
-        ("rows.csv", "rows.csv"),
-        ("arm.urdf --package-dir nowhere", "nowhere: no such folder"),
-        ("arm.urdf --package-dir rows.csv", "rows.csv: is a file, not a folder"),
-        ("done", "is a folder; allowed: done/calibration.json, or a robot"),
-        ("done/calibration.json --tip link3", "its own base, tip and model"),
-        ("done/calibration.json --setup setup.yaml", "its own setup"),
-        ("done/calibration.json distances.csv", "distances.csv"),
-        ("example:talos_reduced rows.csv", "name one with --tip"),
+        ("", dict(text="Missing argument")),
+        ("no.urdf", dict(file="no.urdf", reason="no such file")),
+        ("arm.urdf no.csv", dict(file="no.csv", reason="no such file")),
+        ("arm.urdf --plan no.csv", dict(file="no.csv", reason="no such file")),
+        ("arm.urdf rows.csv rows.csv", dict(file="rows.csv", reason="given twice")),
+        (
+            "arm.urdf --port 70000",
+            dict(reason="--port cannot be '70000'", allowed="0 to 65535"),
+        ),
+        ("arm.urdf --port x", dict(reason="--port cannot be 'x'")),
+        (
+            "arm.urdf --tip nowhere",
+            dict(file="arm.urdf", reason="no link 'nowhere' for the tip"),
+        ),
+        ("arm.urdf rows.csv --model sonar", dict(reason="sonar")),
+        ("rows.csv", dict(file="rows.csv", reason="XML")),
+        (
+            "arm.urdf --package-dir nowhere",
+            dict(file="nowhere", reason="no such folder"),
+        ),
+        (
+            "arm.urdf --package-dir rows.csv",
+            dict(file="rows.csv", reason="is a file, not a folder"),
+        ),
+        (
+            "done",
+            dict(
+                file="done",
+                reason="is a folder",
+                allowed="done/calibration.json, or a robot",
+            ),
+        ),
+        (
+            "done/calibration.json --tip link3",
+            dict(reason="its own base, tip and model"),
+        ),
+        (
+            "done/calibration.json --setup setup.yaml",
+            dict(file="setup.yaml", reason="its own setup"),
+        ),
+        (
+            "done/calibration.json distances.csv",
+            dict(file="distances.csv", line=2, column="x"),
+        ),
+        (
+            "example:talos_reduced rows.csv",
+            dict(file="example:talos_reduced", reason="name one with --tip"),
+        ),
     ],
 )
 def test_bad_input(
     here: Path,
-    run: Callable[..., Any],
+    refuses: Callable[..., None],
     opened: list[Scene],
     words: str,
-    complaint: str,
+    fields: dict[str, Any],
 ) -> None:
-    result = run(f"view {words}")
-    assert (result.status, result.out) == (1, "")
-    assert len(result.err.splitlines()) == 1
-    assert complaint in result.err
+    refuses(f"view {words}", **fields)
     assert opened == []

@@ -13,7 +13,7 @@ import pytest
 
 import calib_pin
 from calib_pin.calibration import calibrate
-from calib_pin.errors import CalibPinError, InputError
+from calib_pin.errors import InputError
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.records import read_record
@@ -120,7 +120,7 @@ for _ in range(200):
     [
         (edit("errors", to=...), "'errors' is missing"),
         (edit("errors", to=[1]), "list"),
-        (edit("errors", "position", to="fine"), "string|str"),
+        (edit("errors", "position", to="fine"), "str"),
         (edit("errors", "position", "unit", to="furlong"), "'furlong' is no unit"),
         (edit("errors", "position", "training", to=...), "'training' is missing"),
         (edit("errors", "position", "training", "after", to=None), "NoneType"),
@@ -132,7 +132,7 @@ for _ in range(200):
         (edit("parameters", 7, "sigma", to=-1e-3), "standard deviation"),
         (edit("parameters", 7, "sigma", to=True), "True stands"),
         (edit("parameters", 7, "unit", to=None), "None stands"),
-        (edit("parameters", 7, "groups", to=[[1]]), r"\[1\] stands"),
+        (edit("parameters", 7, "groups", to=[[1]]), "[1] stands"),
         (edit("parameters", 7, "groups", to=1), "int"),
         (edit("identifiability", to=[]), "list indices"),
         (edit(*COUPLED, to={"a": 1}), "string indices"),
@@ -149,34 +149,39 @@ for _ in range(200):
         (edit("measurements", "files", to=[1]), "int"),
         (edit("verdict", to=...), "'verdict' is missing"),
         (edit("verdict", "status", to="fine"), "'fine' is no verdict"),
-        (edit("verdict", "reason", to={}), r"\{\} stands"),
+        (edit("verdict", "reason", to={}), "{} stands"),
         (edit("provenance", to=7), "int"),
     ],
 )
-def test_damaged_and_edited_files(change, message, document):
+def test_damaged_and_edited_files(change, message, document, refused):
     document["measurements"]["files"] = [{"file": "a.csv", "sha256": "abc"}]
     change(document)
     file = stored(document)
     if not message:
         assert read_record(file).hashes == ()
         return
-    with pytest.raises(InputError, match=rf"^c.json: damaged .*({message})") as caught:
+    with refused(InputError, file="c.json", reason=("damaged", message)):
         read_record(file)
-    assert "\n" not in str(caught.value) and len(str(caught.value)) < 200
 
 
 @pytest.mark.parametrize(
-    ("content", "message"),
+    ("content", "fields"),
     [
-        ("", "not a calibration"),
-        ("[1, 2", "c.json:1: not a calibration"),
-        ("[" * 100_000, "not a calibration of calib-pin"),
-        ('{"format": "calib-pin/comparison"}', "not a calibration of calib-pin"),
-        ('{"format": "calib-pin/calibration", "version": 9}', "another version"),
+        ("", dict(reason="not a calibration")),
+        ("[1, 2", dict(line=1, reason="not a calibration")),
+        ("[" * 100_000, dict(reason="not a calibration of calib-pin")),
+        (
+            '{"format": "calib-pin/comparison"}',
+            dict(reason="not a calibration of calib-pin"),
+        ),
+        (
+            '{"format": "calib-pin/calibration", "version": 9}',
+            dict(value=9, reason="another version", allowed="1 to 1"),
+        ),
     ],
 )
-def test_other_files(content, message, tmp_path, monkeypatch):
+def test_other_files(content, fields, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     Path("c.json").write_text(content)
-    with pytest.raises(CalibPinError, match=message):
+    with refused(InputError, file="c.json", **fields):
         read_record("c.json")

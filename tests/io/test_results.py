@@ -14,7 +14,7 @@ import pytest
 
 from calib_pin.calibration import calibrate
 from calib_pin.chain import Chain
-from calib_pin.errors import CalibPinError, InputError, OptionError, RobotError
+from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.evaluation import evaluate
 from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
@@ -77,9 +77,12 @@ LOADED: dict[str, Any] = {
 }
 PROVENANCE = Provenance(("calib-pin",), "2026-01-01", 0.5, {"numpy": "2"})
 
+SLOW = pytest.mark.slow
+
 CASES: dict[str, tuple[str, Setup]] = {
     "position": ("position", Setup()),
     "position without a tool joint": ("position", Setup(tip="d")),
+    "position, joint-offset": ("position", Setup(parameters=("joint-offset",))),
     "pose, dh": ("pose", Setup(parameters=("dh",))),
     "pose, dh without a tool joint": ("pose", Setup(parameters=("dh",), tip="d")),
     "pose, dh-full": ("pose", Setup(parameters=("dh-full",))),
@@ -287,6 +290,12 @@ def calibrated(
     return calibrate(chain, rows, setup, validate=False), new
 
 
+@cache
+def solved(case: str) -> tuple[CalibrationResult, Measurements]:
+    """The calibration of a case, for tests that ask for `arm`; made once."""
+    return calibrated(Path("arm.urdf"), *(CASES | INSTRUMENTS)[case])
+
+
 def naming(chain: Chain, model: str, setup: Setup, targets: tuple[str, ...]) -> Problem:
     """A problem whose rows name targets, about what the setup gives."""
     count, width = len(targets), measurement_model(model, setup, targets).width
@@ -327,7 +336,7 @@ def arm(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
 
 @pytest.fixture
 def stored(arm: Path) -> tuple[CalibrationResult, Path]:
-    result, _ = calibrated(arm, "position", Setup(parameters=("joint-offset",)))
+    result, _ = solved("position, joint-offset")
     return result, write(result, Path("out"))
 
 
@@ -358,7 +367,7 @@ def assert_equal_accuracy(
 
 @pytest.mark.parametrize("case", CASES)
 def test_predictions_come_back(case, arm):
-    result, rows = calibrated(arm, *CASES[case])
+    result, rows = solved(case)
     model = result.model
     # Something must have been estimated, or the test would show nothing.
     assert np.abs(model.theta).max() > 1e-5
@@ -382,7 +391,7 @@ def test_predictions_come_back(case, arm):
 
 @pytest.mark.parametrize("case", INSTRUMENTS)
 def test_what_rows_refer_to_comes_back(case, arm):
-    result, rows = calibrated(arm, *INSTRUMENTS[case])
+    result, rows = solved(case)
     model = result.model
     assert np.abs(model.theta).max() > 1e-5
 
@@ -393,24 +402,20 @@ def test_what_rows_refer_to_comes_back(case, arm):
     assert found.measurement.targets == model.measurement.targets
     there, here = (m.measurement.parameters for m in (found, model))
     assert sorted(there, key=str) == sorted(here, key=str)
+    # A frame is written as angles: poses come back to some eps, 1e-14. A camera of
+    # 800 px has points from 0.1 m on before it, and so 8000 px/m: 1e-10 px.
+    within = 1e-10 if "camera" in model.measurement.name else 1e-12
     for a, b in zip(predict(found, rows), predict(model, rows), strict=True):
-        # Pixels are large numbers, and a frame is written as angles.
-        np.testing.assert_allclose(a, b, rtol=0.0, atol=1e-11)
+        np.testing.assert_allclose(a, b, rtol=0.0, atol=within)
     assert_equal_accuracy(found, model, rows)
 
 
-@cache
-def text_of(case: str, file: Path) -> bytes:
-    result, _ = calibrated(file, *INSTRUMENTS[case])
-    return encode(calibration_document(result, PROVENANCE))
-
-
-def document_of(case: str, file: Path) -> dict[str, Any]:
-    return json.loads(text_of(case, file))
+def document_of(case: str) -> dict[str, Any]:
+    return json.loads(encode(calibration_document(solved(case)[0], PROVENANCE)))
 
 
 def test_planes_are_written_as_ever(arm):
-    result, _ = calibrated(arm, *CASES["plane-distance"])
+    result, _ = solved("plane-distance")
     document = json.loads(encode(calibration_document(result, PROVENANCE)))
     planes = [m.measurement.planes[0] for m in (result.model, result.reference)]
     fitted, reference = (
@@ -425,7 +430,7 @@ def test_planes_are_written_as_ever(arm):
 
 
 def test_the_sections_of_points_and_sockets(arm):
-    document = document_of("fixed-point", arm)
+    document = document_of("fixed-point")
     assert list(document["targets"]) == list(BALLS)
     assert list(document["sockets"]) == list(SOCKETS)
     ball, top = document["targets"]["ball"], document["sockets"]["top"]
@@ -439,12 +444,12 @@ def test_the_sections_of_points_and_sockets(arm):
 
 
 def test_the_sections_of_spheres_and_anchors(arm):
-    spheres = document_of("sphere-contact", arm)["spheres"]
+    spheres = document_of("sphere-contact")["spheres"]
     keys = ["xyz", "radius", "estimated", "estimated_radius", "reference"]
     assert [list(sphere) for sphere in spheres.values()] == [keys, keys]
     assert spheres["s.1"]["radius"] == 0.05
     assert [s["estimated_radius"] for s in spheres.values()] == [False, True]
-    anchors = document_of("point-distance", arm)["anchors"]
+    anchors = document_of("point-distance")["anchors"]
     assert list(anchors["bar"]) == [
         "xyz",
         "bias",
@@ -458,7 +463,7 @@ def test_the_sections_of_spheres_and_anchors(arm):
 
 
 def test_the_section_and_the_frames_of_a_camera(arm):
-    document = document_of("position+camera", arm)
+    document = document_of("position+camera")
     camera = document["camera"]
     stated = {k: v for k, v in camera.items() if k not in ("estimated", "reference")}
     assert stated == camera["reference"]
@@ -479,34 +484,34 @@ def test_the_section_and_the_frames_of_a_camera(arm):
     ("case", "path", "message"),
     [
         ("fixed-point", ("sockets",), "'front/0' is missing under 'sockets'"),
-        ("fixed-point", ("sockets", "top"), "'ball.target.x'|not those|'top'"),
+        ("fixed-point", ("sockets", "top"), "are not those"),
         ("fixed-point", ("targets",), "'ball' is missing under 'targets'"),
         ("plane-contact", ("planes",), "'shelf' is missing under 'planes'"),
-        ("sphere-contact", ("spheres",), r"'s\.1' is missing under 'spheres'"),
+        ("sphere-contact", ("spheres",), "'s.1' is missing under 'spheres'"),
         ("sphere-contact", ("spheres", "s.1", "radius"), "'radius' is missing"),
         ("point-distance", ("anchors",), "'wire' is missing under 'anchors'"),
         ("point-distance", ("anchors", "bar", "estimated_bias"), "is missing"),
         ("camera, estimated", ("camera",), "'camera' is missing"),
         ("camera, estimated", ("camera", "mount"), "'mount' is missing"),
         ("position+camera", ("camera",), "'camera' is missing"),
-        ("position+camera", ("frames", "camera.base"), r"'camera\.base' is missing"),
-        ("position+camera", ("targets", "m3"), "are not those|'m3' is missing"),
+        ("position+camera", ("frames", "camera.base"), "'camera.base' is missing"),
+        ("position+camera", ("targets", "m3"), "are not those"),
         ("position+camera", ("measurements", "targets", 3), "no row refers to 'm2'"),
     ],
 )
-def test_what_is_missing(case, path, message, arm):
-    document = document_of(case, arm)
+def test_what_is_missing(case, path, message, arm, refused):
+    document = document_of(case)
     part = document
     for step in path[:-1]:
         part = part[step]
     del part[path[-1]]
     Path("damaged.json").write_text(json.dumps(document))
-    with pytest.raises(InputError, match=rf"^damaged.json: damaged .*({message})"):
+    with refused(InputError, file="damaged.json", reason=("damaged", message)):
         read_calibration("damaged.json")
 
 
 def test_files_without_what_came_later(arm):
-    result, rows = calibrated(arm, *CASES["plane-distance"])
+    result, rows = solved("plane-distance")
     document = json.loads(write(result, Path("out")).read_text())
     del document["measurements"]["targets"]
     del document["distances"], document["predicted"], document["setup_file"]
@@ -522,7 +527,7 @@ def test_files_without_what_came_later(arm):
 
 
 def test_the_accuracy_of_pixels_is_passed_over(arm):
-    document = document_of("position+camera", arm)
+    document = document_of("position+camera")
     accuracy = {"mean": 1.0, "rms": 2.0, "max": 3.0}
     assert [error["unit"] for error in document["errors"].values()] == ["m", "px"]
     for error in document["errors"].values():
@@ -534,7 +539,7 @@ def test_the_accuracy_of_pixels_is_passed_over(arm):
 
 @pytest.mark.parametrize("case", CASES)
 def test_the_corrected_robot_is_the_calibrated_one(case, arm):
-    result, rows = calibrated(arm, *CASES[case])
+    result, rows = solved(case)
     model = result.model
     geometry = model if result.urdf is None else result.urdf.model
     if geometry is None:
@@ -560,7 +565,7 @@ def test_the_corrected_robot_is_the_calibrated_one(case, arm):
 
 
 def test_a_urdf_holds_the_geometry_alone(arm):
-    result, rows = calibrated(arm, *CASES["pose, joint corrections"])
+    result, rows = solved("pose, joint corrections")
     model = result.model
     beyond = [
         p for p in result.parameters if p.name.split(".")[-2] in model.setup.parameters
@@ -589,7 +594,7 @@ def test_nothing_is_said_of_a_urdf_that_holds_it_all(stored):
     assert json.loads(file.read_text())["urdf"] is None
 
 
-def test_what_was_learned_is_no_geometry(stored):
+def test_what_was_learned_is_no_geometry(stored, refused):
     @dataclass(frozen=True)
     class Bent:
         space: str = "joint"
@@ -606,7 +611,7 @@ def test_what_was_learned_is_no_geometry(stored):
     q = model.chain.random_configurations(5, np.random.default_rng(0))
     assert np.abs(bent.poses(q) - model.poses(q)).max() > 1e-3
     np.testing.assert_array_equal(bent.without_corrections.poses(q), model.poses(q))
-    with pytest.raises(OptionError, match=r"a URDF cannot hold .*\.geometry"):
+    with refused(OptionError, reason="a URDF cannot hold"):
         write_urdf(bent, Path("bent.urdf"))
     write_urdf(bent.without_corrections, Path("bent.urdf"))
     write_urdf(model, Path("model.urdf"))
@@ -687,13 +692,13 @@ def test_the_robot_is_found_from_the_folder_of_the_file(arm, tmp_path, monkeypat
     assert read_calibration("../calibration.json").chain.robot.name == "arm"
 
 
-def test_the_corrected_robot_beside_is_not_taken_for_it(stored):
+def test_the_corrected_robot_beside_is_not_taken_for_it(stored, refused):
     result, file = stored
     # Both have the same name, as the commands write them.
     write_urdf(result.model, Path("out/arm.urdf"))
     assert read_calibration(file).chain.robot.file == "arm.urdf"
     Path("arm.urdf").unlink()
-    with pytest.raises(InputError, match=r"'out/arm\.urdf' is not the robot"):
+    with refused(InputError, reason="'out/arm.urdf' is not the robot"):
         read_calibration(file)
     # With the original back at its side, a wrong one at the stated place is passed.
     Path("out/arm.urdf").write_text(ARM)
@@ -701,29 +706,29 @@ def test_the_corrected_robot_beside_is_not_taken_for_it(stored):
     assert read_calibration(file).chain.robot.file == "out/arm.urdf"
 
 
-def test_a_changed_robot_is_refused(stored):
+def test_a_changed_robot_is_refused(stored, refused):
     _, file = stored
     Path("arm.urdf").write_text(ARM + "\n")
-    with pytest.raises(InputError, match="content differs"):
+    with refused(InputError, reason="content differs"):
         read_calibration(file)
 
 
-def test_a_robot_that_is_gone(stored):
+def test_a_robot_that_is_gone(stored, refused):
     _, file = stored
     Path("arm.urdf").unlink()
-    with pytest.raises(RobotError, match=r"'arm\.urdf' that was calibrated is neither"):
+    with refused(RobotError, reason="'arm.urdf' that was calibrated is neither"):
         read_calibration(file)
 
 
 # --- the corrected URDF ------------------------------------------------------------
 
 
-def test_the_original_is_never_replaced(stored):
+def test_the_original_is_never_replaced(stored, refused):
     result, _ = stored
-    with pytest.raises(OptionError, match="own URDF"):
+    with refused(OptionError, reason="own URDF"):
         write_urdf(result.model, Path("arm.urdf"), force=True)
     write_urdf(result.model, Path("new.urdf"))
-    with pytest.raises(OptionError, match="--force"):
+    with refused(OptionError, file="new.urdf", reason="--force"):
         write_urdf(result.model, Path("new.urdf"))
     write_urdf(result.model, Path("new.urdf"), force=True)
     assert Path("arm.urdf").read_text() == ARM
@@ -749,32 +754,32 @@ USED = ("format", "version", "robot", "parameters", "frames", "planes", "setup")
 JUNK = (None, True, -1, 7.5, 10**400, float("nan"), "x", "", [], {}, [[0]], ["a"] * 3)
 
 
-@pytest.mark.parametrize(
-    "parameters",
-    [
-        ("joint-offset",),
-        ("compliance",),
-    ],
-)
-def test_no_damage_passes_unnoticed_or_crashes(parameters, arm):
-    setup = Setup(planes=WALL, parameters=parameters, noise={"distance": 1e-3})
-    if parameters == ("compliance",):
+# The quick tier damages one entry in thirty, which ones differs from case to case.
+AMOUNTS = [pytest.param(30, id="some"), pytest.param(1, id="all", marks=SLOW)]
+
+
+@pytest.mark.parametrize("every", AMOUNTS)
+@pytest.mark.parametrize("parameters", ["joint-offset", "compliance"])
+def test_no_damage_passes_unnoticed_or_crashes(parameters, every, arm):
+    setup = Setup(planes=WALL, parameters=(parameters,), noise={"distance": 1e-3})
+    if parameters == "compliance":
         setup = replace(setup, **LOADED)
     result, rows = calibrated(arm, "plane-distance", setup)
-    assert_no_damage_passes(result, rows, (*USED, "measurements"))
+    assert_no_damage_passes(result, rows, (*USED, "measurements"), every)
 
 
+@pytest.mark.parametrize("every", AMOUNTS)
 @pytest.mark.parametrize(
     "case", ["sphere-contact", "point-distance", "position+camera"]
 )
-def test_no_damage_of_an_instrument_passes_unnoticed(case, arm):
-    result, rows = calibrated(arm, *INSTRUMENTS[case])
+def test_no_damage_of_an_instrument_passes_unnoticed(case, every, arm):
+    result, rows = solved(case)
     sections = ("measurements", "frames", "targets", "spheres", "anchors", "camera")
-    assert_no_damage_passes(result, rows, sections)
+    assert_no_damage_passes(result, rows, sections, every)
 
 
 def assert_no_damage_passes(
-    result: CalibrationResult, rows: Measurements, keys: tuple[str, ...]
+    result: CalibrationResult, rows: Measurements, keys: tuple[str, ...], step: int
 ) -> None:
     file = write(result, Path("out"))
     good = json.loads(file.read_text())
@@ -783,7 +788,7 @@ def assert_no_damage_passes(
     every = [path for path in places(good) if path[0] in keys]
     # One point of a board is like the other.
     every = [path for path in every if "m0" in path or not BOARD.keys() & set(path)]
-    for path in every:
+    for path in every[::step]:
         for junk in ("delete", *rng.choice(np.array(JUNK, object), 1)):
             document = json.loads(json.dumps(good))
             part = document
@@ -796,10 +801,9 @@ def assert_no_damage_passes(
             file.write_text(json.dumps(document))
             try:
                 found = read_calibration(file)
-            except CalibPinError as error:
-                message = str(error)
-                assert message.startswith("out/calibration.json")
-                assert len(message) < 400
+            except InputError as error:
+                assert error.file == str(file)
+                assert len(str(error)) < 400
                 continue
             # What was accepted predicts finite numbers, and others only where a
             # number stands in the place of a number.
@@ -810,7 +814,7 @@ def assert_no_damage_passes(
 
 
 @pytest.mark.parametrize(
-    ("data", "part"),
+    ("data", "reason"),
     [
         (b"", "not a calibration"),
         (b"\xff\xfe", "not a calibration"),
@@ -824,12 +828,11 @@ def assert_no_damage_passes(
         (b'{"version": ' + b"1" * 5000 + b"}", "not a calibration"),
     ],
 )
-def test_files_that_are_no_calibration(data, part, tmp_path):
+def test_files_that_are_no_calibration(data, reason, tmp_path, refused):
     file = tmp_path / "calibration.json"
     file.write_bytes(data)
-    with pytest.raises(InputError, match=part):
+    with refused(InputError, file=str(file), reason=reason):
         read_calibration(file)
-    assert part  # and not something else
 
 
 def test_a_byte_order_mark_is_no_damage(stored):
@@ -839,9 +842,9 @@ def test_a_byte_order_mark_is_no_damage(stored):
 
 
 @pytest.mark.parametrize("cut", [0.1, 0.5, 0.9, 0.999])
-def test_a_file_that_was_cut_off(cut, stored):
+def test_a_file_that_was_cut_off(cut, stored, refused):
     _, file = stored
     data = file.read_bytes().rstrip()
     file.write_bytes(data[: int(cut * len(data))])
-    with pytest.raises(InputError, match="not a calibration"):
+    with refused(InputError, file=str(file), reason="not a calibration"):
         read_calibration(file)

@@ -8,6 +8,7 @@ import os
 import re
 import warnings
 import xml.etree.ElementTree as ElementTree
+from collections.abc import Callable
 from pathlib import Path
 from typing import Any
 
@@ -25,19 +26,10 @@ from calib_pin.io.urdf import (
     bundled_robots,
     edit_origins,
     load_robot,
+    locate_robot,
     parse_robot,
     write_corrected_urdf,
 )
-
-DATA = Path(
-    str(
-        importlib.metadata.distribution("example-robot-data").locate_file(
-            "cmeel.prefix/share/example-robot-data"
-        )
-    )
-)
-# ur3.urdf is what xacro made of a file of macros: no name, no links.
-CORPUS = [path for path in sorted(DATA.rglob("*.urdf")) if path.name != "ur3.urdf"]
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -134,15 +126,21 @@ def changed_lines(old: bytes, new: bytes) -> tuple[list[bytes], list[bytes]]:
     return before, after
 
 
-def message(source: bytes, capfd: pytest.CaptureFixture[str] | None = None) -> str:
-    with pytest.raises(RobotError) as caught:
-        parse_robot(source, "arm.urdf")
-    if capfd is not None:
+@pytest.fixture
+def bad(
+    refused: Callable[..., Any], capfd: pytest.CaptureFixture[str]
+) -> Callable[..., None]:
+    """A robot that cannot be used: `bad(source, line=3, ...)`, see `refused`.
+
+    Nothing is printed, not even by Pinocchio.
+    """
+
+    def bad(source: bytes, **fields: Any) -> None:
+        with refused(RobotError, file="arm.urdf", **fields):
+            parse_robot(source, "arm.urdf")
         assert capfd.readouterr() == ("", "")
-    text = str(caught.value)
-    assert "\n" not in text
-    assert text.startswith("arm.urdf:")
-    return text
+
+    return bad
 
 
 def listing(folder: Path) -> list[str]:
@@ -152,9 +150,9 @@ def listing(folder: Path) -> list[str]:
 # Every URDF of example-robot-data.
 
 
-@pytest.mark.parametrize("path", CORPUS, ids=lambda path: path.stem)
-def test_corpus(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
-    robot = load_robot(path)
+def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
+    path, robot = example_robot, load_robot(example_robot)
+    assert capfd.readouterr() == ("", "")
     joints = joint_elements(robot.source)
     links = ElementTree.fromstring(robot.source).findall("link")
     assert robot.file == str(path)
@@ -194,8 +192,6 @@ def test_corpus(path: Path, capfd: pytest.CaptureFixture[str]) -> None:
 
 
 def test_corpus_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
-    for path in CORPUS[:10]:
-        load_robot(path)
     source = ARM.replace(
         b'<link name="c"/>',
         b'<link name="c"><visual><geometry><blob/></geometry></visual></link>',
@@ -204,7 +200,17 @@ def test_corpus_prints_nothing(capfd: pytest.CaptureFixture[str]) -> None:
     assert capfd.readouterr() == ("", "")
 
 
-@pytest.mark.parametrize("name", ["ur5_robot", "kinova", "xarm7", "tiago_no_hand"])
+# Continuous joints, which others write in another way, are among those of the kinova.
+@pytest.mark.parametrize(
+    "name",
+    [
+        "kinova",
+        *(
+            pytest.param(name, marks=pytest.mark.slow)
+            for name in ("ur5_robot", "xarm7", "tiago_no_hand")
+        ),
+    ],
+)
 def test_yourdfpy_agrees(name: str, tmp_path: Path) -> None:
     robot = load_robot(f"example:{name}")
     rng = np.random.default_rng(7)
@@ -349,7 +355,7 @@ def test_escaped_names() -> None:
     )
 
 
-def test_quaternion_of_urdf_1_1() -> None:
+def test_quaternion_of_urdf_1_1(bad: Callable[..., None]) -> None:
     place = b'rpy="0.1 0.2 0.3"'
     source = ARM.replace(b'"arm"', b'"arm" version="1.1"').replace(
         place, b'quat_xyzw="0 0 2 2"'
@@ -361,7 +367,7 @@ def test_quaternion_of_urdf_1_1() -> None:
     np.testing.assert_allclose(
         placement.homogeneous, (old * SHIFT * TURN).homogeneous, atol=1e-15
     )
-    assert "quat_xyzw of joint 'j' is zero" in message(source.replace(b"2 2", b"0 0"))
+    bad(source.replace(b"2 2", b"0 0"), reason="quat_xyzw of joint 'j' is zero")
     # Version 1.0 does not know the attribute, so its rotation does not count.
     plain = source.replace(b' version="1.1"', b"")
     again = parse_robot(edit_origins(plain, {"j": TURN}), "arm.urdf")
@@ -435,20 +441,20 @@ def test_any_origin_and_correction(
     np.testing.assert_allclose(difference[:3, 3], 0.0, atol=1e-13)
 
 
-def test_corrections_that_cannot_be_made() -> None:
-    with pytest.raises(RobotError, match="the robot has no joint 'elbow'"):
+def test_corrections_that_cannot_be_made(refused: Callable[..., Any]) -> None:
+    with refused(RobotError, reason="no joint 'elbow'"):
         edit_origins(ARM, {"elbow": SHIFT})
     bad = pin.SE3(np.eye(3), np.array([np.nan, 0.0, 0.0]))
     with pytest.raises(OutputError, match="correction of joint 'j' is not finite"):
         edit_origins(ARM, {"j": bad})
-    with pytest.raises(RobotError, match="names no parent link"):
+    with refused(RobotError, line=1, reason="names no parent link"):
         edit_origins(b'<robot><joint name="j"/></robot>', {"j": SHIFT})
 
 
 # What the loader fills in.
 
 
-def test_robot_fields() -> None:
+def test_robot_fields(refused: Callable[..., Any]) -> None:
     source = ARM.replace(
         b"</robot>",
         b"""
@@ -470,7 +476,7 @@ def test_robot_fields() -> None:
         "free": "a floating joint",
         "flat": "a planar joint",
     }
-    with pytest.raises(RobotError, match="'mimicking' between 'a' and 'm' is a mimic"):
+    with refused(RobotError, reason="'mimicking' between 'a' and 'm' is a mimic"):
         Chain(robot, tip="m")
 
 
@@ -500,45 +506,57 @@ def test_resolution(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("name", "words"),
+    ("name", "fields"),
     [
-        ("no/such.urdf", ["no/such.urdf: no such file", "a bundled robot (threelink)"]),
-        ("threlink", ["threlink: no such file (did you mean 'threelink'?)"]),
-        ("arm.udrf", ["arm.udrf: no such file (did you mean 'arm.urdf'?)"]),
-        (".", [".: is a directory, not a file"]),
-        ("arm.urdf/x", ["arm.urdf/x: cannot be read: Not a directory"]),
-        ("a\0b", ["cannot be read: embedded null byte"]),
-        ("a" * 300, ["cannot be read: File name too long"]),
-        ("", [".: is a directory"]),
-        ("example:ur5", ["has no robot 'ur5'; allowed: example:ur5_gripper, "]),
-        ("example:pandaa", ["no robot 'pandaa' (did you mean 'panda'?)"]),
-        ("example:", ["example-robot-data has no robot ''"]),
-        ("example:ur3", ["example:ur3:6: the robot has no name"]),
+        (
+            "no/such.urdf",
+            dict(reason="no such file", allowed="a bundled robot (threelink)"),
+        ),
+        ("threlink", dict()),
+        ("arm.udrf", dict()),
+        (".", dict()),
+        ("arm.urdf/x", dict()),
+        ("a\0b", dict(reason="cannot be read: embedded null byte")),
+        ("a" * 300, dict(reason="cannot be read: File name too long")),
+        ("", dict()),
+        (
+            "example:ur5",
+            dict(reason="has no robot 'ur5'", allowed="example:ur5_gripper, "),
+        ),
+        ("example:pandaa", dict(reason="no robot 'pandaa' (did you mean 'panda'?)")),
+        ("example:", dict(reason="example-robot-data has no robot ''")),
+        ("example:ur3", dict(line=6)),
         (
             "example:anymal",
-            ["2 example robots", "example:anymal_c_simple_description/urdf/anymal"],
+            dict(
+                reason="2 example robots",
+                allowed="example:anymal_c_simple_description/urdf/anymal",
+            ),
         ),
     ],
 )
 def test_robots_that_are_not_there(
-    name: str, words: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    name: str,
+    fields: dict[str, Any],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    refused: Callable[..., Any],
 ) -> None:
     Path(tmp_path, "arm.urdf").write_bytes(ARM)
     monkeypatch.setattr(urdf, "bundled_robots", lambda: {"threelink": tmp_path})
     monkeypatch.chdir(tmp_path)
-    with pytest.raises(RobotError) as caught:
+    with refused(RobotError, **fields):
         load_robot(name)
-    for word in words:
-        assert word in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
-def test_example_robots_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
+def test_example_robots_not_installed(
+    monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
+) -> None:
     def missing(name: str) -> None:
         raise importlib.metadata.PackageNotFoundError(name)
 
     monkeypatch.setattr(importlib.metadata, "distribution", missing)
-    with pytest.raises(RobotError, match=r"pip install 'example-robot-data>=4.4'"):
+    with refused(RobotError, reason="pip install 'example-robot-data>=4.4'"):
         load_robot("example:panda")
 
 
@@ -546,133 +564,306 @@ def test_example_robots_not_installed(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 @pytest.mark.parametrize(
-    ("source", "words"),
+    ("source", "fields"),
     [
-        (b"", "arm.urdf: the file is empty"),
-        (b"\xef\xbb\xbf \r\n", "arm.urdf: the file is empty"),
-        (b"\x89PNG\r\n\x1a\n\0\0", "arm.urdf: is not XML (value b'\\x89PNG"),
-        (b"solid cube\n", "arm.urdf: is not XML (value b'solid cube"),
-        (b"<robot>\n<link>\n</robot>", "3: is not well-formed XML: mismatched tag"),
-        (b"<robot\n", ": is not well-formed XML: unclosed token"),
-        (b"<!-- x -->", "is not well-formed XML: no element found"),
-        (b"<a\0b/>", "1: is not well-formed XML"),
-        (b"<robot>\n<!-- \xe9 --></robot>", "2: the byte 0xe9 is not utf-8; allowed:"),
-        (b'<?xml version="1.0" encoding="klingon"?><r/>', "1: the encoding 'klingon'"),
-        (b'<?xml version="1.0" encoding="base64"?><r/>', "1: the encoding 'base64'"),
-        (b'<?xml version="1.0" encoding="UTF-16"?><r/>', "UTF-16"),
-        (b"\xff\xfe<\0r\0/", "arm.urdf:1: the byte 0x2f is not utf-16-le"),
+        (b"", dict(reason="the file is empty")),
+        (b"\xef\xbb\xbf \r\n", dict(reason="the file is empty")),
+        (
+            b"\x89PNG\r\n\x1a\n\0\0",
+            dict(value=b"\x89PNG\r\n\x1a\n\x00\x00", reason="is not XML"),
+        ),
+        (b"solid cube\n", dict(value=b"solid cube\n", reason="is not XML")),
+        (
+            b"<robot>\n<link>\n</robot>",
+            dict(line=3, reason="is not well-formed XML: mismatched tag"),
+        ),
+        (b"<robot\n", dict(line=1, reason="is not well-formed XML: unclosed token")),
+        (
+            b"<!-- x -->",
+            dict(line=1, reason="is not well-formed XML: no element found"),
+        ),
+        (b"<a\0b/>", dict(line=1, reason="is not well-formed XML")),
+        (b"<robot>\n<!-- \xe9 --></robot>", dict(line=2)),
+        (
+            b'<?xml version="1.0" encoding="klingon"?><r/>',
+            dict(line=1, reason="the encoding 'klingon'"),
+        ),
+        (
+            b'<?xml version="1.0" encoding="base64"?><r/>',
+            dict(line=1, reason="the encoding 'base64'"),
+        ),
+        (b'<?xml version="1.0" encoding="UTF-16"?><r/>', dict(line=1, reason="UTF-16")),
+        (b"\xff\xfe<\0r\0/", dict(line=1, reason="the byte 0x2f is not utf-16-le")),
         (
             b'<!DOCTYPE r [<!ENTITY a "aaa"><!ENTITY b "&a;&a;">]>\n<r>&b;</r>',
-            "1: a DOCTYPE with its entities is not accepted",
+            dict(line=1, reason="a DOCTYPE with its entities is not accepted"),
         ),
         (
             b'\n<!DOCTYPE r [<!ENTITY x SYSTEM "file:///etc/passwd">]>\n<r>&x;</r>',
-            "arm.urdf",
+            dict(line=2),
         ),
-        (b"<sdf/>", "1: the outermost element is <sdf>; allowed: <robot>"),
-        (b'<r:robot xmlns:r="u" name="r"/>', "the outermost element is <r:robot>"),
-        (b"<robot><link name='a'/></robot>", "1: the robot has no name"),
-        (b"<robot name=''><link name='a'/></robot>", "1: the robot has no name"),
-        (b"<robot name='r'/>", "1: the robot has no links"),
-        (b"<robot name='r'>\n<link/></robot>", "2: a link has no name"),
+        (
+            b"<sdf/>",
+            dict(line=1, reason="the outermost element is <sdf>", allowed="<robot>"),
+        ),
+        (
+            b'<r:robot xmlns:r="u" name="r"/>',
+            dict(line=1, reason="the outermost element is <r:robot>"),
+        ),
+        (
+            b"<robot><link name='a'/></robot>",
+            dict(line=1, reason="the robot has no name"),
+        ),
+        (
+            b"<robot name=''><link name='a'/></robot>",
+            dict(line=1, reason="the robot has no name"),
+        ),
+        (b"<robot name='r'/>", dict(line=1, reason="the robot has no links")),
+        (
+            b"<robot name='r'>\n<link/></robot>",
+            dict(line=2, reason="a link has no name"),
+        ),
         (
             b'<robot name="r" xmlns:xacro="x">\n<xacro:include filename="b"/></robot>',
-            "2: is a xacro file; expand it first: xacro FILE > robot.urdf (value "
-            "'<xacro:include>')",
+            dict(
+                line=2,
+                value="<xacro:include>",
+                reason="is a xacro file; expand it first: xacro FILE > robot.urdf",
+            ),
         ),
     ],
 )
 def test_files_that_are_no_urdf(
-    source: bytes, words: str, capfd: pytest.CaptureFixture[str]
+    source: bytes, fields: dict[str, Any], bad: Callable[..., None]
 ) -> None:
-    assert words in message(source, capfd)
+    bad(source, **fields)
 
 
 ALLOWED_TYPES = "revolute, continuous, prismatic, fixed, floating, planar"
 
 
 @pytest.mark.parametrize(
-    ("old", "new", "words"),
+    ("old", "new", "fields"),
     [
-        ('"1 2 3"', '"1 2"', "7: xyz in the <origin> of joint 'j' cannot be read"),
-        ('"1 2 3"', '"1 2"', "(value '1 2'); allowed: 3 finite numbers"),
-        ('"1 2 3"', '"1 2 3 4"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '""', "(value ''); allowed: 3 finite numbers"),
-        ('"1 2 3"', '"nan 2 3"', "(value 'nan 2 3')"),
-        ('"1 2 3"', '"1 2 -inf"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '"1 2 1e999"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '"1,5 2 3"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '"1_0 2 3"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '"\u0661 2 3"', "allowed: 3 finite numbers"),
-        ('"1 2 3"', '"1\t2 3"', "7: xyz in the <origin> of joint 'j' has a tab or"),
-        ('"1 2 3"', '"${x} 2 3"', "7: is a xacro file; expand it first"),
-        ('"1 2 3"', '"$(arg x) 2 3"', "7: is a xacro file; expand it first"),
-        ('"0.1 0.2 0.3"', '"a b c"', "7: rpy in the <origin> of joint 'j' cannot be"),
-        ('"0 0 1"', '"0 0 0"', "10: the axis of joint 'j' is zero"),
-        ('"0 0 1"', '"0 0"', "10: xyz in the <axis> of joint 'j' cannot be read"),
-        ('<axis xyz="0 0 1"/>', "<axis/>", "10: the <axis> of joint 'j' has no xyz"),
-        ('lower="-1"', 'lower="x"', "11: lower in the <limit> of joint 'j' cannot be"),
-        ('lower="-1"', 'lower="-inf"', "(value '-inf'); allowed: a finite number"),
-        ('lower="-1"', 'lower=" -1"', "allowed: a finite number"),
-        ('velocity="1"', "", "6: Pinocchio cannot read it: joint [j]: limit has no v"),
-        ('"revolute"', '"revolut"', "6: joint 'j' has the unknown type 'revolut'"),
-        ('"revolute"', '"revolut"', "(did you mean 'revolute'?); allowed: revolute, "),
-        ('"revolute"', '"spherical"', ALLOWED_TYPES),
-        (' type="revolute"', "", "6: joint 'j' has no type"),
-        ('name="j" ', "", "6: a joint has no name"),
-        ('name="j"', 'name="universe"', "6: a joint cannot be called 'universe'"),
-        ('<parent link="a"/>', "", "6: joint 'j' names no parent link"),
-        ('<parent link="a"/>', "<parent/>", "6: joint 'j' names no parent link"),
-        ('<child link="b"/>', "", "6: joint 'j' names no child link"),
+        (
+            '"1 2 3"',
+            '"1 2"',
+            dict(
+                line=7,
+                value="1 2",
+                reason="xyz in the <origin> of joint 'j' cannot be read",
+            ),
+        ),
+        ('"1 2 3"', '"1 2"', dict(line=7, value="1 2", allowed="3 finite numbers")),
+        (
+            '"1 2 3"',
+            '"1 2 3 4"',
+            dict(line=7, value="1 2 3 4", allowed="3 finite numbers"),
+        ),
+        ('"1 2 3"', '""', dict(line=7, value="", allowed="3 finite numbers")),
+        ('"1 2 3"', '"nan 2 3"', dict(line=7, value="nan 2 3")),
+        (
+            '"1 2 3"',
+            '"1 2 -inf"',
+            dict(line=7, value="1 2 -inf", allowed="3 finite numbers"),
+        ),
+        (
+            '"1 2 3"',
+            '"1 2 1e999"',
+            dict(line=7, value="1 2 1e999", allowed="3 finite numbers"),
+        ),
+        (
+            '"1 2 3"',
+            '"1,5 2 3"',
+            dict(line=7, value="1,5 2 3", allowed="3 finite numbers"),
+        ),
+        (
+            '"1 2 3"',
+            '"1_0 2 3"',
+            dict(line=7, value="1_0 2 3", allowed="3 finite numbers"),
+        ),
+        (
+            '"1 2 3"',
+            '"\u0661 2 3"',
+            dict(line=7, value="\u0661 2 3", allowed="3 finite numbers"),
+        ),
+        (
+            '"1 2 3"',
+            '"1\t2 3"',
+            dict(line=7, reason="xyz in the <origin> of joint 'j' has a tab or"),
+        ),
+        (
+            '"1 2 3"',
+            '"${x} 2 3"',
+            dict(line=7, value="${x} 2 3", reason="is a xacro file; expand it first"),
+        ),
+        (
+            '"1 2 3"',
+            '"$(arg x) 2 3"',
+            dict(
+                line=7, value="$(arg x) 2 3", reason="is a xacro file; expand it first"
+            ),
+        ),
+        (
+            '"0.1 0.2 0.3"',
+            '"a b c"',
+            dict(
+                line=7,
+                value="a b c",
+                reason="rpy in the <origin> of joint 'j' cannot be",
+            ),
+        ),
+        ('"0 0 1"', '"0 0 0"', dict(line=10, reason="the axis of joint 'j' is zero")),
+        (
+            '"0 0 1"',
+            '"0 0"',
+            dict(
+                line=10,
+                value="0 0",
+                reason="xyz in the <axis> of joint 'j' cannot be read",
+            ),
+        ),
+        (
+            '<axis xyz="0 0 1"/>',
+            "<axis/>",
+            dict(line=10, reason="the <axis> of joint 'j' has no xyz"),
+        ),
+        (
+            'lower="-1"',
+            'lower="x"',
+            dict(
+                line=11, value="x", reason="lower in the <limit> of joint 'j' cannot be"
+            ),
+        ),
+        (
+            'lower="-1"',
+            'lower="-inf"',
+            dict(line=11, value="-inf", allowed="a finite number"),
+        ),
+        (
+            'lower="-1"',
+            'lower=" -1"',
+            dict(line=11, value=" -1", allowed="a finite number"),
+        ),
+        (
+            'velocity="1"',
+            "",
+            dict(line=6, reason="Pinocchio cannot read it: joint [j]: limit has no v"),
+        ),
+        (
+            '"revolute"',
+            '"revolut"',
+            dict(line=6, reason="joint 'j' has the unknown type 'revolut'"),
+        ),
+        (
+            '"revolute"',
+            '"revolut"',
+            dict(line=6, reason="(did you mean 'revolute'?", allowed="revolute, "),
+        ),
+        (
+            '"revolute"',
+            '"spherical"',
+            dict(
+                line=6,
+                allowed="revolute, continuous, prismatic, fixed, floating, planar",
+            ),
+        ),
+        (' type="revolute"', "", dict(line=6, reason="joint 'j' has no type")),
+        ('name="j" ', "", dict(line=6, reason="a joint has no name")),
+        (
+            'name="j"',
+            'name="universe"',
+            dict(line=6, reason="a joint cannot be called 'universe'"),
+        ),
+        (
+            '<parent link="a"/>',
+            "",
+            dict(line=6, reason="joint 'j' names no parent link"),
+        ),
+        (
+            '<parent link="a"/>',
+            "<parent/>",
+            dict(line=6, reason="joint 'j' names no parent link"),
+        ),
+        ('<child link="b"/>', "", dict(line=6, reason="joint 'j' names no child link")),
         (
             '<parent link="a"/>',
             '<parent link="aa"/>',
-            "6: the parent link 'aa' of joint 'j' does not exist (did you mean 'a'?)",
+            dict(
+                line=6,
+                reason=("parent link 'aa' of joint 'j'", "did you mean 'a'"),
+            ),
         ),
-        ('<link name="c"/>', "", "the child link 'c' of joint 'f' does not exist"),
+        (
+            '<link name="c"/>',
+            "",
+            dict(line=13, reason="the child link 'c' of joint 'f' does not exist"),
+        ),
         (
             '<link name="c"/>',
             '<link name="c"/><link name="a"/>',
-            "5: link 'a' is here for the second time, the first is in line 3",
+            dict(
+                line=5,
+                reason="link 'a' is here for the second time, the first is in line 3",
+            ),
         ),
-        ('"f"', '"j"', "13: joint 'j' is here for the second time, the first is in"),
+        (
+            '"f"',
+            '"j"',
+            dict(
+                line=13, reason="joint 'j' is here for the second time, the first is in"
+            ),
+        ),
         (
             '<child link="c"/>',
             '<child link="b"/>',
-            "13: link 'b' is the child of two joints, 'j' and 'f'",
+            dict(line=13, reason="link 'b' is the child of two joints, 'j' and 'f'"),
         ),
         (
             '<link name="c"/>',
             '<link name="c"/><link name="d"/>',
-            "5: the links 'a', 'd' all have no parent joint, and a URDF has one root",
+            dict(
+                line=5,
+                reason="the links 'a', 'd' all have no parent joint",
+            ),
         ),
         (
             '<child link="c"/>',
             '<child link="a"/>',
-            "the links a > b > a form a loop, and a URDF is a tree",
+            dict(
+                line=13, reason="the links a > b > a form a loop, and a URDF is a tree"
+            ),
         ),
-        ('name="arm"', 'name="arm" version="3.0"', "Invalid 'version' specified"),
-        ('<robot name="arm">', '<robot name="arm">' + "<x>" * 900 + "</x>" * 900, "d"),
+        (
+            'name="arm"',
+            'name="arm" version="3.0"',
+            dict(line=2, reason="Invalid 'version' specified"),
+        ),
+        (
+            '<robot name="arm">',
+            '<robot name="arm">' + "<x>" * 900 + "</x>" * 900,
+            dict(line=2, reason="d"),
+        ),
     ],
 )
 def test_urdfs_with_a_mistake(
-    old: str, new: str, words: str, capfd: pytest.CaptureFixture[str]
+    old: str, new: str, fields: dict[str, Any], bad: Callable[..., None]
 ) -> None:
     assert old in ARM.decode()
-    assert words in message(ARM.decode().replace(old, new).encode(), capfd)
+    bad(ARM.decode().replace(old, new).encode(), **fields)
 
 
-def test_loop_away_from_the_root() -> None:
+def test_loop_away_from_the_root(bad: Callable[..., None]) -> None:
     loop = b"""<link name="d"/><link name="e"/>
 <joint name="x" type="fixed"><parent link="d"/><child link="e"/></joint>
 <joint name="y" type="fixed"><parent link="e"/><child link="d"/></joint></robot>"""
-    assert "the links d > e > d form a loop" in message(ARM.replace(b"</robot>", loop))
+    bad(ARM.replace(b"</robot>", loop), reason="the links d > e > d form a loop")
 
 
 # Writing.
 
 
-def test_write_and_read_back(tmp_path: Path) -> None:
+def test_write_and_read_back(tmp_path: Path, refused: Callable[..., Any]) -> None:
     robot = parse_robot(ARM, "arm.urdf")
     seen: list[Robot] = []
     path = tmp_path / "new" / "out.urdf"
@@ -682,14 +873,16 @@ def test_write_and_read_back(tmp_path: Path) -> None:
     umask = os.umask(0)
     os.umask(umask)
     assert path.stat().st_mode & 0o777 == 0o666 & ~umask
-    with pytest.raises(OptionError, match="exists already; --force replaces it"):
+    with refused(OptionError, file=str(path), reason="--force"):
         write_corrected_urdf(path, robot, {}, check=None)
     write_corrected_urdf(path, robot, {}, check=None, force=True)
     assert path.read_bytes() == ARM
     assert listing(path.parent) == ["out.urdf"]
 
 
-def test_never_over_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_never_over_the_source(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
+) -> None:
     source = tmp_path / "arm.urdf"
     source.write_bytes(ARM)
     link = tmp_path / "link.urdf"
@@ -697,17 +890,17 @@ def test_never_over_the_source(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) 
     monkeypatch.chdir(tmp_path)
     robot = load_robot("arm.urdf")
     for path in (source, link, tmp_path / ".." / tmp_path.name / "arm.urdf"):
-        with pytest.raises(OptionError, match="own URDF, which is never changed"):
+        with refused(OptionError, file=str(path), reason="own URDF"):
             write_corrected_urdf(path, robot, {"j": SHIFT}, check=None, force=True)
     panda = load_robot("example:panda")
-    path = next(path for path in CORPUS if path.name == "panda.urdf")
-    with pytest.raises(OptionError, match="own URDF"):
+    path = locate_robot("example:panda")
+    with refused(OptionError, file=str(path), reason="own URDF"):
         write_corrected_urdf(path, panda, {}, check=None, force=True)
     assert source.read_bytes() == ARM
 
 
 def test_nothing_is_left_behind(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, refused: Callable[..., Any]
 ) -> None:
     robot = parse_robot(ARM, "arm.urdf")
     path = tmp_path / "out.urdf"
@@ -717,7 +910,7 @@ def test_nothing_is_left_behind(
 
     with pytest.raises(OutputError, match="3 mm off"):
         write_corrected_urdf(path, robot, {"j": SHIFT}, check=refuse)
-    with pytest.raises(RobotError, match=r"^arm.urdf: the robot has no joint 'jj'"):
+    with refused(RobotError, file="arm.urdf", reason="no joint 'jj'"):
         write_corrected_urdf(path, robot, {"jj": SHIFT}, check=None)
     monkeypatch.setattr(urdf, "edit_origins", lambda *_: b"<robot/>")
     with pytest.raises(OutputError, match=r"corrected URDF does not read back: .*name"):
@@ -753,11 +946,11 @@ def test_places_that_cannot_be_written(tmp_path: Path) -> None:
     assert listing(tmp_path) == ["file", "folder"]
 
 
-def test_read_bytes(tmp_path: Path) -> None:
+def test_read_bytes(tmp_path: Path, refused: Callable[..., Any]) -> None:
     path = tmp_path / "data.csv"
     path.write_bytes(b"x\r\n")
     assert read_bytes(path) == b"x\r\n"
-    with pytest.raises(InputError, match=r"no such file \(did you mean 'data.csv'\?\)"):
+    with refused(InputError, reason=("no such file", "did you mean 'data.csv'")):
         read_bytes(tmp_path / "dat.csv")
-    with pytest.raises(InputError, match="is a directory, not a file"):
+    with refused(InputError, file=str(tmp_path), reason="is a directory"):
         read_bytes(tmp_path)

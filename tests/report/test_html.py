@@ -279,7 +279,13 @@ def repeated(errors: RowErrors, count: int) -> RowErrors:
     )
 
 
-@pytest.mark.parametrize("count", [10_000, 100_000])
+SLOW = pytest.mark.slow
+
+
+@pytest.mark.parametrize(
+    "count",
+    [pytest.param(10_000, marks=SLOW), 25_000, pytest.param(100_000, marks=SLOW)],
+)
 def test_many_rows_make_a_small_page(
     count: int, arm: tuple[Chain, CalibrationResult]
 ) -> None:
@@ -328,6 +334,7 @@ def column(tab: Any, number: int) -> list[str]:
     )
 
 
+@SLOW
 def test_tables_are_sorted_and_filtered(
     opened: Any, arm: tuple[Chain, CalibrationResult]
 ) -> None:
@@ -361,6 +368,7 @@ def test_every_figure_has_a_section() -> None:
     assert sorted(placed) == sorted(NAMES["calibration"])
 
 
+@SLOW
 def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
     drawn = [figure.name for figure in calibration_figures(arm[1])]
     others = {"convergence", "model-ladder", "errors-in-workspace"}
@@ -371,12 +379,14 @@ def test_every_figure_is_there_and_seen(opened: Any, arm: Any) -> None:
         assert opened.locator(f"#figure-{name} figcaption").inner_text()
 
 
+@SLOW
 @pytest.mark.parametrize("width", [1280, 400])
 def test_nothing_sticks_out(opened: Any, width: int) -> None:
     opened.set_viewport_size({"width": width, "height": 900})
     assert opened.evaluate("document.documentElement.scrollWidth") <= width
 
 
+@SLOW
 def test_light_dark_and_paper(opened: Any) -> None:
     """By the system's choice, by the button, and always light on paper."""
 

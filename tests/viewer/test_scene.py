@@ -266,7 +266,8 @@ def test_all_is_in_view() -> None:
     ("name", "height"),
     [
         ("example:panda", 0.0),  # On its foot, although it is drawn from there.
-        ("example:talos_reduced", -1.083),  # The base link is the pelvis.
+        # The base link is the pelvis.
+        pytest.param("example:talos_reduced", -1.083, marks=pytest.mark.slow),
         ("example:ur10_robot", 0.0),  # Neutral, the wrist hangs below the foot.
     ],
 )

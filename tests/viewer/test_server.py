@@ -56,12 +56,15 @@ class Viewing:
 
     def end(self) -> tuple[int, str, str]:
         """Status, and the rest of both outputs."""
-        out, err = self.process.communicate(timeout=20)
+        out, err = self.process.communicate(timeout=120)
         return self.process.returncode, out, err
 
 
 @pytest.fixture
 def viewing(tmp_path: Path) -> Iterator[Callable[..., Viewing]]:
+    # What runs the tests in the background of a shell ignores Ctrl-C, and so would all
+    # that it starts.
+    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)
     started: list[Viewing] = []
 
     def start(*words: str) -> Viewing:
@@ -72,6 +75,7 @@ def viewing(tmp_path: Path) -> Iterator[Callable[..., Viewing]]:
     for one in started:
         one.process.kill()
         one.process.communicate()
+    signal.signal(signal.SIGINT, ignored)
 
 
 @pytest.fixture
@@ -126,6 +130,7 @@ def host_of(url: str) -> str | None:
     return urlsplit(url.removeprefix("blob:")).hostname
 
 
+@pytest.mark.slow
 def test_a_calibration_in_the_browser(
     browser: Any, viewing: Callable[..., Viewing], study: None
 ) -> None:
@@ -148,6 +153,7 @@ def test_a_robot_with_many_limbs_in_the_browser(
     assert view.end() == (0, "", "")
 
 
+@pytest.mark.slow
 def test_ctrl_c_ends_it(viewing: Callable[..., Viewing]) -> None:
     view = viewing("space6")
     view.process.send_signal(signal.SIGINT)

@@ -161,7 +161,10 @@ def test_a_robot_without_any_shapes(write: Callable[[str, str], Path]) -> None:
 
 @pytest.mark.parametrize(
     ("name", "links", "triangles"),
-    [("example:panda", 11, 100_000), ("example:talos_full_v2", 40, 100_000)],
+    [
+        ("example:panda", 11, 100_000),
+        pytest.param("example:talos_full_v2", 40, 100_000, marks=pytest.mark.slow),
+    ],
 )
 def test_example_robots(name: str, links: int, triangles: int) -> None:
     shapes = robot_shapes(load_robot(name))

@@ -1,7 +1,8 @@
 """What several tests need. Test modules cannot import each other, so all are fixtures.
 
-A test that asks for `example_robot` runs once for every URDF of example-robot-data, one
-that asks for `special_chain` once for every chain in `SPECIAL`.
+A test that asks for `example_robot` runs once for every URDF of example-robot-data (in
+the quick tier for those in `QUICK`), one that asks for `special_chain` once for every
+chain in `SPECIAL`.
 """
 
 from __future__ import annotations
@@ -13,7 +14,9 @@ import os
 import shutil
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import replace
+from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
@@ -25,6 +28,7 @@ from calib_pin.calibration import calibrate
 from calib_pin.calibration_record import CalibrationRecord
 from calib_pin.chain import Chain
 from calib_pin.configurations import observable_configurations
+from calib_pin.errors import InputError
 from calib_pin.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain, parse_robot
 from calib_pin.measurement_models.features import Frame
@@ -56,6 +60,16 @@ def example_robots() -> list[Path]:
     return [path for path in found if path.name != "ur3.urdf"]
 
 
+QUICK = {
+    "ur10_robot": "an industrial arm with fixed joints before and behind it",
+    "panda": "prismatic fingers, one of which mimics the other",
+    "tiago_no_hand": "a lift, continuous wheels, a tip without a fixed joint",
+    "talos_reduced": "limbs: a chain of 14 joints from one hand to the other",
+    "so101": "frames out of a CAD program, none of them square; the worst conditioned",
+    "quadrotor_base": "no joint at all",
+}
+"""Robots of the quick tier: together they have all that the 68 differ in."""
+
 SPECIAL = {
     "space6": (None, None),
     # A prismatic joint, skewed frames, and a tip without a fixed joint.
@@ -74,7 +88,15 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
     if "special_chain" in metafunc.fixturenames:
         metafunc.parametrize("special_chain", SPECIAL, indirect=True)
     if "example_robot" in metafunc.fixturenames:
-        metafunc.parametrize("example_robot", example_robots(), ids=lambda p: p.stem)
+        robots = [
+            pytest.param(
+                path,
+                id=path.stem,
+                marks=() if path.stem in QUICK else pytest.mark.slow,
+            )
+            for path in example_robots()
+        ]
+        metafunc.parametrize("example_robot", robots)
 
 
 @pytest.fixture(scope="session")
@@ -178,6 +200,34 @@ def visited() -> Callable[..., tuple[Floats, tuple[str, ...]]]:
         return q, tuple(names[k % len(names)] for k in range(count))
 
     return draw
+
+
+@pytest.fixture(scope="session")
+def refused() -> Callable[..., AbstractContextManager[None]]:
+    """An error that a block must raise, by its fields: `with refused(kind, line=3):`.
+
+    Fields that are not named may be anything. Of `reason` and `allowed` a part is
+    enough, or several, so that wording may change; the others must be equal. Whole
+    messages are tested in `test_errors.py`.
+    """
+
+    @contextmanager
+    def block(
+        kind: type[InputError], reason: str | Sequence[str] = (), **fields: Any
+    ) -> Iterator[None]:
+        with pytest.raises(kind) as caught:
+            yield
+        assert "\n" not in str(caught.value)
+        for name, expected in {"reason": reason, **fields}.items():
+            found = getattr(caught.value, name)
+            if name in ("reason", "allowed") and expected is not None:
+                parts = (expected,) if isinstance(expected, str) else expected
+                equal = all(part in found for part in parts)
+            else:
+                equal = found is expected or found == expected  # NaN is itself.
+            assert equal, (name, found, expected)
+
+    return block
 
 
 @pytest.fixture(scope="session")
@@ -355,13 +405,18 @@ def independent_poses() -> Callable[..., Any]:
         import yourdfpy
     logging.getLogger("yourdfpy").setLevel(logging.ERROR)
 
+    @lru_cache(maxsize=8)
+    def parsed(urdf: bytes) -> Any:
+        return yourdfpy.URDF.load(
+            io.BytesIO(urdf), load_meshes=False, build_collision_scene_graph=False
+        )
+
     def poses(
         urdf: bytes, q: Mapping[str, float], frames: Sequence[tuple[str, str]]
     ) -> list[Any]:
-        robot = yourdfpy.URDF.load(
-            io.BytesIO(urdf), load_meshes=False, build_collision_scene_graph=False
-        )
-        robot.update_cfg(dict(q))
+        robot = parsed(urdf)
+        # An earlier call may have moved other joints.
+        robot.update_cfg(dict.fromkeys(robot.actuated_joint_names, 0.0) | dict(q))
         return [robot.get_transform(tip, base) for base, tip in frames]
 
     return poses

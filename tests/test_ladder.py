@@ -308,17 +308,12 @@ def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
         assert not rung.helps
 
 
-def test_too_few_rows_for_any_rung(chain: Chain) -> None:
+def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) -> None:
     rows = simulated(chain, ["joint-offset"], count=4)
-    with pytest.raises(OptionError) as caught:
-        climb(chain, rows, Setup(), 0)
-    assert str(caught.value) == (
-        "the model ladder has no footing: 4 configurations are too few to leave a part "
-        "out"
-    )
     # However often they were read.
-    with pytest.raises(OptionError, match="no footing: 4 configurations"):
-        climb(chain, rows.rows(np.repeat(np.arange(4), 20)), Setup(), 0)
+    for often in (1, 20):
+        with refused(OptionError, ["no footing", "4 configurations are too few"]):
+            climb(chain, rows.rows(np.repeat(np.arange(4), often)), Setup(), 0)
 
 
 def test_without_masses_the_compliance_rung_says_why() -> None:
@@ -382,14 +377,13 @@ def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
         {"prior": {"joint_3.placment.x": 0.1}},
     ],
 )
-def test_a_pattern_of_no_rung(stated: Mapping[str, Any], chain: Chain) -> None:
+def test_a_pattern_of_no_rung(
+    stated: Mapping[str, Any], chain: Chain, refused: Callable[..., Any]
+) -> None:
     rows = simulated(chain, ["placement"], Setup())
-    with pytest.raises(OptionError) as caught:
+    reason = "'joint_3.placment.x'", "mean 'joint_3.placement.x'?"
+    with refused(OptionError, reason, file="s.yaml"):
         climb(chain, rows, Setup(file="s.yaml", **stated), 0)
-    assert str(caught.value) == (
-        "s.yaml: no parameter matches 'joint_3.placment.x' (did you mean "
-        "'joint_3.placement.x'?)"
-    )
 
 
 def test_motors_without_a_gear_ratio_are_on_no_rung(chain: Chain) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 
 import calib_pin
 from calib_pin.chain import Chain
-from calib_pin.errors import CalibPinError, InputError, OptionError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.identifiability import observability
 from calib_pin.measurements import Measurements
@@ -138,14 +138,13 @@ def test_sets_for_joint_corrections(
     assert units["joint_2.compliance.k"] == "rad/Nm"
 
 
-def test_the_gradient_does_not_know_joint_corrections(corrected: Setup) -> None:
+def test_the_gradient_does_not_know_joint_corrections(
+    corrected: Setup, refused: Callable[..., Any]
+) -> None:
     chain = calib_pin.load_chain("pa10")
-    with pytest.raises(OptionError) as caught:
+    others = "exchange, greedy, pso, ga"
+    with refused(OptionError, ["joint correction", "'gradient'"], allowed=others):
         small(chain, setup=corrected, count=24, method="gradient")
-    assert str(caught.value) == (
-        "a joint correction has no derivative by the configuration, which the method "
-        "'gradient' needs; allowed: exchange, greedy, pso, ga"
-    )
 
 
 # --- every method, every criterion -------------------------------------------------
@@ -477,9 +476,7 @@ def test_a_stopped_search_returns_a_valid_plan(
         calls.append((stage, part))
         return len(calls) >= after
 
-    begin = perf_counter()
     plan = small(chain, method=method, progress=progress)
-    elapsed = perf_counter() - begin
     check_set(plan, COUNT, chain)
     assert np.isfinite(plan.value) and np.isfinite(plan.predicted.position)
     assert calls[0] == ("candidates", 0.0)
@@ -488,7 +485,6 @@ def test_a_stopped_search_returns_a_valid_plan(
         assert plan.status is Status.STOPPED
     # It stops soon: the search asks a few more times at most.
     assert len(calls) <= max(after, 2) + 60
-    assert elapsed < 10.0
 
 
 def test_a_search_that_is_told_to_go_on_is_not_stopped(chain: Chain) -> None:
@@ -519,38 +515,39 @@ def test_what_is_stopped_later_is_no_worse(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "parts"),
+    ("options", "fields"),
     [
         (
             {"criterion": "conditions"},
-            ["unknown criterion 'conditions'", "did you mean 'condition'", "O5"],
+            {"reason": ["'conditions'", "mean 'condition'?"], "allowed": "O5"},
         ),
-        ({"method": "sa"}, ["unknown method 'sa'", "exchange", "gradient"]),
-        ({"model": "positions"}, ["'positions'", "did you mean 'position'"]),
-        ({"count": 0}, ["count", "0", "1 or more"]),
-        ({"candidates": 0}, ["candidates", "1 or more"]),
-        ({"distance": -1.0}, ["distance", "-1.0"]),
+        (
+            {"method": "sa"},
+            {"reason": "method 'sa'", "allowed": ["exchange", "gradient"]},
+        ),
+        ({"model": "positions"}, {"reason": ["'positions'", "mean 'position'?"]}),
+        ({"count": 0}, {"reason": "count", "value": 0, "allowed": "1 or more"}),
+        ({"candidates": 0}, {"reason": "candidates", "allowed": "1 or more"}),
+        ({"distance": -1.0}, {"reason": "distance", "value": -1.0}),
         (
             {"count": 30, "distance": 3.0},
-            ["may be measured, fewer than the 30 wanted", "a shorter distance"],
+            {"reason": "fewer than the 30 wanted", "allowed": "a shorter distance"},
         ),
-        ({"count": 4}, ["4 configurations cannot determine the 27", "9 or more"]),
         (
-            {"count": 5, "candidates": 5},
-            ["5 configurations cannot determine", "candidates"],
+            {"count": 4},
+            {"reason": "4 configurations cannot determine the 27", "allowed": "9 or"},
         ),
+        ({"count": 5, "candidates": 5}, {"reason": "5 configurations cannot"}),
     ],
 )
 def test_impossible_requests(
-    options: dict[str, Any], parts: list[str], chain: Chain
+    options: dict[str, Any],
+    fields: dict[str, Any],
+    chain: Chain,
+    refused: Callable[..., Any],
 ) -> None:
-    begin = perf_counter()
-    with pytest.raises(CalibPinError) as caught:
+    with refused(InputError, **fields):
         small(chain, **options)
-    assert perf_counter() - begin < 5.0
-    for part in parts:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
@@ -561,7 +558,7 @@ def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
     ):
         with pytest.raises(OptionError) as caught:
             small(chain, model=model, setup=setup, count=2)
-        number = int(str(caught.value).split("allowed: ")[1].split()[0])
+        number = int(str(caught.value.allowed).split()[0])
         plan = small(chain, model=model, setup=setup, count=number)
         assert len(plan.q) == number
         with pytest.raises(OptionError):
@@ -570,10 +567,8 @@ def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
 
 def test_an_empty_region(chain: Chain) -> None:
     region = Region(box=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
-    begin = perf_counter()
     with pytest.raises(InputError, match="60000 outside the region"):
         small(chain, setup=replace(SETUP, region=region), candidates=1000)
-    assert perf_counter() - begin < 5.0
 
 
 def test_a_joint_that_is_held_plans_for_the_others(chain: Chain) -> None:

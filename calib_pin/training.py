@@ -205,9 +205,8 @@ def _require_check(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
         A = J[rows][:, :, columns].reshape(-1, len(columns))
         values = replace(problem, data=problem.data.rows(rows)).distinct_values
         if values <= np.linalg.matrix_rank(A):
-            error = (
-                partial(problem.data.error, int(rows[0])) if len(rows) else InputError
-            )
+            data = problem.data
+            error = partial(data.error, int(rows[0])) if len(rows) else InputError
             raise error(
                 f"the rows of '{name}', which was not fitted, say no more than where "
                 "it is; measure it in more configurations",

@@ -16,7 +16,7 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError, nearest, require_known
 from calib_pin.formulation import nominal_problem
 from calib_pin.measurements import Measurements
-from calib_pin.setup import Region, Setup, SolverSetup
+from calib_pin.setup import PointSetup, Region, Setup
 from calib_pin.solvers import DifferentialEvolution, Genetic
 
 
@@ -77,21 +77,22 @@ def space6(**setup: Any) -> Any:
 def plan(**options: Any) -> object:
     setup = options.pop("setup", Setup())
     chain = calib_pin.load_chain("space6")
-    return calib_pin.plan(chain, "position", 12, setup, candidates=60, **options)
+    return calib_pin.plan(chain, "position", 20, setup, candidates=60, **options)
 
 
-def calibrate(setup: Setup, target: str) -> object:
-    """Two rows of a file, the second with a target."""
+def calibrate(target: str) -> object:
+    """Two rows of a file that name targets, of which there is but one."""
     chain = calib_pin.load_chain("space6")
     rows = Measurements(
         chain.joints,
         np.zeros((2, 6)),
         "position",
         np.zeros((2, 3)),
-        target=("a", target),
+        target=("ball", target),
         lines=np.array([2, 3]),
         files=("m.csv", "m.csv"),
     )
+    setup = Setup(targets={"ball": PointSetup((0.0, 0.0, 0.1))})
     return calib_pin.calibrate(chain, rows, setup)
 
 
@@ -118,6 +119,8 @@ GOLDEN: dict[str, Callable[[], object]] = {
     ),
     "lab.yaml: no parameter matches 'joint_3.placment.x' (did you mean "
     "'joint_3.placement.x'?)": lambda: space6(fixed=("joint_3.placment.x",)).parameters,
+    "m.csv:3: there is no target 'bal' (did you mean 'ball'?) (column 'target'); "
+    "allowed: ball": lambda: calibrate("bal"),
     "none of 60000 configurations within the joint limits can be planned: 60000 "
     "outside the region; allowed: wider limits, a larger region, or fewer obstacles": (
         lambda: plan(setup=Setup(region=FAR))

@@ -46,7 +46,17 @@ class Found:
     runs: int
 
 
-@pytest.fixture(scope="module", params=RUNS)
+SLOW = ("pose", "plane-distance")
+"""Cases of many runs that differ little from `position`."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        for name in RUNS
+    ],
+)
 def found(request: pytest.FixtureRequest) -> Found:
     """What came out of the runs of each case."""
     case, runs = CASES[request.param], RUNS[request.param]

@@ -109,6 +109,7 @@ def test_the_irreducible_model_fits_like_all_placement_errors() -> None:
     assert kept.verdict == "good" and 0.8 < kept.sigma0 < 1.2
 
 
+@pytest.mark.slow
 def test_two_steps_end_where_the_joint_solve_does(seed: Seed) -> None:
     turns = seed.turns
     assert turns.difference < 1e-6 and turns.cost < 1e-9
@@ -192,6 +193,7 @@ def test_rows_of_all_points_against_central_differences() -> None:
     np.testing.assert_allclose(pullback(by_rows), expected, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_report_and_its_figures(
     planned: Floats, seed: Seed, tmp_path: Path
 ) -> None:

@@ -166,7 +166,8 @@ def test_joint_kinds_and_axes(
     )
     chain = chain_of(urdf)
     assert chain.revolute.tolist() == [kind != "prismatic", True]
-    np.testing.assert_allclose(chain.axes, [unit, [0, 1, 0]], rtol=0, atol=1e-15)
+    # Turned from the frame of the joint and back: some ten eps.
+    np.testing.assert_allclose(chain.axes, [unit, [0, 1, 0]], rtol=0, atol=1e-14)
     q = rng.uniform(-1.8, 1.8, (3, 2))
     if kind == "continuous":
         q[0, 0] = 40.0

@@ -217,7 +217,8 @@ def test_repetitions_are_no_further_configurations() -> None:
 def test_rows_of_something_else_are_not_trusted() -> None:
     chain, rows = measured(60)
     shuffled = rows.values[np.random.default_rng(0).permutation(60)]
-    result = calib_pin.calibrate(chain, replace(rows, values=shuffled))
+    mixed_up = replace(rows, values=shuffled)
+    result = calib_pin.calibrate(chain, mixed_up, validate=False)
     assert result.verdict == "untrusted"
     assert "check the base and tip links" in result.reason
 

@@ -313,7 +313,9 @@ def test_clearances_of_pairs_that_the_chain_does_not_move() -> None:
         assert distance == names[first, second]
 
 
-@pytest.mark.parametrize("obstacles", [(), OBSTACLES])
+@pytest.mark.parametrize(
+    "obstacles", [OBSTACLES, pytest.param((), marks=pytest.mark.slow)]
+)
 def test_a_larger_clearance_switches_nothing_off(
     obstacles: tuple[Obstacle, ...],
 ) -> None:

@@ -203,11 +203,21 @@ def test_random_sets_are_those_of_the_candidates(criterion: str, chain: Chain) -
     assert low <= plan.random <= high
 
 
-def test_better_methods_find_better_sets(chain: Chain) -> None:
-    values = {
-        method: small(chain, method=method).value
-        for method in ("greedy", "exchange", "auto")
-    }
+@pytest.fixture(scope="module")
+def searched(chain: Chain) -> tuple[Plan, list[str]]:
+    """A plan by the usual methods after one another, and the stages it went through."""
+    stages: list[str] = []
+    plan = small(
+        chain, method="auto", progress=lambda stage, part: stages.append(stage)
+    )
+    return plan, stages
+
+
+def test_better_methods_find_better_sets(
+    chain: Chain, searched: tuple[Plan, list[str]]
+) -> None:
+    values = {m: small(chain, method=m).value for m in ("greedy", "exchange")}
+    values["auto"] = searched[0].value
     assert values["auto"] <= values["exchange"] <= values["greedy"] * (1 + 1e-6)
     assert values["auto"] < 0.97 * values["greedy"]
 
@@ -252,8 +262,10 @@ def test_steps_lead_from_the_least_to_twice_the_set(chain: Chain) -> None:
     assert all(b <= a * (1 + 1e-9) for a, b in pairwise(positions))
 
 
-def test_configurations_have_few_decimals(chain: Chain) -> None:
-    plan = small(chain, method="auto")
+def test_configurations_have_few_decimals(
+    chain: Chain, searched: tuple[Plan, list[str]]
+) -> None:
+    plan, _ = searched
     lower, upper = chain.lower, chain.upper
     at_limit = (plan.q == lower) | (plan.q == upper)
     assert (at_limit | (plan.q == np.round(plan.q, 6))).all()
@@ -272,7 +284,12 @@ def test_the_order_is_shorter_than_chance(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "distance"), [("exchange", 1.5), ("gradient", 0.8), ("auto", 0.8)]
+    ("method", "distance"),
+    [
+        ("gradient", 0.8),
+        pytest.param("exchange", 1.5, marks=pytest.mark.slow),
+        pytest.param("auto", 0.8, marks=pytest.mark.slow),
+    ],
 )
 def test_sets_keep_their_distance(method: str, distance: float, chain: Chain) -> None:
     plan = small(chain, method=method, distance=distance)
@@ -286,7 +303,11 @@ def test_sets_keep_their_distance(method: str, distance: float, chain: Chain) ->
 
 
 @pytest.mark.parametrize(
-    ("method", "more"), [("exchange", 0), ("exchange", 2), ("greedy", 0), ("auto", 2)]
+    ("method", "more"),
+    [
+        *(("exchange", 0), ("exchange", 2), ("greedy", 0)),
+        pytest.param("auto", 2, marks=pytest.mark.slow),
+    ],
 )
 def test_hardly_more_candidates_than_wanted(
     method: str, more: int, chain: Chain
@@ -487,11 +508,10 @@ def test_a_stopped_search_returns_a_valid_plan(
     assert len(calls) <= max(after, 2) + 60
 
 
-def test_a_search_that_is_told_to_go_on_is_not_stopped(chain: Chain) -> None:
-    stages: list[str] = []
-    plan = small(
-        chain, method="auto", progress=lambda stage, part: stages.append(stage)
-    )
+def test_a_search_that_is_told_to_go_on_is_not_stopped(
+    searched: tuple[Plan, list[str]],
+) -> None:
+    plan, stages = searched
     assert plan.status is Status.CONVERGED
     expected = ["candidates", "start", "exchange", "gradient", "table"]
     assert list(dict.fromkeys(stages)) == expected
@@ -583,7 +603,13 @@ def test_a_joint_that_is_held_plans_for_the_others(chain: Chain) -> None:
 # --- targets and tools -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["exchange", "gradient", "pso"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "exchange",
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("gradient", "pso")),
+    ],
+)
 def test_hardly_more_candidates_than_wanted_of_two_planes(method: str) -> None:
     """Every configuration looks at a plane that it sees, however few see it."""
     chain = calib_pin.load_chain("space6")

@@ -186,7 +186,8 @@ class Plane:
     def tangents(self) -> Floats:
         """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
         assert self.normal is not None
-        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        # Of components that are equal but for rounding, the first.
+        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
         first = np.cross(self.normal, helper)
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.normal, first)])

@@ -296,3 +296,13 @@ def test_rows_widen_the_window_where_they_reach_beyond_it(
     data = data_of(T, np.array([[1.0], [farthest]]))
     registered, _, _ = model.register(T, data, None, None)
     assert (registered.near, registered.reach) == (0.5, reach)
+
+
+def test_rounding_does_not_choose_the_tangents() -> None:
+    """Two components of the normal are zero: which is less is up to the processor."""
+    plain, first, second = (
+        replace(FLOOR, normal=np.array(normal)).tangents
+        for normal in ((0.0, 0.0, 1.0), (0.0, 1e-17, 1.0), (1e-17, 0.0, 1.0))
+    )
+    np.testing.assert_allclose(first, plain, rtol=0, atol=1e-15)
+    np.testing.assert_allclose(second, plain, rtol=0, atol=1e-15)

@@ -37,7 +37,7 @@ def longest_chains(robot: Robot) -> list[Chain]:
         try:
             joints[leaf] = set(Chain(robot, tip=leaf).joints)
         except RobotError as error:
-            assert "no moving joint" in str(error) or "cannot contain" in str(error)
+            assert "no moving joint" in error.reason or "cannot contain" in error.reason
     chains = []
     if joints:
         chains.append(Chain(robot, tip=max(joints, key=lambda leaf: len(joints[leaf]))))

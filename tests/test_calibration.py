@@ -214,6 +214,7 @@ def test_repetitions_are_no_further_configurations() -> None:
     assert "24 measured values cannot determine 27" in result.reason
 
 
+@pytest.mark.slow
 def test_rows_of_something_else_are_not_trusted() -> None:
     chain, rows = measured(20)
     shuffled = rows.values[np.random.default_rng(0).permutation(20)]

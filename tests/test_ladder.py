@@ -134,11 +134,12 @@ def kept(climbed: Climbed) -> Rung:
             ("joint-offset", "compliance"),
             marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             ["placement", "transmission", "compliance"],
             (),
             BOTH,
             ("placement", "transmission", "compliance"),
+            marks=pytest.mark.slow,
         ),
         # Waves pass for it in part, but it needs no waves.
         pytest.param(
@@ -222,6 +223,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     assert climbed.ladder.rungs[1].parameters == ("placement",)
 
 
+@pytest.mark.slow
 def test_gear_ratios_and_gravity_stay_on_every_rung(chain: Chain) -> None:
     gears = replace(LOADED, gear_ratios={"joint_2": 50.0}, gravity=(0.0, 9.81, 0.0))
     rows = simulated(chain, ["placement", "transmission", "compliance"], gears)
@@ -363,6 +365,7 @@ def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
 # Names and globs.
 
 
+@pytest.mark.slow
 def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
     fixed = ("joint_3.placement.x", "joint_[12].transmission.*", "base.frame.z")
     rows = simulated(chain, ["placement", "transmission"], Setup(fixed=fixed))

@@ -248,6 +248,7 @@ def test_panda_without_a_distance_has_no_scale(
     assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
 
 
+@pytest.mark.slow
 def test_panda_leaves_out_one_place_after_the_other(
     panda: tuple[calib_pin.Chain, calib_pin.Measurements],
 ) -> None:

@@ -46,14 +46,14 @@ class Found:
     runs: int
 
 
-SLOW = ("pose", "plane-distance")
-"""Cases of many runs that differ little from `position`."""
+QUICK = ("position", "fixed-point", "point-distance", "relative-distance", "camera")
+"""One case of each kind; the others differ from these by what they look at."""
 
 
 @pytest.fixture(
     scope="module",
     params=[
-        pytest.param(name, marks=pytest.mark.slow if name in SLOW else ())
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
         for name in RUNS
     ],
 )

@@ -360,7 +360,9 @@ def test_several_planes(method: str, chain: Chain) -> None:
         assert abs(along) / np.linalg.norm(normal) >= np.cos(np.radians(70.0)) - 1e-9
 
 
-@pytest.mark.parametrize("method", ["exchange", "ga", "greedy"])
+@pytest.mark.parametrize(
+    "method", ["exchange", "greedy", pytest.param("ga", marks=pytest.mark.slow)]
+)
 def test_no_more_rows_than_unknowns(method: str, chain: Chain) -> None:
     """Five offsets and two planes: of random sets few would do."""
     rank = small(chain, model="plane-distance", setup=PLANES, count=30).rank
@@ -385,7 +387,13 @@ def measured(chain: Chain) -> Measurements:
     return calib_pin.simulate(problem, theta, rng, q=q, noise=2e-4)
 
 
-@pytest.mark.parametrize("criterion", ["prediction", "O1", "condition", "O3"])
+@pytest.mark.parametrize(
+    "criterion",
+    [
+        *("prediction", "O1"),
+        *(pytest.param(c, marks=pytest.mark.slow) for c in ("condition", "O3")),
+    ],
+)
 def test_additions_beat_random_ones(
     criterion: str, chain: Chain, measured: Measurements
 ) -> None:
@@ -486,7 +494,9 @@ def test_prior_rows_count(chain: Chain) -> None:
 # --- stopping ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("after", [1, 2, 5, 20])
+@pytest.mark.parametrize(
+    "after", [1, 20, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5))]
+)
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stopped_search_returns_a_valid_plan(
     method: str, after: int, chain: Chain

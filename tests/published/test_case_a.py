@@ -140,6 +140,7 @@ def test_hybrid_reaches_the_least_squares_optimum(solved: list[Case]) -> None:
         assert 25.0 < case.fits["hybrid"] < 60.0
 
 
+@pytest.mark.slow
 def test_tradeoff_is_faster_than_rand() -> None:
     settings = Settings(counts=(35,), generations=100, mutations=("rand/1", TRADEOFF))
     case = study(settings, 0).cases[35]

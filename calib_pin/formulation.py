@@ -10,7 +10,7 @@ import pinocchio as pin
 
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import OptionError, nearest
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurements import Measurements
@@ -115,16 +115,16 @@ def _require_payloads(data: Measurements, setup: Setup) -> None:
     row = next((k for k, name in enumerate(data.payload) if name not in known), None)
     if row is not None:
         name = data.payload[row]
-        raise InputError(
-            f"{data.place(row)}: there is no payload '{name}'"
-            f"{nearest(name, setup.payloads)}",
+        raise data.error(
+            row,
+            f"there is no payload '{name}'{nearest(name, setup.payloads)}",
             column="payload",
             allowed=", ".join(known[1:]),
         )
     if len(setup.payloads) > 1 and "" in data.payload:
-        row = data.payload.index("")
-        raise InputError(
-            f"{data.place(row)}: there are several payloads, and the row names none",
+        raise data.error(
+            data.payload.index(""),
+            "there are several payloads, and the row names none",
             column="payload",
             allowed=", ".join(known[1:]),
         )

@@ -105,7 +105,9 @@ class ManyRows:
             total += part
         symmetric = np.tril(total) + np.tril(total, -1).T
         B = self._to_parameters(of_robot, len(own))
-        return _square_root(B.T @ symmetric @ B)
+        # Whether a product of what is not finite warns depends on the processor.
+        with np.errstate(invalid="ignore"):
+            return _square_root(B.T @ symmetric @ B)
 
     def triangular(self, of_robot: Floats, own: Floats) -> tuple[Floats, Floats]:
         """The rows reduced by orthogonal transformations.

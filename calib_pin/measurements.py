@@ -274,6 +274,20 @@ class Measurements:
             return f"{self.files[row]}:{self.lines[row]}"
         return f"row {row}"
 
+    def error(
+        self,
+        row: int,
+        reason: str,
+        *,
+        column: str | None = None,
+        allowed: str | None = None,
+    ) -> InputError:
+        """The error that refuses a row, with the place where the row stands."""
+        told: dict[str, Any] = {"column": column, "allowed": allowed}
+        if file := self.files[row]:
+            return InputError(reason, file=file, line=int(self.lines[row]), **told)
+        return InputError(f"{self.place(row)}: {reason}", **told)
+
     @staticmethod
     def concatenate(parts: Sequence[Measurements]) -> Measurements:
         """Join measurements of the same chain, of one model or of several.

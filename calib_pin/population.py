@@ -41,7 +41,7 @@ class PopulationCost:
         >>> nominal = nominal_problem(chain, "position", Setup())
         >>> zero = np.zeros(len(nominal.parameters))
         >>> problem = nominal.about(zero, np.zeros((5, 6)), [""] * 5)
-        >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 0.0
+        >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
         array([False,  True])
     """
 

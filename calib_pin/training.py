@@ -207,10 +207,11 @@ def _require_check(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
         A = J[rows][:, :, columns].reshape(-1, len(columns))
         values = replace(problem, data=problem.data.rows(rows)).distinct_values
         if values <= np.linalg.matrix_rank(A):
-            place = problem.data.place(int(rows[0])) if len(rows) else "rows"
-            raise InputError(
-                f"{place}: the rows of '{name}', which was not fitted, say no more "
-                "than where it is; measure it in more configurations",
+            data = problem.data
+            error = partial(data.error, int(rows[0])) if len(rows) else InputError
+            raise error(
+                f"the rows of '{name}', which was not fitted, say no more than where "
+                "it is; measure it in more configurations",
                 column="target",
             )
 

@@ -20,6 +20,7 @@ from functools import lru_cache
 from pathlib import Path
 from typing import Any
 
+import hypothesis
 import numpy as np
 import pinocchio as pin
 import pytest
@@ -69,6 +70,14 @@ QUICK = {
     "quadrotor_base": "no joint at all",
 }
 """Robots of the quick tier: together they have all that the 68 differ in."""
+
+# How long an example takes says more about the machine than about the code.
+hypothesis.settings.register_profile(
+    "any machine",
+    deadline=None,
+    suppress_health_check=[hypothesis.HealthCheck.too_slow],
+)
+hypothesis.settings.load_profile("any machine")
 
 SPECIAL = {
     "space6": (None, None),

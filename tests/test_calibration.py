@@ -214,10 +214,12 @@ def test_repetitions_are_no_further_configurations() -> None:
     assert "24 measured values cannot determine 27" in result.reason
 
 
+@pytest.mark.slow
 def test_rows_of_something_else_are_not_trusted() -> None:
-    chain, rows = measured(60)
-    shuffled = rows.values[np.random.default_rng(0).permutation(60)]
-    result = calib_pin.calibrate(chain, replace(rows, values=shuffled))
+    chain, rows = measured(20)
+    shuffled = rows.values[np.random.default_rng(0).permutation(20)]
+    mixed_up = replace(rows, values=shuffled)
+    result = calib_pin.calibrate(chain, mixed_up, validate=False)
     assert result.verdict == "untrusted"
     assert "check the base and tip links" in result.reason
 

@@ -313,11 +313,20 @@ def test_clearances_of_pairs_that_the_chain_does_not_move() -> None:
         assert distance == names[first, second]
 
 
-@pytest.mark.parametrize("obstacles", [(), OBSTACLES])
+@pytest.mark.parametrize(
+    ("name", "obstacles"),
+    [
+        ("space7", OBSTACLES),
+        # Meshes, which take seconds.
+        pytest.param("ur10", OBSTACLES, marks=pytest.mark.slow),
+        pytest.param("ur10", (), marks=pytest.mark.slow),
+    ],
+)
 def test_a_larger_clearance_switches_nothing_off(
-    obstacles: tuple[Obstacle, ...],
+    name: str, obstacles: tuple[Obstacle, ...]
 ) -> None:
-    chain = load_chain("example:ur10_robot", tip="tool0")
+    robot, base, tip = CHAINS[name]
+    chain = load_chain(robot, base=base, tip=tip)
     bare, wide = (
         load_collisions(chain, obstacles, clearance=distance) for distance in (0.0, 0.2)
     )

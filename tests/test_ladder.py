@@ -31,11 +31,15 @@ LOADED = Setup(payloads={"load": Payload(10.0, (0.1, 0.05, 0.15))})
 WRIST = ("joint_5", "joint_6", "joint_7")
 
 
-@pytest.fixture(autouse=True)
-def no_residual_models(monkeypatch: pytest.MonkeyPatch) -> None:
+def without_residual_models(patch: pytest.MonkeyPatch) -> None:
     """They take long and have tests of their own."""
     for name in list(RESIDUAL_MODELS):
-        monkeypatch.delitem(RESIDUAL_MODELS, name)  # type: ignore[arg-type]
+        patch.delitem(RESIDUAL_MODELS, name)  # type: ignore[arg-type]
+
+
+@pytest.fixture(autouse=True)
+def no_residual_models(monkeypatch: pytest.MonkeyPatch) -> None:
+    without_residual_models(monkeypatch)
 
 
 @pytest.fixture(scope="module")
@@ -58,6 +62,14 @@ def chain(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
     tool = pin.SE3(pin.exp3(np.array([0.0, 1.2, 0.0])), np.array([0.4, 0.0, 0.0]))
     fixed = {"parent": "link_3", "child": "tool", "type": "fixed", "placement": tool}
     return chain_of(urdf_of(*joints, {"name": "flange", **fixed}))
+
+
+@pytest.fixture(scope="module")
+def plain(chain: Chain) -> Climbed:
+    """The ladder for 50 rows of a robot with errors of its geometry alone."""
+    with pytest.MonkeyPatch.context() as patch:
+        without_residual_models(patch)
+        return climb(chain, simulated(chain, ["placement"]), Setup(), 0)
 
 
 def simulated(
@@ -96,13 +108,17 @@ def kept(climbed: Climbed) -> Rung:
 @pytest.mark.parametrize(
     ("truth", "joints", "expected", "parameters"),
     [
-        (["joint-offset"], (), "joint offset", ("joint-offset",)),
+        pytest.param(
+            *(["joint-offset"], (), "joint offset", ("joint-offset",)),
+            marks=pytest.mark.slow,
+        ),
         (["placement"], (), "geometric", ("placement",)),
-        (
+        pytest.param(
             ["placement", "transmission"],
             (),
             "+ transmission",
             ("placement", "transmission"),
+            marks=pytest.mark.slow,
         ),
         # What a wrist carries depends on all joints: no wave of one can pass for it.
         (
@@ -111,24 +127,27 @@ def kept(climbed: Climbed) -> Rung:
             "+ compliance",
             ("placement", "compliance"),
         ),
-        (
+        pytest.param(
             ["joint-offset", "compliance"],
             WRIST,
             "+ compliance",
             ("joint-offset", "compliance"),
+            marks=pytest.mark.slow,
         ),
-        (
+        pytest.param(
             ["placement", "transmission", "compliance"],
             (),
             BOTH,
             ("placement", "transmission", "compliance"),
+            marks=pytest.mark.slow,
         ),
         # Waves pass for it in part, but it needs no waves.
-        (
+        pytest.param(
             ["placement", "compliance"],
             (),
             "+ compliance",
             ("placement", "compliance"),
+            marks=pytest.mark.slow,
         ),
     ],
     ids=lambda value: "-".join(value) if isinstance(value, list) else None,
@@ -161,6 +180,7 @@ def test_what_a_robot_has_is_kept(
     assert set(climbed.trained.problem.setup.parameters) == set(parameters)
 
 
+@pytest.mark.slow
 def test_waves_under_a_larger_compliance_are_found() -> None:
     """Alone they do not help, and without them nothing is good."""
     chain = calib_pin.load_chain("pa10")
@@ -172,9 +192,8 @@ def test_waves_under_a_larger_compliance_are_found() -> None:
     assert kept(climbed).score < 2.0
 
 
-def test_the_scores_are_those_of_unseen_rows(chain: Chain) -> None:
-    rows = simulated(chain, ["placement"])
-    climbed = climb(chain, rows, Setup(), 0)
+def test_the_scores_are_those_of_unseen_rows(chain: Chain, plain: Climbed) -> None:
+    rows, climbed = simulated(chain, ["placement"]), plain
     assert len(climbed.unseen) == FOLDS
     order = np.argsort(np.concatenate([part.positions for part in climbed.unseen]))
     after = np.concatenate([part.after for part in climbed.unseen])[order]
@@ -204,6 +223,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     assert climbed.ladder.rungs[1].parameters == ("placement",)
 
 
+@pytest.mark.slow
 def test_gear_ratios_and_gravity_stay_on_every_rung(chain: Chain) -> None:
     gears = replace(LOADED, gear_ratios={"joint_2": 50.0}, gravity=(0.0, 9.81, 0.0))
     rows = simulated(chain, ["placement", "transmission", "compliance"], gears)
@@ -272,21 +292,21 @@ def test_a_repeated_row_is_never_on_both_sides(
             assert set(order[mask]).isdisjoint(order[~mask])
 
 
-def test_repetitions_make_no_score_more_certain(chain: Chain) -> None:
+def test_repetitions_make_no_score_more_certain(chain: Chain, plain: Climbed) -> None:
     """A deviation counts configurations, however often each was read."""
     rows = simulated(chain, ["placement"])
-    once = climb(chain, rows, Setup(), 0)
     often = climb(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
-    for one, other in zip(once.ladder.rungs[:2], often.ladder.rungs, strict=False):
+    for one, other in zip(plain.ladder.rungs[:2], often.ladder.rungs, strict=False):
         assert other.score == pytest.approx(one.score, rel=1e-3)
         assert other.deviation == pytest.approx(one.deviation, rel=1e-3)
 
 
-def test_the_seed_divides(chain: Chain) -> None:
+def test_the_seed_divides(chain: Chain, plain: Climbed) -> None:
     rows = simulated(chain, ["placement"])
-    first, again, other = (
+    first = [rung.score for rung in plain.ladder.rungs]
+    again, other = (
         [rung.score for rung in climb(chain, rows, Setup(), seed).ladder.rungs]
-        for seed in (3, 3, 4)
+        for seed in (0, 1)
     )
     assert first == again
     assert first != other
@@ -308,17 +328,12 @@ def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
         assert not rung.helps
 
 
-def test_too_few_rows_for_any_rung(chain: Chain) -> None:
+def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) -> None:
     rows = simulated(chain, ["joint-offset"], count=4)
-    with pytest.raises(OptionError) as caught:
-        climb(chain, rows, Setup(), 0)
-    assert str(caught.value) == (
-        "the model ladder has no footing: 4 configurations are too few to leave a part "
-        "out"
-    )
     # However often they were read.
-    with pytest.raises(OptionError, match="no footing: 4 configurations"):
-        climb(chain, rows.rows(np.repeat(np.arange(4), 20)), Setup(), 0)
+    for often in (1, 20):
+        with refused(OptionError, ["no footing", "4 configurations are too few"]):
+            climb(chain, rows.rows(np.repeat(np.arange(4), often)), Setup(), 0)
 
 
 def test_without_masses_the_compliance_rung_says_why() -> None:
@@ -350,6 +365,7 @@ def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
 # Names and globs.
 
 
+@pytest.mark.slow
 def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
     fixed = ("joint_3.placement.x", "joint_[12].transmission.*", "base.frame.z")
     rows = simulated(chain, ["placement", "transmission"], Setup(fixed=fixed))
@@ -382,14 +398,13 @@ def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
         {"prior": {"joint_3.placment.x": 0.1}},
     ],
 )
-def test_a_pattern_of_no_rung(stated: Mapping[str, Any], chain: Chain) -> None:
+def test_a_pattern_of_no_rung(
+    stated: Mapping[str, Any], chain: Chain, refused: Callable[..., Any]
+) -> None:
     rows = simulated(chain, ["placement"], Setup())
-    with pytest.raises(OptionError) as caught:
+    reason = "'joint_3.placment.x'", "mean 'joint_3.placement.x'?"
+    with refused(OptionError, reason, file="s.yaml"):
         climb(chain, rows, Setup(file="s.yaml", **stated), 0)
-    assert str(caught.value) == (
-        "s.yaml: no parameter matches 'joint_3.placment.x' (did you mean "
-        "'joint_3.placement.x'?)"
-    )
 
 
 def test_motors_without_a_gear_ratio_are_on_no_rung(chain: Chain) -> None:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 
 import numpy as np
 import pytest
@@ -34,11 +34,10 @@ def parameters() -> ParameterSet:
     )
 
 
-def message(call: object) -> str:
-    assert callable(call)
+def reason(call: Callable[[], object]) -> str:
     with pytest.raises(OptionError) as caught:
         call()
-    return str(caught.value)
+    return caught.value.reason
 
 
 def test_arrays_stand_in_the_order_of_the_names() -> None:
@@ -65,7 +64,7 @@ def test_empty_set() -> None:
 def test_vector() -> None:
     values = {"joint11.placement.x": 2.0, "wall.plane.u": -1.0}
     assert parameters().vector(values).tolist() == [0, 0, 0, 2.0, 0, -1.0]
-    text = message(lambda: parameters().vector({"joint1.placement.y": 1.0}))
+    text = reason(lambda: parameters().vector({"joint1.placement.y": 1.0}))
     assert "no parameter 'joint1.placement.y'" in text
     assert "did you mean 'joint1.placement.x'?" in text
 
@@ -73,13 +72,13 @@ def test_vector() -> None:
 def test_index_is_exact() -> None:
     assert parameters().index("joint1.placement.x") == 1
     for name in ("joint1", "joint1.placement", "placement.x", "joint1.placement.*"):
-        assert f"no parameter '{name}'" in message(lambda n=name: parameters().index(n))
+        assert f"no parameter '{name}'" in reason(lambda n=name: parameters().index(n))
 
 
 def test_names_are_unique() -> None:
     twice = Parameter("a.b.c", "m", 1.0)
-    text = message(lambda: ParameterSet((twice, Parameter("x.y.z", "m", 1.0), twice)))
-    assert text == "parameter 'a.b.c' is defined twice"
+    text = reason(lambda: ParameterSet((twice, Parameter("x.y.z", "m", 1.0), twice)))
+    assert "'a.b.c' is defined twice" in text
 
 
 @pytest.mark.parametrize(
@@ -115,8 +114,8 @@ def test_patterns_that_match_nothing() -> None:
             lambda p=pattern: parameters().with_bounds({p: 1.0}),
             lambda p=pattern: parameters().with_priors({p: 1.0}),
         ):
-            assert f"no parameter matches '{pattern}'" in message(call)
-    text = message(lambda: parameters().with_fixed(["joint1.placment.x"]))
+            assert f"no parameter matches '{pattern}'" in reason(call)
+    text = reason(lambda: parameters().with_fixed(["joint1.placment.x"]))
     assert "did you mean 'joint1.placement.x'?" in text
 
 
@@ -134,7 +133,7 @@ def test_bounds_and_later_entries_win() -> None:
 
 @pytest.mark.parametrize("limit", [-0.01, (0.1, 0.2), (-2.0, -1.0), np.nan])
 def test_bounds_that_exclude_the_nominal_robot(limit: float) -> None:
-    text = message(lambda: parameters().with_bounds({"joint1.*": limit}))
+    text = reason(lambda: parameters().with_bounds({"joint1.*": limit}))
     assert "bounds of 'joint1.*' exclude zero" in text
 
 
@@ -148,8 +147,8 @@ def test_priors_and_later_entries_win() -> None:
 
 @pytest.mark.parametrize("sigma", [0.0, -1e-3, np.nan])
 def test_priors_are_positive(sigma: float) -> None:
-    text = message(lambda: parameters().with_priors({"joint1.*": sigma}))
-    assert "prior of 'joint1.*'" in text and "positive" in text
+    text = reason(lambda: parameters().with_priors({"joint1.*": sigma}))
+    assert "prior of 'joint1.*' is a standard deviation" in text
 
 
 def test_changes_add_up() -> None:

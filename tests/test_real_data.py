@@ -63,6 +63,7 @@ def ur10_rows(name: str, chain: calib_pin.Chain) -> calib_pin.Measurements:
     return calib_pin.read_measurements(file, chain, model="position")
 
 
+@pytest.mark.slow
 def test_ur10_with_a_network(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
 ) -> None:
@@ -83,6 +84,7 @@ def test_ur10_with_a_network(
     assert alone is not None and 0.38e-3 < alone.mean <= 0.41e-3
 
 
+@pytest.mark.slow
 def test_ur10_with_fifty_rows_leaves_the_network_out(
     ur10: tuple[calib_pin.Chain, calib_pin.CalibrationResult],
 ) -> None:
@@ -119,6 +121,7 @@ def test_ur10_poses() -> None:
     assert position.validation_after.mean < 0.6 * position.before.mean
 
 
+@pytest.mark.slow
 def test_talos_five_fold(talos_shuffles: list[float]) -> None:
     assert np.mean(talos_shuffles) <= 0.86e-3
 
@@ -245,6 +248,7 @@ def test_panda_without_a_distance_has_no_scale(
     assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
 
 
+@pytest.mark.slow
 def test_panda_leaves_out_one_place_after_the_other(
     panda: tuple[calib_pin.Chain, calib_pin.Measurements],
 ) -> None:

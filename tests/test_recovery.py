@@ -46,7 +46,17 @@ class Found:
     runs: int
 
 
-@pytest.fixture(scope="module", params=RUNS)
+QUICK = ("position", "fixed-point", "point-distance", "relative-distance", "camera")
+"""One case of each kind; the others differ from these by what they look at."""
+
+
+@pytest.fixture(
+    scope="module",
+    params=[
+        pytest.param(name, marks=() if name in QUICK else pytest.mark.slow)
+        for name in RUNS
+    ],
+)
 def found(request: pytest.FixtureRequest) -> Found:
     """What came out of the runs of each case."""
     case, runs = CASES[request.param], RUNS[request.param]

@@ -270,12 +270,8 @@ def test_given_configurations_are_brought_into_contact():
 def test_a_configuration_from_which_nothing_is_touched_is_named():
     far = {"s": PointSetup((5.0, 0.0, 0.0))}
     problem = touched("fixed-point", sockets=far)
-    with pytest.raises(InputError) as caught:
+    with pytest.raises(InputError, match=r"configuration 1 .* not come into contact"):
         simulate(problem, errors(problem), np.random.default_rng(1), q=np.zeros((1, 6)))
-    assert str(caught.value) == (
-        "configuration 1 cannot be measured (fixed-point): the tool does not come "
-        "into contact from there within the joint limits"
-    )
 
 
 # --- relative distances ------------------------------------------------------------

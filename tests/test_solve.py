@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -47,13 +49,18 @@ def solved(problem: Problem, name: str, **evolution: str | float) -> Fit:
     return fit(replace(problem, setup=setup), np.random.default_rng(0))
 
 
-def test_hybrid_solves_starts_from_which_gauss_newton_alone_may_fail() -> None:
+@pytest.mark.parametrize(
+    ("seeds", "least"), [([7], 1), pytest.param(range(20), 19, marks=pytest.mark.slow)]
+)
+def test_hybrid_solves_starts_from_which_gauss_newton_alone_may_fail(
+    seeds: Sequence[int], least: int
+) -> None:
     found = {"gauss-newton": 0, "hybrid": 0}
-    for seed in range(20):
+    for seed in seeds:
         problem, _ = ranger_problem(seed, length=0.05, angle=np.radians(5.0))
         for name in found:
             found[name] += bool(solved(problem, name).sigma0 < 1.5)
-    assert found["hybrid"] >= 19
+    assert found["hybrid"] >= least
     assert found["gauss-newton"] < found["hybrid"]
 
 
@@ -235,26 +242,27 @@ def test_progress_goes_from_stage_to_stage() -> None:
 
 
 @pytest.mark.parametrize(
-    ("solver", "message"),
+    ("solver", "fields"),
     [
         (
             SolverSetup("lm"),
-            "unknown solver 'lm'; allowed: gauss-newton, two-step, de, hybrid",
+            {"reason": "'lm'", "allowed": "gauss-newton, two-step, de, hybrid"},
         ),
         (
             SolverSetup("de", {"recombination": 1.5}),
-            "recombination cannot be used (value 1.5); allowed: 0 to 1",
+            {"reason": "recombination", "value": 1.5, "allowed": "0 to 1"},
         ),
-        (SolverSetup("gauss-newton", {"maxiter": 0}), "maxiter cannot be used"),
+        (SolverSetup("gauss-newton", {"maxiter": 0}), {"reason": "maxiter"}),
         (
             SolverSetup("de", {"popsize": 15}),
-            "unknown option of the solver 'popsize' (did you mean 'population_size'?)",
+            {"reason": ["'popsize'", "mean 'population_size'?"]},
         ),
     ],
 )
-def test_options_that_do_not_exist(solver: SolverSetup, message: str) -> None:
+def test_options_that_do_not_exist(
+    solver: SolverSetup, fields: dict[str, Any], refused: Callable[..., Any]
+) -> None:
     problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
     setup = replace(RANGER, solver=solver, file="lab.yaml")
-    with pytest.raises(OptionError) as caught:
+    with refused(OptionError, **fields, file="lab.yaml"):
         fit(replace(problem, setup=setup), np.random.default_rng(0))
-    assert str(caught.value).startswith(f"lab.yaml: {message}")

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 from hypothesis import given
@@ -160,35 +163,51 @@ def test_hardly_a_way(way: float) -> None:
 
 
 @pytest.mark.parametrize(
-    ("changes", "message"),
+    ("changes", "fields"),
     [
         (
             {"start": [0.0]},
-            "start has shape (1,), the goal (2,); allowed: the same number of joints",
+            {"reason": "start has shape (1,), the goal (2,)", "allowed": "the same"},
         ),
-        ({"start": [[0.0]]}, "start has shape (1, 1), the goal (2,)"),
-        ({"start": [0.0, np.nan]}, "start is not finite (value [0.0, nan]); allowed:"),
-        ({"goal": [0.0, np.inf]}, "goal is not finite (value [0.0, inf])"),
-        ({"goal": ["x", 0.0]}, "goal does not consist of numbers (value ['x', 0.0])"),
-        ({"velocity": [1.0] * 3}, "velocity has shape (3,); allowed: one number, or 2"),
-        ({"velocity": 0.0}, "velocity is not positive (value 0.0); allowed: above 0"),
-        ({"velocity": [1.0, -1.0]}, "velocity is not positive (value [1.0, -1.0])"),
-        ({"acceleration": 0.0}, "acceleration is not positive (value 0.0)"),
-        ({"acceleration": np.nan}, "acceleration is not finite (value nan)"),
-        ({"acceleration": np.ones((2, 2))}, "acceleration has shape (2, 2)"),
-        ({"period": 0.0}, "period is not positive (value 0.0); allowed: above 0"),
-        ({"period": -1.0}, "period is not positive (value -1.0)"),
-        ({"period": np.inf}, "period is not finite (value inf)"),
+        ({"start": [[0.0]]}, {"reason": "start has shape (1, 1), the goal (2,)"}),
+        ({"start": [0.0, np.nan]}, {"reason": "start is not finite"}),
+        ({"goal": [0.0, np.inf]}, {"reason": "goal is not", "value": [0.0, np.inf]}),
+        ({"goal": ["x", 0.0]}, {"reason": "goal does not", "value": ["x", 0.0]}),
+        (
+            {"velocity": [1.0] * 3},
+            {"reason": "velocity has shape (3,)", "allowed": "one number, or 2"},
+        ),
+        (
+            {"velocity": 0.0},
+            {"reason": "velocity is not", "value": 0.0, "allowed": "above 0"},
+        ),
+        (
+            {"velocity": [1.0, -1.0]},
+            {"reason": "velocity is not positive", "value": [1.0, -1.0]},
+        ),
+        ({"acceleration": 0.0}, {"reason": "acceleration is not", "value": 0.0}),
+        ({"acceleration": np.nan}, {"reason": "acceleration is not finite"}),
+        (
+            {"acceleration": np.ones((2, 2))},
+            {"reason": "acceleration has shape (2, 2)"},
+        ),
+        (
+            {"period": 0.0},
+            {"reason": "period is not", "value": 0.0, "allowed": "above 0"},
+        ),
+        ({"period": -1.0}, {"reason": "period is not positive", "value": -1.0}),
+        ({"period": np.inf}, {"reason": "period is not finite", "value": np.inf}),
         (
             {"period": 1e-9},
-            "the motion takes 2 s, too long for this period (value 1e-09); "
-            "allowed: at most 1000000 samples",
+            {"reason": "takes 2 s, too", "value": 1e-9, "allowed": "at most 1000000"},
         ),
-        ({"velocity": 1e-308}, "the motion takes 1e+308 s, too long for this period"),
-        ({"goal": [1e308, 0.0], "velocity": 1e-3}, "the motion takes inf s, too long"),
+        ({"velocity": 1e-308}, {"reason": "takes 1e+308 s, too long"}),
+        ({"goal": [1e308, 0.0], "velocity": 1e-3}, {"reason": "takes inf s, too long"}),
     ],
 )
-def test_what_it_refuses(changes: dict[str, object], message: str) -> None:
+def test_what_it_refuses(
+    changes: dict[str, Any], fields: dict[str, Any], refused: Callable[..., Any]
+) -> None:
     arguments = {
         "start": [0.0, 0.0],
         "goal": [1.0, 0.5],
@@ -196,10 +215,8 @@ def test_what_it_refuses(changes: dict[str, object], message: str) -> None:
         "acceleration": 1.0,
         "period": 0.1,
     }
-    with pytest.raises(OptionError) as caught:
+    with refused(OptionError, **fields):
         trapezoidal(**{**arguments, **changes})
-    assert str(caught.value).startswith(message)
-    assert "\n" not in str(caught.value)
 
 
 # --- errors of the tip -------------------------------------------------------------

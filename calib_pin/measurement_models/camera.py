@@ -343,10 +343,11 @@ class CameraModel(Featured):
         seen = self._look(T, own, index).image.points[2] > NEAR
         if not seen.all():
             row = int(np.argmin(seen))
-            raise InputError(
-                f"{data.place(row)}: the point '{self.points[index[row]].name}' is "
-                "behind the camera in the frames that the fit starts from; give "
-                "'frames' in a setup file (--setup)"
+            raise data.error(
+                row,
+                f"the point '{self.points[index[row]].name}' is behind the camera in "
+                "the frames that the fit starts from; give 'frames' in a setup file "
+                "(--setup)",
             )
         return self, base, tool
 

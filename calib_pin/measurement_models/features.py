@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Protocol, Self
 
@@ -186,7 +186,8 @@ class Plane:
     def tangents(self) -> Floats:
         """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
         assert self.normal is not None
-        helper = np.eye(3)[np.argmin(np.abs(self.normal))]
+        # Of components that are equal but for rounding, the first.
+        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
         first = np.cross(self.normal, helper)
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.normal, first)])
@@ -429,13 +430,14 @@ def locate(
     try:
         # Rows are many, and this is done at every evaluation.
         return np.fromiter(map(known.__getitem__, names), np.int64, len(names))
-    except KeyError as error:
-        name = str(error.args[0])
-    place = "" if data is None else f"{data.place(list(names).index(name))}: "
-    raise InputError(
-        f"{place}there is no {what} '{name}'{nearest(name, known)}"
+    except KeyError as missing:
+        name = str(missing.args[0])
+    row = list(names).index(name)
+    error = InputError if data is None else partial(data.error, row)
+    raise error(
+        f"there is no {what} '{name}'{nearest(name, known)}"
         if name
-        else f"{place}the row names no {what}",
+        else f"the row names no {what}",
         column="target",
         allowed=", ".join(feature.name for feature in features),
     )

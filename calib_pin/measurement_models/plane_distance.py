@@ -9,7 +9,6 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
@@ -227,10 +226,8 @@ class PlaneDistance(Featured):
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         if (cosine < GRAZING).any():
             row = int(np.argmin(cosine))
-            raise InputError(
-                f"{data.place(row)}: the beam is parallel to the plane "
-                f"'{planes[index[row]].name}'"
-            )
+            name = planes[index[row]].name
+            raise data.error(row, f"the beam is parallel to the plane '{name}'")
         return registered, base, tool
 
     def _index(

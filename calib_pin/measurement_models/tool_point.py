@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 from typing import ClassVar, Self
 
 import numpy as np
@@ -290,12 +291,11 @@ class PointModel(Featured):
         unnamed = point == len(self.points)
         if self.points and not self.origin and unnamed.any():
             row = int(np.argmax(unnamed))
-            where = "" if data is None else f"{data.place(row)}: "
-            allowed = ", ".join(p.name for p in self.points)
-            raise InputError(
-                f"{where}the row names no target, others do",
+            error = InputError if data is None else partial(data.error, row)
+            raise error(
+                "the row names no target, others do",
                 column="target",
-                allowed=allowed,
+                allowed=", ".join(p.name for p in self.points),
             )
         place = np.zeros(len(target), np.int64)
         if self.places:

@@ -117,7 +117,8 @@ def _link_twists(
         if np.linalg.norm(x) < 1e-9:
             x = tip_x - np.dot(tip_x, z) * z
             if np.linalg.norm(x) < 1e-3:
-                x = np.cross(z, np.eye(3)[np.argmin(np.abs(z))])
+                # Of components that are equal but for rounding, the first.
+                x = np.cross(z, np.eye(3)[np.argmin(np.round(np.abs(z), 9))])
     else:
         x = np.cross(z, z_next)
         # Feet of the common normal: point + s z + t x = point_next + u z_next.

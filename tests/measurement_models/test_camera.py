@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -447,28 +449,28 @@ def test_too_few_rows(mount: str) -> None:
         model.register(T, data, None, None)
 
 
-def test_a_start_with_points_behind_the_camera() -> None:
+def test_a_start_with_points_behind_the_camera(refused: Callable[..., Any]) -> None:
     model = model_of("hand", GRID)
     T, target = views(model, 3)
     data = data_of(model, T, target)
     away = pin.SE3(pin.exp3(np.array([np.pi, 0.0, 0.0])), np.zeros(3))
-    with pytest.raises(InputError) as caught:
+    reason = [f"point '{target[0]}' is behind the camera", "'frames' in a setup file"]
+    with refused(InputError, reason, file="m.csv", line=2):
         model.register(T, data, pin.SE3.Identity(), away)
-    text = str(caught.value)
-    assert text.startswith(f"m.csv:2: the point '{target[0]}' is behind the camera")
-    assert "'frames' in a setup file" in text
 
 
-@pytest.mark.parametrize(("name", "hint"), [("p12", True), ("", False)])
-def test_a_point_that_nobody_gave(name: str, hint: bool) -> None:
+@pytest.mark.parametrize(
+    ("name", "reason"),
+    [("p12", ["no target 'p12'", "did you mean"]), ("", "names no target")],
+)
+def test_a_point_that_nobody_gave(
+    name: str, reason: str | list[str], refused: Callable[..., Any]
+) -> None:
     model = model_of("hand", GRID)
     T, target = views(model, 2)
     data = replace(data_of(model, T, target), target=("p0", name))
-    with pytest.raises(InputError) as caught:
+    with refused(InputError, reason, file="m.csv", line=3, allowed="p0, p1"):
         model.register(T, data, None, None)
-    text = str(caught.value)
-    assert text.startswith("m.csv:3: ") and "allowed: p0, p1" in text
-    assert ("there is no target 'p12' (did you mean" in text) == hint
 
 
 def test_a_single_point_needs_no_name() -> None:
@@ -502,13 +504,10 @@ def test_without_any_points() -> None:
     assert model.missing == "give the xyz under 'targets' in a setup file (--setup)"
 
 
-def test_without_a_camera() -> None:
-    with pytest.raises(OptionError) as caught:
+def test_without_a_camera(refused: Callable[..., Any]) -> None:
+    needed = "'camera'", "--setup", "mount, focal and center"
+    with refused(OptionError, needed, file="s.yaml"):
         camera(Setup(file="s.yaml"), ())
-    assert str(caught.value) == (
-        "s.yaml: the model 'camera' needs 'camera' in a setup file (--setup): its "
-        "mount, focal and center"
-    )
 
 
 @pytest.mark.parametrize("focal", [(0.0, 900.0), (900.0, -1.0), (np.nan, 900.0)])

@@ -62,6 +62,9 @@ def deflection(chain: Chain, q: Floats, **stated: Any) -> Floats:
     return model.joint_positions(q, theta) - q
 
 
+ROUNDING = 2.0 * np.finfo(float).eps
+"""Of a deflection, the difference of joint positions up to 2 rad."""
+
 # By hand.
 
 
@@ -99,12 +102,12 @@ def test_a_payload_by_hand(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     lever = CENTER * np.cos(q), (LENGTH + 0.2) * np.cos(q) + 0.1 * np.sin(q)
     expected = K * G * (MASS * lever[0] + 5.0 * lever[1])
     dq = deflection(chain, q, payloads=load)
-    np.testing.assert_allclose(dq, expected, rtol=1e-13)
+    np.testing.assert_allclose(dq, expected, rtol=0, atol=ROUNDING)
     # Only what hangs behind the joint, and where the tip is told to be.
     shorter = deflection(chain_of(urdf_of(*beam()), tip="arm"), q, payloads=load)
     lever = CENTER * np.cos(q), 0.2 * np.cos(q) + 0.1 * np.sin(q)
     np.testing.assert_allclose(
-        shorter, K * G * (MASS * lever[0] + 5.0 * lever[1]), rtol=1e-13
+        shorter, K * G * (MASS * lever[0] + 5.0 * lever[1]), rtol=0, atol=ROUNDING
     )
 
 
@@ -113,13 +116,15 @@ def test_the_direction_of_gravity(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     q = np.array([[0.3], [-0.9]])
     usual = deflection(chain, q)
     ceiling = deflection(chain, q, gravity=(0.0, 0.0, G))
-    np.testing.assert_allclose(ceiling, -usual, rtol=1e-13)
+    np.testing.assert_allclose(ceiling, -usual, rtol=0, atol=ROUNDING)
     # On a wall whose x points down, the arm hangs at q = 0.
     wall = deflection(chain, q, gravity=(1.62, 0.0, 0.0))
-    np.testing.assert_allclose(wall, -K * MASS * 1.62 * CENTER * np.sin(q), rtol=1e-13)
+    np.testing.assert_allclose(
+        wall, -K * MASS * 1.62 * CENTER * np.sin(q), rtol=0, atol=ROUNDING
+    )
     # The part along the axis does nothing.
     aside = deflection(chain, q, gravity=(0.0, 7.0, -G))
-    np.testing.assert_allclose(aside, usual, rtol=1e-13)
+    np.testing.assert_allclose(aside, usual, rtol=0, atol=ROUNDING)
 
 
 def test_a_joint_that_slides(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
@@ -133,9 +138,11 @@ def test_a_joint_that_slides(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     }
     chain = chain_of(urdf_of(lift))
     q = np.array([[0.0], [1.5]])
-    np.testing.assert_allclose(deflection(chain, q), -K * 10.0 * G, rtol=1e-13)
+    np.testing.assert_allclose(
+        deflection(chain, q), -K * 10.0 * G, rtol=0, atol=ROUNDING
+    )
     sideways = deflection(chain, q, gravity=(3.0, 4.0, -2.0))
-    np.testing.assert_allclose(sideways, -K * 10.0 * 2.0, rtol=1e-13)
+    np.testing.assert_allclose(sideways, -K * 10.0 * 2.0, rtol=0, atol=ROUNDING)
     (parameter,) = (p for p in model_of(chain).parameters if not p.nuisance)
     assert (parameter.name, parameter.unit) == ("lift.compliance.k", "m/N")
     assert parameter.scale == pytest.approx(DEFLECTION / (10.0 * G))
@@ -247,15 +254,11 @@ def test_the_scales_do_not_depend_on_chance() -> None:
 
 
 @pytest.mark.parametrize("robot", ["space6", "space7"])
-def test_a_robot_without_masses(robot: str) -> None:
+def test_a_robot_without_masses(robot: str, refused: Callable[..., Any]) -> None:
     chain = calib_pin.load_chain(robot)
-    with pytest.raises(OptionError) as caught:
+    reason, allowed = ["'compliance'", f"'{robot}' have no mass"], "<inertial>"
+    with refused(OptionError, reason, file="s.yaml", allowed=allowed):
         nominal_problem(chain, "pose", replace(SETUP, file="s.yaml"))
-    assert str(caught.value) == (
-        "s.yaml: 'compliance' needs something that gravity pulls at: there is no "
-        f"gravity, or the links of '{robot}' have no mass that loads a joint and there "
-        "is no payload; allowed: <inertial> in the URDF, or payloads in the setup file"
-    )
     load = {"load": Payload(2.0, (0.1, 0.0, 0.0))}
     model = model_of(chain, payloads=load)
     assert len(model.joint_corrections) == len(chain.joints)
@@ -299,7 +302,7 @@ def test_each_row_has_the_torques_of_its_payload() -> None:
     assert several == heavy
 
 
-def test_rows_that_name_no_payload() -> None:
+def test_rows_that_name_no_payload(refused: Callable[..., Any]) -> None:
     chain = calib_pin.load_chain("pa10")
     q = chain.random_configurations(2, np.random.default_rng(0))
     one = model_of(chain, payloads={"only": LOADS["heavy"]})
@@ -310,13 +313,10 @@ def test_rows_that_name_no_payload() -> None:
     nothing = model_of(chain).factors(q)
     np.testing.assert_array_equal(one.factors(q, ("none", "none")), nothing)
     np.testing.assert_array_equal(model_of(chain).factors(q, ("none", "")), nothing)
-    with pytest.raises(InputError) as caught:
+    allowed = "light, heavy, none"
+    with refused(InputError, "several payloads", column="payload", allowed=allowed):
         model_of(chain, payloads=LOADS).factors(q, ("light", ""))
-    assert str(caught.value) == (
-        "there are several payloads, and nothing says which is carried "
-        "(column 'payload'); allowed: light, heavy, none"
-    )
-    with pytest.raises(InputError, match="'lihgt' \\(did you mean 'light'\\?\\)"):
+    with refused(InputError, ["'lihgt'", "mean 'light'?"], column="payload"):
         model_of(chain, payloads=LOADS).factors(q, ("light", "lihgt"))
 
 
@@ -341,21 +341,20 @@ def test_payloads_of_a_problem() -> None:
         np.testing.assert_allclose(part, J[3 * k : 3 * k + 3], rtol=0, atol=1e-7)
 
 
-def test_rows_of_an_unknown_payload() -> None:
+def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
     chain = calib_pin.load_chain("pa10")
     setup = replace(SETUP, payloads=LOADS)
     problem = nominal_problem(chain, "position", setup)
     zero, q = np.zeros(len(problem.parameters)), np.zeros((2, 7))
     rows = problem.about(zero, q, ("", ""), payload=("light", "none")).data
     rows = replace(rows, lines=np.array([7, 8]), files=("m.csv",) * 2)
+    place = {"file": "m.csv", "line": 8, "column": "payload"}
     for name, reason in (
-        ("heavi", "there is no payload 'heavi' (did you mean 'heavy'?)"),
-        ("", "there are several payloads, and the row names none"),
+        ("heavi", ["no payload 'heavi'", "mean 'heavy'?"]),
+        ("", "several payloads, and the row names none"),
     ):
-        with pytest.raises(InputError) as caught:
+        with refused(InputError, reason, **place, allowed="light, heavy"):
             make_problem(chain, replace(rows, payload=("light", name)), setup)
-        assert str(caught.value).startswith(f"m.csv:8: {reason} (column 'payload')")
-        assert "light, heavy" in str(caught.value)
 
 
 def test_payloads_in_turn_are_recovered() -> None:
@@ -393,12 +392,24 @@ def test_two_payloads_tell_a_lever_from_a_wave(
 # What can be known.
 
 
-def identified(chain: Chain, **stated: Any) -> tuple[dict[str, str], list[str]]:
+Sums = list[dict[str, float]]
+
+
+def identified(chain: Chain, **stated: Any) -> tuple[dict[str, str], Sums]:
     """Status of every parameter of a joint, and the sums with a compliance."""
     found = calib_pin.identify(chain, "pose", replace(SETUP, **stated))
     own = {p.name: p.status for p in found.parameters if ".frame." not in p.name}
-    sums = [group.expression for group in found.groups]
-    return own, [text for text in sums if ".compliance." in text]
+    sums = [dict(group.terms) for group in found.groups]
+    return own, [terms for terms in sums if any(".compliance." in t for t in terms)]
+
+
+def assert_sums(found: Sums, *expected: dict[str, float]) -> None:
+    """Compare names and coefficients, the first of which is 1.
+
+    Elimination solves with a well-conditioned matrix of some 1000 rows: its error is
+    of the order of 1e-13.
+    """
+    assert [pytest.approx(terms, rel=1e-9) for terms in found] == list(expected)
 
 
 def test_a_joint_about_gravity_is_unidentifiable() -> None:
@@ -423,18 +434,14 @@ def test_a_single_lever_is_a_harmonic(urdf_of: UrdfOf, chain_of: ChainOf) -> Non
     chain = chain_of(urdf_of(*beam()))
     torque = MASS * G * CENTER
     status, sums = identified(chain, parameters=("transmission", "compliance"))
-    assert sums == [f"j.transmission.cos1 + {torque:.4g} j.compliance.k"]
+    assert_sums(sums, {"j.transmission.cos1": 1.0, "j.compliance.k": torque})
     assert status["j.transmission.cos1"] == status["j.compliance.k"] == "coupled"
     assert status["j.transmission.sin1"] == "identifiable"
     found = calib_pin.identify(
         chain, "pose", replace(SETUP, parameters=("transmission", "compliance"))
     )
-    (group,) = (g for g in found.groups if g.expression == sums[0])
+    (group,) = (g for g in found.groups if "j.compliance.k" in dict(g.terms))
     assert group.unit == "rad"
-    assert dict(group.terms) == {
-        "j.transmission.cos1": 1.0,
-        "j.compliance.k": pytest.approx(torque, rel=1e-9),
-    }
     # Turned by an eighth it is both waves at once.
     _, sums = identified(
         chain,
@@ -442,10 +449,11 @@ def test_a_single_lever_is_a_harmonic(urdf_of: UrdfOf, chain_of: ChainOf) -> Non
         gravity=(G * np.sqrt(0.5), 0.0, -G * np.sqrt(0.5)),
     )
     part = torque * np.sqrt(0.5)
-    assert sums == [
-        f"j.transmission.sin1 - {part:.4g} j.compliance.k",
-        f"j.transmission.cos1 + {part:.4g} j.compliance.k",
-    ]
+    assert_sums(
+        sums,
+        {"j.transmission.sin1": 1.0, "j.compliance.k": -part},
+        {"j.transmission.cos1": 1.0, "j.compliance.k": part},
+    )
 
 
 def test_in_a_planar_arm_only_the_first_joint_is_a_harmonic(
@@ -473,7 +481,8 @@ def test_in_a_planar_arm_only_the_first_joint_is_a_harmonic(
         chain_of(urdf_of(*joints), base="l1"),
         parameters=("transmission", "compliance"),
     )
-    assert sums == [f"j1.transmission.cos1 + {2.0 * G * 0.25:.4g} j1.compliance.k"]
+    torque = 2.0 * G * 0.25
+    assert_sums(sums, {"j1.transmission.cos1": 1.0, "j1.compliance.k": torque})
 
 
 def test_a_lift_gives_way_like_a_frame(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
@@ -495,11 +504,11 @@ def test_a_lift_gives_way_like_a_frame(urdf_of: UrdfOf, chain_of: ChainOf) -> No
     chain = chain_of(urdf_of(lift, turn))
     status, sums = identified(chain, parameters=("joint-offset", "compliance"))
     assert status["lift.compliance.k"] == "coupled"
-    assert any("lift.compliance.k" in text and "base.frame.z" in text for text in sums)
+    assert any({"lift.compliance.k", "base.frame.z"} <= set(terms) for terms in sums)
     assert status["turn.compliance.k"] == "identifiable"
     known = FrameSetup(estimate=False)
     status, sums = identified(
         chain, parameters=("joint-offset", "compliance"), base_frame=known
     )
     weight = 11.0 * G
-    assert sums == [f"lift.joint-offset.q - {weight:.4g} lift.compliance.k"]
+    assert_sums(sums, {"lift.joint-offset.q": 1.0, "lift.compliance.k": -weight})

@@ -261,7 +261,14 @@ def test_the_referee_is_strict(cell: tuple[Cell, Any, Any, Referee]) -> None:
     assert 0.02 < free.mean() < 0.99
 
 
-@pytest.mark.parametrize("method", ["greedy", "auto", "pso", "ga"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "greedy",
+        "auto",
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("pso", "ga")),
+    ],
+)
 def test_plans_keep_all_rules(
     method: str, cell: tuple[Cell, Any, Any, Referee]
 ) -> None:

@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 from itertools import pairwise
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -12,7 +12,7 @@ import pytest
 
 import calib_pin
 from calib_pin.chain import Chain
-from calib_pin.errors import CalibPinError, InputError, OptionError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.identifiability import observability
 from calib_pin.measurements import Measurements
@@ -138,14 +138,13 @@ def test_sets_for_joint_corrections(
     assert units["joint_2.compliance.k"] == "rad/Nm"
 
 
-def test_the_gradient_does_not_know_joint_corrections(corrected: Setup) -> None:
+def test_the_gradient_does_not_know_joint_corrections(
+    corrected: Setup, refused: Callable[..., Any]
+) -> None:
     chain = calib_pin.load_chain("pa10")
-    with pytest.raises(OptionError) as caught:
+    others = "exchange, greedy, pso, ga"
+    with refused(OptionError, ["joint correction", "'gradient'"], allowed=others):
         small(chain, setup=corrected, count=24, method="gradient")
-    assert str(caught.value) == (
-        "a joint correction has no derivative by the configuration, which the method "
-        "'gradient' needs; allowed: exchange, greedy, pso, ga"
-    )
 
 
 # --- every method, every criterion -------------------------------------------------
@@ -204,11 +203,21 @@ def test_random_sets_are_those_of_the_candidates(criterion: str, chain: Chain) -
     assert low <= plan.random <= high
 
 
-def test_better_methods_find_better_sets(chain: Chain) -> None:
-    values = {
-        method: small(chain, method=method).value
-        for method in ("greedy", "exchange", "auto")
-    }
+@pytest.fixture(scope="module")
+def searched(chain: Chain) -> tuple[Plan, list[str]]:
+    """A plan by the usual methods after one another, and the stages it went through."""
+    stages: list[str] = []
+    plan = small(
+        chain, method="auto", progress=lambda stage, part: stages.append(stage)
+    )
+    return plan, stages
+
+
+def test_better_methods_find_better_sets(
+    chain: Chain, searched: tuple[Plan, list[str]]
+) -> None:
+    values = {m: small(chain, method=m).value for m in ("greedy", "exchange")}
+    values["auto"] = searched[0].value
     assert values["auto"] <= values["exchange"] <= values["greedy"] * (1 + 1e-6)
     assert values["auto"] < 0.97 * values["greedy"]
 
@@ -253,8 +262,10 @@ def test_steps_lead_from_the_least_to_twice_the_set(chain: Chain) -> None:
     assert all(b <= a * (1 + 1e-9) for a, b in pairwise(positions))
 
 
-def test_configurations_have_few_decimals(chain: Chain) -> None:
-    plan = small(chain, method="auto")
+def test_configurations_have_few_decimals(
+    chain: Chain, searched: tuple[Plan, list[str]]
+) -> None:
+    plan, _ = searched
     lower, upper = chain.lower, chain.upper
     at_limit = (plan.q == lower) | (plan.q == upper)
     assert (at_limit | (plan.q == np.round(plan.q, 6))).all()
@@ -273,7 +284,12 @@ def test_the_order_is_shorter_than_chance(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("method", "distance"), [("exchange", 1.5), ("gradient", 0.8), ("auto", 0.8)]
+    ("method", "distance"),
+    [
+        ("gradient", 0.8),
+        pytest.param("exchange", 1.5, marks=pytest.mark.slow),
+        pytest.param("auto", 0.8, marks=pytest.mark.slow),
+    ],
 )
 def test_sets_keep_their_distance(method: str, distance: float, chain: Chain) -> None:
     plan = small(chain, method=method, distance=distance)
@@ -287,7 +303,11 @@ def test_sets_keep_their_distance(method: str, distance: float, chain: Chain) ->
 
 
 @pytest.mark.parametrize(
-    ("method", "more"), [("exchange", 0), ("exchange", 2), ("greedy", 0), ("auto", 2)]
+    ("method", "more"),
+    [
+        *(("exchange", 0), ("exchange", 2), ("greedy", 0)),
+        pytest.param("auto", 2, marks=pytest.mark.slow),
+    ],
 )
 def test_hardly_more_candidates_than_wanted(
     method: str, more: int, chain: Chain
@@ -340,7 +360,9 @@ def test_several_planes(method: str, chain: Chain) -> None:
         assert abs(along) / np.linalg.norm(normal) >= np.cos(np.radians(70.0)) - 1e-9
 
 
-@pytest.mark.parametrize("method", ["exchange", "ga", "greedy"])
+@pytest.mark.parametrize(
+    "method", ["exchange", "greedy", pytest.param("ga", marks=pytest.mark.slow)]
+)
 def test_no_more_rows_than_unknowns(method: str, chain: Chain) -> None:
     """Five offsets and two planes: of random sets few would do."""
     rank = small(chain, model="plane-distance", setup=PLANES, count=30).rank
@@ -365,7 +387,13 @@ def measured(chain: Chain) -> Measurements:
     return calib_pin.simulate(problem, theta, rng, q=q, noise=2e-4)
 
 
-@pytest.mark.parametrize("criterion", ["prediction", "O1", "condition", "O3"])
+@pytest.mark.parametrize(
+    "criterion",
+    [
+        *("prediction", "O1"),
+        *(pytest.param(c, marks=pytest.mark.slow) for c in ("condition", "O3")),
+    ],
+)
 def test_additions_beat_random_ones(
     criterion: str, chain: Chain, measured: Measurements
 ) -> None:
@@ -466,7 +494,9 @@ def test_prior_rows_count(chain: Chain) -> None:
 # --- stopping ----------------------------------------------------------------------
 
 
-@pytest.mark.parametrize("after", [1, 2, 5, 20])
+@pytest.mark.parametrize(
+    "after", [1, 20, *(pytest.param(n, marks=pytest.mark.slow) for n in (2, 5))]
+)
 @pytest.mark.parametrize("method", METHODS)
 def test_a_stopped_search_returns_a_valid_plan(
     method: str, after: int, chain: Chain
@@ -477,9 +507,7 @@ def test_a_stopped_search_returns_a_valid_plan(
         calls.append((stage, part))
         return len(calls) >= after
 
-    begin = perf_counter()
     plan = small(chain, method=method, progress=progress)
-    elapsed = perf_counter() - begin
     check_set(plan, COUNT, chain)
     assert np.isfinite(plan.value) and np.isfinite(plan.predicted.position)
     assert calls[0] == ("candidates", 0.0)
@@ -488,14 +516,12 @@ def test_a_stopped_search_returns_a_valid_plan(
         assert plan.status is Status.STOPPED
     # It stops soon: the search asks a few more times at most.
     assert len(calls) <= max(after, 2) + 60
-    assert elapsed < 10.0
 
 
-def test_a_search_that_is_told_to_go_on_is_not_stopped(chain: Chain) -> None:
-    stages: list[str] = []
-    plan = small(
-        chain, method="auto", progress=lambda stage, part: stages.append(stage)
-    )
+def test_a_search_that_is_told_to_go_on_is_not_stopped(
+    searched: tuple[Plan, list[str]],
+) -> None:
+    plan, stages = searched
     assert plan.status is Status.CONVERGED
     expected = ["candidates", "start", "exchange", "gradient", "table"]
     assert list(dict.fromkeys(stages)) == expected
@@ -519,38 +545,39 @@ def test_what_is_stopped_later_is_no_worse(chain: Chain) -> None:
 
 
 @pytest.mark.parametrize(
-    ("options", "parts"),
+    ("options", "fields"),
     [
         (
             {"criterion": "conditions"},
-            ["unknown criterion 'conditions'", "did you mean 'condition'", "O5"],
+            {"reason": ["'conditions'", "mean 'condition'?"], "allowed": "O5"},
         ),
-        ({"method": "sa"}, ["unknown method 'sa'", "exchange", "gradient"]),
-        ({"model": "positions"}, ["'positions'", "did you mean 'position'"]),
-        ({"count": 0}, ["count", "0", "1 or more"]),
-        ({"candidates": 0}, ["candidates", "1 or more"]),
-        ({"distance": -1.0}, ["distance", "-1.0"]),
+        (
+            {"method": "sa"},
+            {"reason": "method 'sa'", "allowed": ["exchange", "gradient"]},
+        ),
+        ({"model": "positions"}, {"reason": ["'positions'", "mean 'position'?"]}),
+        ({"count": 0}, {"reason": "count", "value": 0, "allowed": "1 or more"}),
+        ({"candidates": 0}, {"reason": "candidates", "allowed": "1 or more"}),
+        ({"distance": -1.0}, {"reason": "distance", "value": -1.0}),
         (
             {"count": 30, "distance": 3.0},
-            ["may be measured, fewer than the 30 wanted", "a shorter distance"],
+            {"reason": "fewer than the 30 wanted", "allowed": "a shorter distance"},
         ),
-        ({"count": 4}, ["4 configurations cannot determine the 27", "9 or more"]),
         (
-            {"count": 5, "candidates": 5},
-            ["5 configurations cannot determine", "candidates"],
+            {"count": 4},
+            {"reason": "4 configurations cannot determine the 27", "allowed": "9 or"},
         ),
+        ({"count": 5, "candidates": 5}, {"reason": "5 configurations cannot"}),
     ],
 )
 def test_impossible_requests(
-    options: dict[str, Any], parts: list[str], chain: Chain
+    options: dict[str, Any],
+    fields: dict[str, Any],
+    chain: Chain,
+    refused: Callable[..., Any],
 ) -> None:
-    begin = perf_counter()
-    with pytest.raises(CalibPinError) as caught:
+    with refused(InputError, **fields):
         small(chain, **options)
-    assert perf_counter() - begin < 5.0
-    for part in parts:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
@@ -561,7 +588,7 @@ def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
     ):
         with pytest.raises(OptionError) as caught:
             small(chain, model=model, setup=setup, count=2)
-        number = int(str(caught.value).split("allowed: ")[1].split()[0])
+        number = int(str(caught.value.allowed).split()[0])
         plan = small(chain, model=model, setup=setup, count=number)
         assert len(plan.q) == number
         with pytest.raises(OptionError):
@@ -570,10 +597,8 @@ def test_the_number_it_asks_for_is_enough(chain: Chain) -> None:
 
 def test_an_empty_region(chain: Chain) -> None:
     region = Region(box=((5.0, 5.0, 5.0), (6.0, 6.0, 6.0)))
-    begin = perf_counter()
     with pytest.raises(InputError, match="60000 outside the region"):
         small(chain, setup=replace(SETUP, region=region), candidates=1000)
-    assert perf_counter() - begin < 5.0
 
 
 def test_a_joint_that_is_held_plans_for_the_others(chain: Chain) -> None:
@@ -588,7 +613,13 @@ def test_a_joint_that_is_held_plans_for_the_others(chain: Chain) -> None:
 # --- targets and tools -------------------------------------------------------------
 
 
-@pytest.mark.parametrize("method", ["exchange", "gradient", "pso"])
+@pytest.mark.parametrize(
+    "method",
+    [
+        "exchange",
+        *(pytest.param(m, marks=pytest.mark.slow) for m in ("gradient", "pso")),
+    ],
+)
 def test_hardly_more_candidates_than_wanted_of_two_planes(method: str) -> None:
     """Every configuration looks at a plane that it sees, however few see it."""
     chain = calib_pin.load_chain("space6")

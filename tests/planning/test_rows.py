@@ -143,12 +143,8 @@ def check_corrections(
     assert (np.abs(J[:, corrections]).max(axis=0) > 0.0).all()
     expected = rows_of_the_problem(of, q, target)
     np.testing.assert_allclose(of.rows(q, target), expected, rtol=1e-10, atol=1e-8)
-    with pytest.raises(OptionError) as caught:
+    with pytest.raises(OptionError, match=r"joint correction .* no derivative"):
         of.linearize(q, target)
-    assert str(caught.value) == (
-        "a joint correction has no derivative by the configuration, which the method "
-        "'gradient' needs; allowed: exchange, greedy, pso, ga"
-    )
 
 
 @pytest.mark.parametrize("model", FREE)

@@ -102,7 +102,13 @@ def test_a_subset_that_determines_nothing_costs_everything() -> None:
     assert subset.best_to_remove() == (4, np.inf)
 
 
-@pytest.mark.parametrize("name", ALL)
+@pytest.mark.parametrize(
+    "name",
+    [
+        pytest.param(n, marks=() if n in ("O1", "condition") else pytest.mark.slow)
+        for n in ALL
+    ],
+)
 def test_exchange_against_every_subset(name: str) -> None:
     """Never worse than greedy, at the optimum in most cases."""
     criterion = ALL[name]

@@ -1,8 +1,9 @@
-"""Point 3 of the issue: a plan pays where it matters, on robots that are off.
+"""A plan pays where it matters, on robots that are off.
 
-Twenty 6R robots are drawn, ten like a UR and ten like a PUMA. Each has true errors,
-is measured at 15 planned and at 15 random configurations with noise of 0.1 mm, and is
-fitted; what counts is the tip against the truth at 200 other configurations.
+Twenty 6R robots are drawn (four in the quick tier), half of them like a UR and half
+like a PUMA. Each has true errors, is measured at 15 planned and at 15 random
+configurations with noise of 0.1 mm, and is fitted; the tip against the truth at 200
+other configurations counts.
 """
 
 from __future__ import annotations
@@ -25,7 +26,9 @@ from calib_pin.spatial import Floats
 
 ROBOTS = 20
 COUNT = 15
-RUNS = 200
+RUNS = 10
+"""Fits of each robot."""
+
 NOISE = 1e-4
 
 # Rows of a, alpha, d in modified DH, in units of one link.
@@ -122,10 +125,12 @@ class Robot:
         return self.problem.error.chain.random_configurations(COUNT, rng)
 
 
-@pytest.fixture(scope="module")
-def robots(arms: tuple[Chain, ...]) -> list[Robot]:
+@pytest.fixture(
+    scope="module", params=[4, pytest.param(ROBOTS, marks=pytest.mark.slow)]
+)
+def robots(request: pytest.FixtureRequest, arms: tuple[Chain, ...]) -> list[Robot]:
     result = []
-    for seed, chain in enumerate(arms):
+    for seed, chain in enumerate(arms[: request.param]):
         rng = np.random.default_rng(seed)
         problem = nominal_problem(chain, "position", SETUP)
         plan = calib_pin.plan(
@@ -142,7 +147,7 @@ def test_the_robots_differ(robots: list[Robot]) -> None:
     reaches = [
         np.ptp(robot.problem.error.chain.poses(robot.q)[:, :3, 3]) for robot in robots
     ]
-    assert len(set(np.round(reaches, 3))) == ROBOTS
+    assert len(set(np.round(reaches, 3))) == len(robots)
 
 
 def test_plans_beat_random_sets_on_unseen_configurations(robots: list[Robot]) -> None:
@@ -157,24 +162,26 @@ def test_plans_beat_random_sets_on_unseen_configurations(robots: list[Robot]) ->
                 robot.tip_error(robot.random(rng), truth, rng),
             ]
         gains.append(1.0 - np.sqrt(squares[0] / squares[1]))
-    assert np.median(gains) >= 0.25
+    # Gains of single robots scatter by 0.1 and more, a median of four by half of it.
+    assert np.median(gains) >= (0.25 if len(gains) == ROBOTS else 0.15)
     assert np.mean(np.array(gains) > 0.0) >= 0.9
 
 
 def test_predicted_errors_are_those_of_monte_carlo(robots: list[Robot]) -> None:
-    """200 runs over all robots, planned and fitted; pooled."""
+    """Runs over all robots, planned and fitted; pooled."""
     actual, predicted = [], []
     for seed, robot in enumerate(robots):
         assert robot.plan.predicted.directions.weak.shape[1] == 0
         rng = np.random.default_rng(200 + seed)
-        for _ in range(RUNS // ROBOTS):
+        for _ in range(RUNS):
             actual.append(robot.tip_error(robot.plan.q, robot.truth(rng), rng))
             predicted.append(robot.plan.predicted.position**2)
-    assert len(actual) == RUNS
     ratio = np.sqrt(np.sum(actual) / np.sum(predicted))
-    assert ratio == pytest.approx(1.0, abs=0.05)
+    # A mean square of 3 x 200 correlated components scatters by 0.3 or so in a run.
+    assert ratio == pytest.approx(1.0, abs=0.05 * np.sqrt(200 / len(actual)))
 
 
+@pytest.mark.slow
 def test_what_is_planned_for_a_ranger_can_be_measured_by_real_robots() -> None:
     """Descents end at the edge of the window; a robot with errors looks beside it."""
     chain = calib_pin.load_chain("space6")

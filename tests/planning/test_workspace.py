@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import re
 from collections.abc import Callable
-from time import perf_counter
 from typing import Any
 
 import numpy as np
@@ -119,23 +118,35 @@ def test_the_name_of_a_joint_is_no_pattern(
 
 
 @pytest.mark.parametrize(
-    ("limits", "parts"),
+    ("limits", "fields"),
     [
-        ({"joint_3": (3.5, 4.0)}, ["limits of 'joint_3' leave nothing", "[3.5, 4.0]"]),
-        ({"joint_*": (0.0, 1.0), "joint_2": (1.5, 2.0)}, ["'joint_2' leave nothing"]),
-        ({"joint_2": (1.0, -1.0)}, ["'joint_2' leave nothing", "[1.0, -1.0]"]),
-        ({"joit_2": (0.0, 1.0)}, ["no joint", "'joit_2'", "did you mean 'joint_2'"]),
-        ({"elbow*": (0.0, 1.0)}, ["no joint of the chain: 'elbow*'", "joint_1, joint"]),
+        (
+            {"joint_3": (3.5, 4.0)},
+            {"reason": "'joint_3' leave nothing", "value": [3.5, 4.0]},
+        ),
+        (
+            {"joint_*": (0.0, 1.0), "joint_2": (1.5, 2.0)},
+            {"reason": "'joint_2' leave nothing"},
+        ),
+        (
+            {"joint_2": (1.0, -1.0)},
+            {"reason": "'joint_2' leave nothing", "value": [1.0, -1.0]},
+        ),
+        ({"joit_2": (0.0, 1.0)}, {"reason": ["no joint", "'joit_2'", "'joint_2'?"]}),
+        (
+            {"elbow*": (0.0, 1.0)},
+            {"reason": "no joint of the chain: 'elbow*'", "allowed": "joint_1, joint"},
+        ),
     ],
 )
 def test_limits_that_leave_nothing(
-    limits: dict[str, Any], parts: list[str], workspace_of: Callable[..., Workspace]
+    limits: dict[str, Any],
+    fields: dict[str, Any],
+    workspace_of: Callable[..., Workspace],
+    refused: Callable[..., Any],
 ) -> None:
-    with pytest.raises(OptionError) as caught:
+    with refused(OptionError, **fields):
         workspace_of("space7", limits=limits)
-    for part in parts:
-        assert part in str(caught.value)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize("distance", [-0.1, np.inf, np.nan])
@@ -313,16 +324,15 @@ def test_a_distance_that_leaves_room_for_few(
 
 
 def test_a_region_out_of_reach(
-    workspace_of: Callable[..., Workspace], rng: np.random.Generator
+    workspace_of: Callable[..., Workspace],
+    rng: np.random.Generator,
+    refused: Callable[..., Any],
 ) -> None:
-    region = Region(sphere=((50.0, 0.0, 0.0), 0.5))
-    with pytest.raises(InputError) as caught:
-        workspace_of("space6", region=region).candidates(10, rng)
-    assert str(caught.value) == (
-        "none of 60000 configurations within the joint limits can be planned: "
-        "60000 outside the region; allowed: wider limits, a larger region, or fewer "
-        "obstacles"
-    )
+    """However many are wanted, no more are tried."""
+    workspace = workspace_of("space6", region=Region(sphere=((50.0, 0.0, 0.0), 0.5)))
+    for count in (10, 1000):
+        with refused(InputError, ["none of 60000", "60000 outside the region"]):
+            workspace.candidates(count, rng)
 
 
 def test_reasons_are_counted_apart(
@@ -338,22 +348,11 @@ def test_reasons_are_counted_apart(
     with pytest.raises(InputError) as caught:
         workspace.candidates(10, rng)
     numbers = re.findall(
-        r"(\d+) (outside the region|not measurable)", str(caught.value)
+        r"(\d+) (outside the region|not measurable)", caught.value.reason
     )
     assert [reason for _, reason in numbers] == ["outside the region", "not measurable"]
     assert all(int(number) > 1000 for number, _ in numbers)
     assert sum(int(number) for number, _ in numbers) == 60_000
-
-
-def test_the_impossible_is_not_tried_for_long(
-    workspace_of: Callable[..., Workspace], rng: np.random.Generator
-) -> None:
-    """Point 4 of the issue: one clear line, not a loop; a thousand are usual."""
-    workspace = workspace_of("space6", region=Region(sphere=((50.0, 0.0, 0.0), 0.5)))
-    begin = perf_counter()
-    with pytest.raises(InputError, match="outside the region"):
-        workspace.candidates(1000, rng)
-    assert perf_counter() - begin < 5.0
 
 
 def test_a_joint_whose_limits_are_equal_stays_fixed(

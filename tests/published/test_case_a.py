@@ -113,6 +113,7 @@ def solved() -> list[Case]:
     return [study(settings, seed).cases[100] for seed in range(3)]
 
 
+@pytest.mark.slow
 def test_evolution_finds_the_errors(solved: list[Case]) -> None:
     for case in solved:
         found, before = case[TRADEOFF], case.before
@@ -131,6 +132,7 @@ def test_evolution_finds_the_errors(solved: list[Case]) -> None:
         assert rms(before.validation.orientation) > 2e-3
 
 
+@pytest.mark.slow
 def test_hybrid_reaches_the_least_squares_optimum(solved: list[Case]) -> None:
     for case in solved:
         assert case.difference < 1e-10
@@ -138,6 +140,7 @@ def test_hybrid_reaches_the_least_squares_optimum(solved: list[Case]) -> None:
         assert 25.0 < case.fits["hybrid"] < 60.0
 
 
+@pytest.mark.slow
 def test_tradeoff_is_faster_than_rand() -> None:
     settings = Settings(counts=(35,), generations=100, mutations=("rand/1", TRADEOFF))
     case = study(settings, 0).cases[35]

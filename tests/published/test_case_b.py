@@ -35,15 +35,18 @@ def case() -> Case:
     return study(SMALL, {}, seed=0)[1000][RANDOM]
 
 
+@pytest.mark.slow
 def test_geometry_alone_stalls(case: Case) -> None:
     assert 1e-4 < case.mean("geometric") < 0.5 * case.mean("nominal")
 
 
+@pytest.mark.slow
 def test_the_network_comes_near_the_noise_floor(case: Case) -> None:
     assert case.mean("network") < case.mean("geometric") / 5.0
     assert case.mean("network") < 3.0 * case.floor
 
 
+@pytest.mark.slow
 def test_the_right_structure_reaches_the_noise_floor(case: Case) -> None:
     """The mean error of a fit differs from the floor by chance."""
     assert abs(case.mean("structure") - case.floor) < 3.0 * case.spread
@@ -71,6 +74,7 @@ def test_the_hidden_errors_are_those_of_the_reference() -> None:
     assert len(others) == 7 + 12 and not any(values[name] for name in others)
 
 
+@pytest.mark.slow
 def test_the_noise_floor_is_the_mean_error_of_many_fits() -> None:
     chain, rng = robot(), np.random.default_rng(1)
     problem, theta = truth(SMALL, rng)
@@ -88,6 +92,7 @@ def test_the_noise_floor_is_the_mean_error_of_many_fits() -> None:
     assert 0.5 < np.std(means) / spread < 1.6
 
 
+@pytest.mark.slow
 def test_a_genetic_selection_is_better_than_random_points() -> None:
     settings = replace(SMALL, candidates=300)
     found = genetic_set(settings, 40)

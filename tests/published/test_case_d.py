@@ -109,6 +109,7 @@ def test_the_irreducible_model_fits_like_all_placement_errors() -> None:
     assert kept.verdict == "good" and 0.8 < kept.sigma0 < 1.2
 
 
+@pytest.mark.slow
 def test_two_steps_end_where_the_joint_solve_does(seed: Seed) -> None:
     turns = seed.turns
     assert turns.difference < 1e-6 and turns.cost < 1e-9
@@ -118,6 +119,7 @@ def test_two_steps_end_where_the_joint_solve_does(seed: Seed) -> None:
     assert turns.plain[-1] > 10.0 * SMALL.near and len(turns.plain) - 1 == SMALL.rounds
 
 
+@pytest.mark.slow
 def test_compliances_are_found_together_with_the_geometry(seed: Seed) -> None:
     elastic = seed.elastostatics
     assert elastic.rank == 33 + 5
@@ -135,6 +137,7 @@ def test_compliances_are_found_together_with_the_geometry(seed: Seed) -> None:
         assert elastic.mean("nominal", load) > elastic.mean(GEOMETRY, load)
 
 
+@pytest.mark.slow
 def test_three_points_give_the_orientation(seed: Seed) -> None:
     one, two, three = (seed.accuracies[n] for n in (1, 2, 3))
     assert (one.rank, two.rank, three.rank) == (27, 29, 30)
@@ -149,6 +152,7 @@ def test_three_points_give_the_orientation(seed: Seed) -> None:
         assert (np.diff(predicted) < 0.0).all()
 
 
+@pytest.mark.slow
 def test_a_plan_for_test_poses_is_better_there_than_random_sets(
     planned: Floats, seed: Seed
 ) -> None:
@@ -192,6 +196,7 @@ def test_rows_of_all_points_against_central_differences() -> None:
     np.testing.assert_allclose(pullback(by_rows), expected, atol=1e-7)
 
 
+@pytest.mark.slow
 def test_the_report_and_its_figures(
     planned: Floats, seed: Seed, tmp_path: Path
 ) -> None:

@@ -2,11 +2,13 @@
 
 from __future__ import annotations
 
+import io
 import json
 import os
 import subprocess
 import sys
-from dataclasses import replace
+from contextlib import redirect_stderr, redirect_stdout
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,29 +16,44 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from calib_pin.cli import main as run_command
 from calib_pin.io.measurements import read_configurations
 from calib_pin.spatial import Floats, adjoint
+from studies.__main__ import main
 from studies.liu2012_study import MUTATIONS, Settings, study
 from studies.liu2022_arm import Arm, SpatialTwist, condition
 
 SCRIPTS = Path(__file__).parents[2] / "scripts"
 
 
-def reproduce(*words: str) -> subprocess.CompletedProcess[str]:
-    return subprocess.run(
-        [sys.executable, "-m", "studies", *words],
-        env={**os.environ, "PYTHONPATH": str(SCRIPTS)},
-        capture_output=True,
-        text=True,
-        check=False,
-    )
+@dataclass(frozen=True)
+class Ended:
+    """A run: its exit code and all that it said."""
+
+    code: object
+    out: str
+    err: str
 
 
+def reproduce(*words: str) -> Ended:
+    """What the command does, in this process."""
+    out, err = io.StringIO(), io.StringIO()
+    code: object = 0
+    with redirect_stdout(out), redirect_stderr(err), pytest.MonkeyPatch.context() as it:
+        it.setattr(sys, "argv", ["reproduce", *words])
+        try:
+            main()
+        except SystemExit as end:
+            code = end.code
+    return Ended(code, out.getvalue(), err.getvalue())
+
+
+@pytest.mark.slow
 def test_aoyagi2010_writes_numbers_and_figures(tmp_path: Path) -> None:
     words = ("--seeds", "1", "--points", "40", "-o", str(tmp_path / "new"))
     ended = reproduce("aoyagi2010", *words)
-    assert ended.returncode == 0 and ended.stderr == ""
-    assert all(len(line) <= 80 for line in ended.stdout.splitlines()[:-3])
+    assert ended.code == 0 and ended.err == ""
+    assert all(len(line) <= 80 for line in ended.out.splitlines()[:-3])
     names = {"points.png", "verification.png", "aoyagi2010.json"}
     assert {file.name for file in (tmp_path / "new").iterdir()} == names
     for name in names - {"aoyagi2010.json"}:
@@ -62,11 +79,12 @@ def test_aoyagi2010_writes_numbers_and_figures(tmp_path: Path) -> None:
     assert stalls and not learned
 
 
+@pytest.mark.slow
 def test_liu2012_writes_numbers_and_figures(tmp_path: Path) -> None:
     words = ("--seeds", "1", "--generations", "20", "-o", str(tmp_path / "new"))
     ended = reproduce("liu2012", *words)
-    assert ended.returncode == 0 and ended.stderr == ""
-    assert all(len(line) <= 80 for line in ended.stdout.splitlines()[:-4])
+    assert ended.code == 0 and ended.err == ""
+    assert all(len(line) <= 80 for line in ended.out.splitlines()[:-4])
     names = {"convergence.png", "distances.png", "validation.png", "liu2012.json"}
     assert {file.name for file in (tmp_path / "new").iterdir()} == names
     for name in names - {"liu2012.json"}:
@@ -98,11 +116,12 @@ def planned(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("liu2022")
     words = ("--seeds", "2", "--starts", "2", "--iterations", "10")
     ended = reproduce("liu2022", *words, "-o", str(folder))
-    assert ended.returncode == 0 and ended.stderr == ""
-    assert all(len(line) <= 80 for line in ended.stdout.splitlines()[:-4])
+    assert ended.code == 0 and ended.err == ""
+    assert all(len(line) <= 80 for line in ended.out.splitlines()[:-4])
     return folder
 
 
+@pytest.mark.slow
 def test_liu2022_writes_numbers_figures_and_a_plan(planned: Path) -> None:
     names = {"search.png", "trajectory.png", "plan.csv", "liu2022.json"}
     assert {file.name for file in planned.iterdir()} == names
@@ -120,6 +139,7 @@ def test_liu2022_writes_numbers_figures_and_a_plan(planned: Path) -> None:
     assert len(document["swarms"][0]["best"]) == 11
 
 
+@pytest.mark.slow
 def test_liu2022_compares_with_what_is_published(planned: Path) -> None:
     document = json.loads((planned / "liu2022.json").read_text())
     sets = document["sets"]
@@ -147,12 +167,14 @@ def test_liu2022_compares_with_what_is_published(planned: Path) -> None:
     assert np.degrees(step["largest_component_rad"]) < 0.1
 
 
+@pytest.mark.slow
 def test_the_plan_of_liu2022_can_be_simulated(planned: Path) -> None:
     rows = planned / "rows.csv"
-    command = [sys.executable, "-m", "calib_pin.cli", "simulate", "space7"]
-    command += ["--model", "pose", "--configurations", str(planned / "plan.csv")]
-    ended = subprocess.run([*command, "-o", str(rows)], capture_output=True, text=True)
-    assert ended.returncode == 0 and ended.stderr == ""
+    command = ["simulate", "space7", "--model", "pose", "-o", str(rows)]
+    with pytest.MonkeyPatch.context() as it:
+        plan = str(planned / "plan.csv")
+        it.setattr(sys, "argv", ["calib-pin", *command, "--configurations", plan])
+        assert run_command() == 0
     chain = calib_pin.load_chain("space7")
     measured = calib_pin.read_measurements(rows, chain)
     plan = read_configurations(planned / "plan.csv", chain)
@@ -204,28 +226,30 @@ def test_rows_of_the_matrix_against_central_differences() -> None:
 
 
 @pytest.mark.parametrize(
-    ("words", "message"),
+    ("words", "parts"),
     [
-        (
-            ["lieu"],
-            "reproduce: unknown study 'lieu'; there is "
-            "aoyagi2010, klimchik, liu2012, liu2022",
-        ),
-        (
-            [],
-            "reproduce: name a study; there is aoyagi2010, klimchik, liu2012, liu2022",
-        ),
-        (
-            ["liu2012", "--seeds", "0"],
-            "reproduce liu2012: argument --seeds: '0' is not a number from 1 on",
-        ),
-        (
-            ["liu2012", "-o", __file__],
-            f"reproduce liu2012: argument -o/--output: '{__file__}' is not a folder",
-        ),
+        (["lieu"], ["unknown study 'lieu'", "aoyagi2010, klimchik, liu2012, liu2022"]),
+        ([], ["name a study", "aoyagi2010, klimchik, liu2012, liu2022"]),
+        (["liu2012", "--seeds", "0"], ["liu2012: argument --seeds: '0'", "from 1 on"]),
+        (["liu2012", "-o", __file__], [f"-o/--output: '{__file__}' is not a folder"]),
     ],
 )
-def test_what_it_refuses(words: list[str], message: str) -> None:
+def test_what_it_refuses(words: list[str], parts: list[str]) -> None:
     ended = reproduce(*words)
-    assert ended.returncode == 1 and ended.stdout == ""
-    assert ended.stderr == f"{message}\n"
+    assert isinstance(ended.code, str) and ended.code.startswith("reproduce")
+    assert all(part in ended.code for part in parts)
+    assert ended.out == "" and "\n" not in ended.code
+
+
+@pytest.mark.slow
+def test_as_a_process() -> None:
+    """The text with which it ends is a line on the error stream."""
+    ended = subprocess.run(
+        [sys.executable, "-m", "studies", "lieu"],
+        env={**os.environ, "PYTHONPATH": str(SCRIPTS)},
+        capture_output=True,
+        text=True,
+        check=False,
+    )
+    assert (ended.returncode, ended.stdout) == (1, "")
+    assert ended.stderr == f"{reproduce('lieu').code}\n"

@@ -2,6 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
+from typing import Any
+
 import numpy as np
 import pytest
 
@@ -17,39 +20,52 @@ def columns(members: Floats) -> Floats:
 
 
 @pytest.mark.parametrize(
-    ("bounds", "message"),
+    ("bounds", "fields"),
     [
-        (
-            [0.0, 1.0],
-            r"bounds have the wrong shape \(value \(2,\)\); allowed: \(D, 2\)",
-        ),
-        (np.zeros((2, 3)), r"wrong shape \(value \(2, 3\)\); allowed: \(D, 2\)"),
-        (np.zeros((0, 2)), r"wrong shape \(value \(0, 2\)\)"),
+        ([0.0, 1.0], {"reason": "shape", "value": (2,), "allowed": "(D, 2)"}),
+        (np.zeros((2, 3)), {"reason": "shape", "value": (2, 3), "allowed": "(D, 2)"}),
+        (np.zeros((0, 2)), {"reason": "shape", "value": (0, 2)}),
         (
             [[0.0, 1.0], [2.0, 1.5]],
-            r"component 1 are reversed \(value \(2.0, 1.5\)\); allowed: lower <= upper",
+            {
+                "reason": "component 1 are reversed",
+                "value": (2.0, 1.5),
+                "allowed": "lower <= upper",
+            },
         ),
-        ([[0.0, np.inf]], r"component 0 are not finite \(value \(0.0, inf\)\)"),
-        ([[0.0, 1.0], [np.nan, 1.0]], r"component 1 are not finite \(value \(nan, 1"),
+        (
+            [[0.0, np.inf]],
+            {"reason": "component 0 are not finite", "value": (0.0, np.inf)},
+        ),
+        ([[0.0, 1.0], [np.nan, 1.0]], {"reason": "component 1 are not finite"}),
     ],
 )
-def test_bounds_that_cannot_be_used(bounds: Floats, message: str) -> None:
-    with pytest.raises(OptionError, match=message) as caught:
+def test_bounds_that_cannot_be_used(
+    bounds: Floats, fields: dict[str, Any], refused: Callable[..., Any]
+) -> None:
+    with refused(OptionError, **fields):
         Box.of(bounds)
-    assert "\n" not in str(caught.value)
 
 
 @pytest.mark.parametrize(
-    ("x0", "message"),
+    ("x0", "fields"),
     [
-        ([0.0, 0.3], r"x0 has the wrong shape \(value \(2,\)\); allowed: \(3,\)"),
-        ([0.0, 0.31, 2e-9], r"at component 1 \(value 0.31\); allowed: 0.3 to 0.3"),
-        ([-1.1, 0.3, 2e-9], r"at component 0 \(value -1.1\); allowed: -1.0 to 2.0"),
-        ([0.0, 0.3, np.nan], r"at component 2 \(value nan\)"),
+        ([0.0, 0.3], {"reason": "x0", "value": (2,), "allowed": "(3,)"}),
+        (
+            [0.0, 0.31, 2e-9],
+            {"reason": "component 1", "value": 0.31, "allowed": "0.3 to 0.3"},
+        ),
+        (
+            [-1.1, 0.3, 2e-9],
+            {"reason": "component 0", "value": -1.1, "allowed": "-1.0 to 2.0"},
+        ),
+        ([0.0, 0.3, np.nan], {"reason": "component 2"}),
     ],
 )
-def test_first_members_that_cannot_be_used(x0: Floats, message: str) -> None:
-    with pytest.raises(OptionError, match=message):
+def test_first_members_that_cannot_be_used(
+    x0: list[float], fields: dict[str, Any], refused: Callable[..., Any]
+) -> None:
+    with refused(OptionError, **fields):
         Box.of(UNEVEN).populate(8, "random", np.array(x0), np.random.default_rng(0))
 
 
@@ -145,12 +161,12 @@ def test_bounds_are_copied() -> None:
     assert (box.lower[0], box.upper[0]) == (0.0, 1.0)
 
 
-def test_rows_that_the_caller_gave() -> None:
+def test_rows_that_the_caller_gave(refused: Callable[..., Any]) -> None:
     box = Box.of(np.array([[0.0, 1.0], [-1.0, 1.0]]))
     assert box.checked([[0, 1], [1, -1]], "K").tolist() == [[0.0, 1.0], [1.0, -1.0]]  # type: ignore[arg-type]
-    with pytest.raises(OptionError, match=r"wrong shape \(value \(2,\)\).*\(K, 2\)"):
+    with refused(OptionError, "shape", value=(2,), allowed="(K, 2)"):
         box.checked(np.zeros(2), "K")
-    with pytest.raises(OptionError, match=r"wrong shape \(value \(0, 2\)\)"):
+    with refused(OptionError, "shape", value=(0, 2)):
         box.checked(np.zeros((0, 2)), "K")
-    with pytest.raises(OptionError, match=r"component 1 of row 2 \(value nan\)"):
+    with refused(OptionError, "component 1 of row 2"):
         box.checked(np.array([[0.0, 0.0], [0.0, 0.0], [0.0, np.nan]]), "K")

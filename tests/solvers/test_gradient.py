@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 import pytest
@@ -95,14 +96,16 @@ def test_as_low_as_scipy_with_about_as_many_evaluations(name: str, seed: int) ->
         value, gradient = function(v.reshape(x0.shape))
         return value, gradient.ravel()
 
-    ours = projected_descent(function, bounds, x0, tolerance=1e-11, max_iterations=1000)
+    # Where the last step gains 1e-13 of the value, up to 820, a thousand times as much
+    # may be left to gain: 1e-7.
+    ours = projected_descent(function, bounds, x0, tolerance=1e-13, max_iterations=1000)
     theirs = optimize.minimize(
         flat,
         x0.ravel(),
         jac=True,
         method="L-BFGS-B",
         bounds=np.tile(bounds, (count, 1)),
-        options={"ftol": 1e-11, "gtol": 1e-9, "maxiter": 1000},
+        options={"ftol": 1e-13, "gtol": 1e-9, "maxiter": 1000},
     )
     assert ours.status is Status.CONVERGED
     assert ours.fun == pytest.approx(theirs.fun, abs=1e-6)
@@ -325,31 +328,37 @@ def test_components_that_a_bound_stops_are_not_free() -> None:
 
 
 @pytest.mark.parametrize(
-    ("arguments", "message"),
+    ("arguments", "fields"),
     [
-        ({"memory": 0}, "memory cannot be used (value 0); allowed: a whole number, 1"),
-        ({"max_iterations": 1.5}, "max_iterations cannot be used (value 1.5)"),
-        ({"tolerance": np.nan}, "tolerance cannot be used (value nan); allowed: 0 or"),
-        ({"x0": np.zeros(2)}, "x0 has the wrong shape (value (2,)); allowed: (K, 2)"),
-        ({"x0": np.zeros((0, 2))}, "x0 has the wrong shape (value (0, 2))"),
+        (
+            {"memory": 0},
+            {"reason": "memory", "value": 0, "allowed": "a whole number, 1"},
+        ),
+        ({"max_iterations": 1.5}, {"reason": "max_iterations", "value": 1.5}),
+        (
+            {"tolerance": np.nan},
+            {"reason": "tolerance", "value": np.nan, "allowed": "0 or"},
+        ),
+        ({"x0": np.zeros(2)}, {"reason": "x0", "value": (2,), "allowed": "(K, 2)"}),
+        ({"x0": np.zeros((0, 2))}, {"reason": "x0", "value": (0, 2)}),
         (
             {"x0": np.array([[0.0, 0.0], [0.0, 3.0]])},
-            "x0 leaves the bounds at component 1 of row 1 (value 3.0); allowed: -2.0",
+            {"reason": "component 1 of row 1", "value": 3.0, "allowed": "-2.0"},
         ),
-        ({"bounds": SQUARE[:, ::-1]}, "bounds of component 0 are reversed"),
+        ({"bounds": SQUARE[:, ::-1]}, {"reason": "component 0 are reversed"}),
         (
             {"function": lambda x: (0.0, np.zeros(4))},
-            "the gradient has the wrong shape (value (4,)); allowed: (2, 2)",
+            {"reason": "the gradient", "value": (4,), "allowed": "(2, 2)"},
         ),
         (
             {"allowed": lambda x: True},
-            "allowed must give one answer per point (value ()); allowed: (2,)",
+            {"reason": "one answer per point", "value": (), "allowed": "(2,)"},
         ),
     ],
 )
-def test_what_cannot_be_used(arguments: dict[str, object], message: str) -> None:
+def test_what_cannot_be_used(
+    arguments: dict[str, Any], fields: dict[str, Any], refused: Callable[..., Any]
+) -> None:
     usual = {"function": rosenbrock, "bounds": SQUARE, "x0": np.zeros((2, 2))}
-    with pytest.raises(OptionError) as caught:
-        projected_descent(**(usual | arguments))  # type: ignore[arg-type]
-    assert message in str(caught.value)
-    assert "\n" not in str(caught.value)
+    with refused(OptionError, **fields):
+        projected_descent(**(usual | arguments))

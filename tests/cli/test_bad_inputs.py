@@ -361,7 +361,12 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "unknown plane": (
         DISTANCES,
         {"distances.csv": cell(5, "target", "wal")},
-        dict(column="target", reason=("'wal'", "did you mean 'wall'")),
+        dict(
+            file="distances.csv",
+            line=5,
+            column="target",
+            reason=("'wal'", "did you mean 'wall'"),
+        ),
     ),
     # points, sockets, wires and cameras
     "unknown target": (
@@ -370,7 +375,12 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "rows.csv": column("target", lambda i, _: "ball" if i else "bal"),
             "bad.yaml": "targets: {ball: {xyz: [0, 0, 0.1]}}\n",
         },
-        dict(column="target", reason=("'bal'", "did you mean 'ball'")),
+        dict(
+            file="rows.csv",
+            line=3,
+            column="target",
+            reason=("'bal'", "did you mean 'ball'"),
+        ),
     ),
     "unknown point in a socket": (
         CONTACT,
@@ -379,6 +389,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "bad.yaml": "model: fixed-point\ntargets: {ball: {}}\n",
         },
         dict(
+            file="touch.csv",
+            line=3,
             column="target",
             reason=("there is no target 'bal'", "did you mean 'ball'"),
         ),
@@ -390,6 +402,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "bad.yaml": "model: fixed-point\nsockets: {front/0: {}, front/1: {}}\n",
         },
         dict(
+            file="touch.csv",
+            line=3,
             column="target",
             reason=(
                 "there is no socket 'front/l'",
@@ -426,6 +440,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "bad.yaml": CAMERA + "targets: {n: {xyz: [0, 0, 0]}}\n",
         },
         dict(
+            file="touch.csv",
+            line=2,
             column="target",
             reason=("there is no target 'm'"),
             allowed="n",
@@ -438,6 +454,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "bad.yaml": "model: point-distance\nanchors: {wire: {}}\n",
         },
         dict(
+            file="touch.csv",
+            line=3,
             column="target",
             reason=("there is no anchor 'wier'", "did you mean 'wire'"),
         ),
@@ -470,7 +488,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             + "0,0.5,0,0.1,1\n" * 12
             + "0,0,0,0,1\n",
         },
-        dict(reason=("parallel", "'wall'")),
+        dict(file="flat.csv", line=14, reason=("parallel", "'wall'")),
     ),
     # setup files
     "missing setup": (
@@ -515,6 +533,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
         SETUP,
         {"bad.yaml": LOADS},
         dict(
+            file="rows.csv",
+            line=3,
             column="payload",
             reason=("several payloads", "the row names none"),
             allowed="none, light, heavy",
@@ -527,6 +547,8 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
             "bad.yaml": LOADS,
         },
         dict(
+            file="rows.csv",
+            line=6,
             column="payload",
             reason=("there is no payload 'hevy'", "did you mean 'heavy'"),
             allowed="light, heavy",

@@ -12,6 +12,7 @@ import io
 import logging
 import os
 import shutil
+import signal
 import warnings
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import AbstractContextManager, contextmanager
@@ -106,6 +107,17 @@ def pytest_generate_tests(metafunc: pytest.Metafunc) -> None:
             for path in example_robots()
         ]
         metafunc.parametrize("example_robot", robots)
+
+
+@pytest.fixture(scope="session", autouse=True)
+def interruptible() -> Iterator[None]:
+    """Ctrl-C reaches the tests and what they start, also in the background of a shell.
+
+    There it would be ignored, and all children would inherit that.
+    """
+    before = signal.signal(signal.SIGINT, signal.default_int_handler)
+    yield
+    signal.signal(signal.SIGINT, before)
 
 
 @pytest.fixture(scope="session")

@@ -62,9 +62,6 @@ class Viewing:
 
 @pytest.fixture
 def viewing(tmp_path: Path) -> Iterator[Callable[..., Viewing]]:
-    # What runs the tests in the background of a shell ignores Ctrl-C, and so would all
-    # that it starts.
-    ignored = signal.signal(signal.SIGINT, signal.default_int_handler)
     started: list[Viewing] = []
 
     def start(*words: str) -> Viewing:
@@ -75,7 +72,6 @@ def viewing(tmp_path: Path) -> Iterator[Callable[..., Viewing]]:
     for one in started:
         one.process.kill()
         one.process.communicate()
-    signal.signal(signal.SIGINT, ignored)
 
 
 @pytest.fixture

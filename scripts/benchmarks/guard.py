@@ -26,10 +26,11 @@ RECORD = "--record"
 FACTOR = 2.0
 """How much slower than recorded a path may be.
 
-On one machine, idle or with twice as many processes as cores, a ratio stays within a
-quarter of what it was. Another processor changes it by up to a half, as its caches and
-vector instructions serve one side more than the other. What the guard is for costs
-more: a loop over members or measurements in Python takes 5 to 100 times as long.
+On the machine where they were recorded, idle or with five times as many processes as
+cores, ratios stayed between 0.8 and 1.25 times what they were; the rest is for other
+processors, whose caches and vector instructions serve one side more than the other.
+What the guard is for costs more: a loop over members or measurements in Python takes 5
+to 100 times as long.
 """
 
 ROUNDS = 3

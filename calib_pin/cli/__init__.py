@@ -48,14 +48,16 @@ def main(arguments: Sequence[str] | None = None) -> int:
 
     from typer.exceptions import TyperException
 
-    from calib_pin.cli.app import app
+    from calib_pin.cli.app import application
     from calib_pin.errors import CalibPinError
 
     given = list(sys.argv[1:] if arguments is None else arguments)
     words = [word for word in given if word != "--debug"]
     try:
         with _stopped_by_sigterm():
-            status = app(words, standalone_mode=False, prog_name="calib-pin", obj=given)
+            status = application(words)(
+                words, standalone_mode=False, prog_name="calib-pin", obj=given
+            )
     except _Terminated:
         _complain("terminated")
         return 143

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable, Sequence
+
 import typer
 
 from calib_pin.cli.calibrate import calibrate
@@ -15,33 +17,47 @@ from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
 
-__all__ = ["app"]
+__all__ = ["application"]
 
-app = typer.Typer(
-    name="calib-pin",
-    add_completion=False,
-    rich_markup_mode=None,
-    pretty_exceptions_enable=False,
-)
-for command, summary in (
-    (calibrate, "Fit a robot to measurements; write the corrected URDF."),
-    (identify, "Which parameters can be known, and which only together."),
-    (evaluate, "Accuracy of a robot or a calibration on measurements."),
-    (simulate, "Measurements of a robot with known errors."),
-    (plan, "Which configurations to measure."),
-    (compensate, "Joint commands that reach targets on the real robot."),
-    (compare, "What moved between two calibrations of a robot."),
-    (view, "The robot, its errors and a plan in the browser."),
-    (robots, "The bundled robots."),
-):
-    app.command(command.__name__, cls=Command, short_help=summary)(command)
+COMMANDS: dict[Callable[..., int | None], str] = {
+    calibrate: "Fit a robot to measurements; write the corrected URDF.",
+    identify: "Which parameters can be known, and which only together.",
+    evaluate: "Accuracy of a robot or a calibration on measurements.",
+    simulate: "Measurements of a robot with known errors.",
+    plan: "Which configurations to measure.",
+    compensate: "Joint commands that reach targets on the real robot.",
+    compare: "What moved between two calibrations of a robot.",
+    view: "The robot, its errors and a plan in the browser.",
+    robots: "The bundled robots.",
+}
 
 
-@app.callback(
-    invoke_without_command=True,
-    epilog="Lengths are in m and angles in rad unless a unit stands beside them. Exit "
-    "status: 0 good, 1 wrong input or option, 2 the result must not be trusted.",
-)
+def application(words: Sequence[str]) -> typer.Typer:
+    """The application, as far as a command line needs it.
+
+    Args:
+        words: The command line. Where it begins with a command, the others are left
+            out: to look at all their options takes a while.
+    """
+    app = typer.Typer(
+        name="calib-pin",
+        add_completion=False,
+        rich_markup_mode=None,
+        pretty_exceptions_enable=False,
+    )
+    app.callback(
+        invoke_without_command=True,
+        epilog="Lengths are in m and angles in rad unless a unit stands beside them. "
+        "Exit status: 0 good, 1 wrong input or option, 2 the result must not be "
+        "trusted.",
+    )(overview)
+    commands = {command.__name__: command for command in COMMANDS}
+    for name in commands.keys() & set(words[:1]) or commands:
+        summary = COMMANDS[commands[name]]
+        app.command(name, cls=Command, short_help=summary)(commands[name])
+    return app
+
+
 def overview(
     context: typer.Context,
     show: bool = typer.Option(False, "--version", help="Print the version."),

@@ -132,16 +132,19 @@ def run(
 ) -> Callable[..., Run]:
     """Run a command in this process."""
     errors: list[Exception | None] = []
-    app = cli_app.app
+    application = cli_app.application
 
-    def watched(*arguments: Any, **options: Any) -> Any:
-        try:
-            return app(*arguments, **options)
-        except Exception as error:
-            errors[-1] = error
-            raise
+    def watched(given: Sequence[str]) -> Callable[..., Any]:
+        def app(*arguments: Any, **options: Any) -> Any:
+            try:
+                return application(given)(*arguments, **options)
+            except Exception as error:
+                errors[-1] = error
+                raise
 
-    monkeypatch.setattr(cli_app, "app", watched)
+        return app
+
+    monkeypatch.setattr(cli_app, "application", watched)
 
     def run(words: str | Sequence[str]) -> Run:
         capsys.readouterr()

@@ -50,7 +50,7 @@ RECORDED = {
     "calibrate --learned network": 11,
     "Jacobian": 0.027,
     "identify": 10,
-    "evaluate": 2.4,
+    "evaluate": 3.5,
     "simulate": 8.9,
     "plan": 1.1,
     "compensate": 27,

@@ -117,13 +117,16 @@ def members(document: Json) -> dict[str, str | None]:
     return dict(stated)
 
 
-def require_one_run(document: Json, robot: bytes, path: Path, read: Read) -> None:
+def require_one_run(
+    listed: Mapping[str, str | None], run: str, robot: bytes, path: Path, read: Read
+) -> None:
     """Refuse a calibration among files that were not written with it.
 
     Those that are not there are not missed here; pictures may be edited.
 
     Args:
-        document: The calibration.
+        listed: Its `members`.
+        run: The id of its run.
         robot: The robot that was calibrated, which may stand in the place of the
             corrected one.
         path: The `calibration.json`.
@@ -132,8 +135,7 @@ def require_one_run(document: Json, robot: bytes, path: Path, read: Read) -> Non
     Raises:
         InputError: If one of them is of another run, or was edited.
     """
-    run = str(document.get("run", "")).encode()
-    for name, content in members(document).items():
+    for name, content in listed.items():
         if PurePosixPath(name).suffix in PICTURES:
             continue
         try:
@@ -141,7 +143,7 @@ def require_one_run(document: Json, robot: bytes, path: Path, read: Read) -> Non
         except InputError:
             continue
         if content is None:
-            fits = run in data
+            fits = run.encode() in data
         else:
             fits = sha256(data) == content or data == robot
         if not fits:

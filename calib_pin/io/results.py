@@ -95,7 +95,7 @@ def _read(
     document = read_document(path, read)
     robot = _find_robot(document, path, read)
     with reading(path):
-        members(document)
+        listed, run = members(document), str(document.get("run", ""))
         model = _model(document, robot)
         learned = _learned(document.get("residual_model"))
         if (learned is None) != (model.setup.learned is None):
@@ -103,7 +103,7 @@ def _read(
         verdict = document["verdict"]
         if notice is not None and verdict["status"] != "good":
             notice(f"{path} must not be trusted: {verdict['reason']}")
-    require_one_run(document, robot.source, path, read)
+    require_one_run(listed, run, robot.source, path, read)
     if learned is None:
         return model
     name, content = learned

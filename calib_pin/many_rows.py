@@ -182,6 +182,7 @@ class _Chunk:
             validate=data.validate[rows],
             lines=data.lines[rows],
             files=data.files[rows],
+            weight=data.weight[rows],
         )
         self.weights = 1.0 / sigma[rows]
         self.motion, self.starts = blocks.motions(

@@ -70,6 +70,8 @@ class Measurements:
         validate: True for the rows that must not be fitted, shape (N,).
         lines: Line of each row in its file, shape (N,); 0 where there is no file.
         files: File of each row, length N; empty strings where there is none.
+        weight: Factor of the precision of each row, shape (N,); default one. Zero sets
+            a measurement aside: it keeps its place and has no say.
 
     Raises:
         InputError: If the shapes disagree or a number is not finite.
@@ -86,6 +88,7 @@ class Measurements:
     validate: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
     lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
     files: tuple[str, ...] = ()
+    weight: Floats = field(default_factory=lambda: np.zeros(0))
 
     def __post_init__(self) -> None:
         """Fill the optional columns and check shapes and values."""
@@ -96,6 +99,7 @@ class Measurements:
             "files": ("",) * count,
             "validate": np.zeros(count, bool),
             "lines": np.zeros(count, np.int64),
+            "weight": np.ones(count),
         }
         for name, default in defaults.items():
             if len(getattr(self, name)) == 0:
@@ -104,7 +108,7 @@ class Measurements:
             raise InputError(
                 f"q has shape {self.q.shape}, expected ({count}, {len(self.joints)})"
             )
-        for name in ("values", "target", "payload", "validate", "lines", "files"):
+        for name in ("values", *defaults):
             if len(getattr(self, name)) != count:
                 raise InputError(f"'{name}' has not the {count} rows of q")
         if self.start.size and self.start.shape != self.q.shape:
@@ -205,6 +209,7 @@ class Measurements:
             validate=self.validate[order],
             lines=self.lines[order],
             files=tuple(map(self.files.__getitem__, order.tolist())),
+            weight=self.weight[order],
         )
 
     def sample(self, count: int) -> Measurements:
@@ -332,6 +337,7 @@ class Measurements:
             validate=np.concatenate([part.validate for part in parts]),
             lines=np.concatenate([part.lines for part in parts]),
             files=tuple(chain.from_iterable(part.files for part in parts)),
+            weight=np.concatenate([part.weight for part in parts]),
         )
 
 

@@ -26,7 +26,7 @@ from calib_pin.spatial import Floats, adjoint, invert
 if TYPE_CHECKING:
     from calib_pin.many_rows import ManyRows
 
-__all__ = ["Problem"]
+__all__ = ["Expected", "Problem"]
 
 SAMPLE = 10_000
 """Rows that a closed-form start is made from; more do not help it."""
@@ -39,12 +39,29 @@ Below, Pinocchio takes less time than loading the kernels.
 
 
 @dataclass(frozen=True)
+class Expected:
+    """A normal prior about zero on directions of the robot's errors.
+
+    Attributes:
+        directions: Orthonormal, of the parameters divided by their scale, shape (P, k).
+        size: Standard deviation along each of them, in scales.
+    """
+
+    directions: Floats
+    size: float
+
+    def rows(self, scaled: Floats) -> Floats:
+        """Whitened residuals of scaled parameter values, (..., P) -> (..., k)."""
+        return np.asarray(scaled @ self.directions / self.size)
+
+
+@dataclass(frozen=True)
 class Problem:
     """Whitened residuals of data as a function of the error parameters.
 
     The residual vector holds the rows of the data, each component divided by its
     standard deviation, then one row per known distance between points that these rows
-    name, then one per free parameter with a prior.
+    name, one per direction of an expected size, one per free parameter with a prior.
 
     Attributes:
         error: The error model about its reference frames.
@@ -53,6 +70,11 @@ class Problem:
         setup: Which parameters are fixed, bounded or have a prior, and the noise
             where the data do not state it.
         held_at: Values of parameters that are held at a bound, by position.
+        units: Standard deviation of unit weight of every residual component, shape
+            (d,): what the stated or assumed standard deviations of the rows are
+            multiplied by; empty for ones.
+        expected: How large the robot's errors are expected to be; None where the rows
+            alone decide.
 
     Raises:
         OptionError: If the setup names a parameter that does not exist.
@@ -63,6 +85,8 @@ class Problem:
     data: Measurements
     setup: Setup = field(default_factory=Setup)
     held_at: Mapping[int, float] = field(default_factory=dict)
+    units: Floats = field(default_factory=lambda: np.zeros(0))
+    expected: Expected | None = None
 
     @cached_property
     def parameters(self) -> ParameterSet:
@@ -82,7 +106,25 @@ class Problem:
 
     @cached_property
     def sigma(self) -> Floats:
-        """Standard deviation of every residual component, shape (N, d)."""
+        """Standard deviation of every residual component, shape (N, d).
+
+        It is what whitens: that of the rows with the unit weight of its component,
+        infinite for measurements that are set aside.
+        """
+        sigma, weight = self.given_sigma, self.data.weight
+        if len(self.units):
+            sigma = sigma * self.units
+        if (weight == 1.0).all():
+            return sigma
+        with np.errstate(divide="ignore"):
+            return np.asarray(sigma / np.sqrt(weight)[:, None])
+
+    @cached_property
+    def given_sigma(self) -> Floats:
+        """Standard deviations that rows state, or that are assumed, shape (N, d).
+
+        Infinite for what a row of mixed measurements does not have.
+        """
         assumed = assumed_sigma(self.measurement, self.setup.noise)
         if self.data.sigma is None:
             return np.tile(assumed, (len(self.data), 1))
@@ -98,13 +140,11 @@ class Problem:
     @cached_property
     def values(self) -> int:
         """Measured values: what a row of mixed measurements lacks does not count."""
-        if self.data.sigma is None:
-            return len(self.data) * self.components
         return int(np.isfinite(self.sigma).sum())
 
     @property
     def count(self) -> int:
-        """Components of the whitened residual: rows, known distances and priors."""
+        """Values that are known: rows, known distances and priors."""
         return self.values + len(self._distances) + self.priors
 
     @property
@@ -115,10 +155,9 @@ class Problem:
     @property
     def distinct_values(self) -> int:
         """Measured values and distances, repetitions of a configuration left out."""
-        _, first = np.unique(self._repeated(), return_index=True)
-        values = len(first) * self.components
-        if self.data.sigma is not None:
-            values = int(np.isfinite(self.sigma[first]).sum())
+        rows = np.flatnonzero(self.data.weight > 0.0)
+        _, first = np.unique(self._repeated()[rows], return_index=True)
+        values = int(np.isfinite(self.sigma[rows[first]]).sum())
         return values + len(self._distances)
 
     def _repeated(self) -> NDArray[np.int64]:
@@ -166,7 +205,7 @@ class Problem:
         """
         errors = self.errors(theta)
         errors = np.where(np.isnan(errors), np.inf, errors)
-        return np.where(np.isfinite(self.sigma), errors, np.nan)
+        return np.where(np.isfinite(self.given_sigma), errors, np.nan)
 
     def poses(self, theta: Floats) -> Floats:
         """Tool poses of the rows in the measuring frame, shape (N, 4, 4).
@@ -192,10 +231,12 @@ class Problem:
         return _joined(self._further(theta) or [empty], axis=-1)
 
     def _further(self, theta: Floats) -> list[Floats]:
-        """Those rows in blocks: known distances and priors, where there are any."""
+        """Those rows in blocks: distances, expected sizes and priors, if there are."""
         blocks = []
         if len(self._distances):
             blocks.append(self._distances.residual(self.split(theta)[1]))
+        if self.expected is not None:
+            blocks.append(self.expected.rows(theta / self.parameters.scales))
         if self.priors:
             blocks.append(self.prior_rows(theta))
         return blocks
@@ -299,17 +340,17 @@ class Problem:
         self, theta: Floats, r: Floats, J: Floats
     ) -> tuple[Floats, Floats]:
         """Residual and Jacobian with known distances and priors behind the rows."""
-        if not len(self._distances) and not self._prior.any():
+        further = self._further(theta)
+        if not further:
             return r, J
         own = self.split(theta)[1]
         by_own = self._distances.jacobian(own)
-        distances = np.zeros((len(by_own), len(theta)))
-        distances[:, len(theta) - len(own) :] = by_own
-        prior = np.diag(1.0 / self.parameters.priors)[self._prior]
-        return (
-            np.concatenate([r, *self._further(theta)]),
-            np.concatenate([J, distances, prior]),
-        )
+        blocks = [np.zeros((len(by_own), len(theta)))]
+        blocks[0][:, len(theta) - len(own) :] = by_own
+        if self.expected is not None:
+            blocks.append(self.expected.rows(np.diag(1.0 / self.parameters.scales)).T)
+        blocks.append(np.diag(1.0 / self.parameters.priors)[self._prior])
+        return np.concatenate([r, *further]), np.concatenate([J, *blocks])
 
     def register(self, theta: Floats) -> Problem:
         """The same problem about closed-form frames and instrument references.

@@ -10,6 +10,13 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.error_model import ErrorModel
+from calib_pin.evidence import (
+    ExpectedAccuracy,
+    Finding,
+    Gain,
+    Outlier,
+    VarianceComponent,
+)
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurements import Measurements
 from calib_pin.problem import Problem
@@ -136,15 +143,6 @@ class FoundDistance:
     nominal: float
     found: float
     fitted: bool
-
-
-@dataclass(frozen=True)
-class Outlier:
-    """A row whose residual is too large to be chance."""
-
-    place: str
-    row: int
-    size: float
 
 
 @dataclass(frozen=True)
@@ -366,8 +364,8 @@ class CalibrationResult(Identification):
         model: The calibrated robot.
         reference: The nominal robot about the registered frames and instrument that
             the values of their parameters deviate from.
-        verdict: `good` or `untrusted`.
-        reason: Why it must not be trusted; empty where it is good.
+        verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
+        reason: Why, in one sentence with numbers.
         errors: Accuracy by quantity.
         validation: `set`, `file`, `holdout`, `5-fold`, or `none`.
         training: Number of fitted rows.
@@ -400,6 +398,14 @@ class CalibrationResult(Identification):
             where these rows put them.
         spoiled: Why parts of a cross-validation were left out: what was fitted without
             them says nothing of the robot.
+        noise: Variance components.
+        gains: Paired tests on held-out configurations, the first of all quantities.
+        measured: Accuracy to expect where it was measured.
+        workspace: Accuracy to expect over the workspace.
+        findings: What is wrong with the data or the result.
+        displaced: How far the tool would be off from here, root mean square over the
+            workspace, with what was set aside fitted like the rest [m]; None where
+            nothing was.
     """
 
     model: CalibratedModel
@@ -434,6 +440,12 @@ class CalibrationResult(Identification):
     distances: tuple[FoundDistance, ...] = ()
     placed: tuple[str, ...] = ()
     spoiled: tuple[str, ...] = ()
+    noise: tuple[VarianceComponent, ...] = ()
+    gains: tuple[Gain, ...] = ()
+    measured: ExpectedAccuracy | None = None
+    workspace: ExpectedAccuracy | None = None
+    findings: tuple[Finding, ...] = ()
+    displaced: float | None = None
 
     @property
     def geometry(self) -> CalibratedModel | None:

@@ -337,6 +337,7 @@ class Setup:
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`,
             `contact`, `pixel`) used where the file has no sigma columns [SI].
         solver: How the fit is solved.
+        loss: How measurements that do not fit count, see `robust.LOSSES`.
         obstacles: What the robot must not touch.
         region: Where the measured point may be; None for anywhere.
         limits: Joint name or glob to the lower and upper position within which
@@ -368,6 +369,7 @@ class Setup:
     prior: Mapping[str, float] = field(default_factory=dict)
     noise: Mapping[str, float] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
+    loss: str = "auto"
     obstacles: tuple[Obstacle, ...] = ()
     region: Region | None = None
     limits: Mapping[str, tuple[float, float]] = field(default_factory=dict)

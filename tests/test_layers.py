@@ -11,7 +11,10 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 # Modules and families by layer; a new one is added here.
 LAYERS = (
-    ("chi_square", "errors", "parameters", "progress", "setup", "spatial", "units"),
+    (
+        *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
+        *("spatial", "units"),
+    ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
         *(

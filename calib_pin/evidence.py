@@ -1,0 +1,148 @@
+"""What decides how far a calibration can be trusted, as plain data.
+
+The modules that find these facts stand on their own; the verdict, the report and the
+files read them from here.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Literal
+
+__all__ = [
+    "ExpectedAccuracy",
+    "Finding",
+    "Gain",
+    "Outlier",
+    "Severity",
+    "VarianceComponent",
+]
+
+Severity = Literal["info", "warning", "error"]
+
+
+@dataclass(frozen=True)
+class Finding:
+    """What is wrong with the data or the result, with the numbers that show it.
+
+    Attributes:
+        code: What it is, a word for programs such as `known-distance`.
+        severity: `error` takes the trust; `warning` and `info` do not.
+        message: One sentence with numbers.
+        evidence: The numbers by name, SI units.
+        remedy: What to do about it; empty where there is nothing to do.
+    """
+
+    code: str
+    severity: Severity
+    message: str
+    evidence: Mapping[str, float | str] = field(default_factory=dict)
+    remedy: str = ""
+
+
+@dataclass(frozen=True)
+class Outlier:
+    """A measurement whose residual is too large to be chance.
+
+    Attributes:
+        place: Where it stands, `file:line`.
+        row: Its position among the training rows.
+        size: Size of its residual in standard deviations.
+        weight: What robust estimation left it, 0 to 1; 0 is set aside.
+        cause: What it shares with others that were set aside, such as `target a` or
+            `lines 40 to 52`; empty where it stands alone.
+    """
+
+    place: str
+    row: int
+    size: float
+    weight: float = 1.0
+    cause: str = ""
+
+
+@dataclass(frozen=True)
+class VarianceComponent:
+    """The noise of one quantity of one instrument, as the measurements show it.
+
+    Attributes:
+        quantity: Name of the quantity.
+        unit: Its unit.
+        given: Standard deviation of a component that the rows state, or that is
+            assumed, root mean square over the rows [unit].
+        stated: Whether the rows or the setup state it.
+        factor: Estimated by given standard deviation (unit weight); 1 where the given
+            one was not contradicted and is used.
+        estimate: Estimated standard deviation of a component [unit]; NaN where there
+            is no redundancy.
+        interval: What holds it in 95 of 100 cases [unit].
+        redundancy: Share of the measured values that is left over to estimate it.
+        contradicted: Whether the test at 5 % rejects the given one.
+        pure: Standard deviation among repetitions of a configuration [unit]; None
+            where too few are repeated.
+        unmodeled: What no noise explains, standard deviation of a component [unit];
+            None where nothing tells it from noise.
+        lack_of_fit: Probability that noise alone leaves more than this between
+            configurations; None without repetitions.
+    """
+
+    quantity: str
+    unit: str
+    given: float
+    stated: bool
+    factor: float
+    estimate: float
+    interval: tuple[float, float]
+    redundancy: float
+    contradicted: bool
+    pure: float | None = None
+    unmodeled: float | None = None
+    lack_of_fit: float | None = None
+
+
+@dataclass(frozen=True)
+class Gain:
+    """A paired test on held-out configurations: nominal against calibrated robot.
+
+    Attributes:
+        method: `set`, `file`, `holdout`, `5-fold`, ..., or `press`.
+        quantity: Name of the quantity, or `all` for all of them whitened.
+        configurations: Number of independent held-out configurations (clusters).
+        mean: Mean of nominal minus calibrated error size [unit, or deviations].
+        deviation: Its standard error.
+        better: Probability of so large a mean by chance if there were no gain.
+        worse: Probability of so small a mean by chance if there were no loss.
+        ratio: Found by predicted error of the calibrated robot, root mean square.
+    """
+
+    method: str
+    quantity: str
+    configurations: int
+    mean: float
+    deviation: float
+    better: float
+    worse: float
+    ratio: float
+
+
+@dataclass(frozen=True)
+class ExpectedAccuracy:
+    """How far the tool is expected to be off, over a set of configurations.
+
+    Of position [m] and of orientation [rad], root mean square over configurations and
+    over what the measurements leave open, displacements of base and tool left aside.
+
+    Attributes:
+        nominal: Of the nominal robot.
+        calibrated: Of the corrected robot.
+        unmodeled: The part of both that no parameter describes.
+        better: Probability that the corrected robot is better over all of them.
+        share: Part of the configurations at which it is better with a probability of
+            95 %.
+    """
+
+    nominal: tuple[float, float]
+    calibrated: tuple[float, float]
+    unmodeled: tuple[float, float]
+    better: float
+    share: float

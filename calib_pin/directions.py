@@ -19,6 +19,7 @@ __all__ = [
     "Directions",
     "appearing",
     "practical_directions",
+    "projected",
     "pruned",
     "robot_singular_values",
     "robot_svd",
@@ -49,6 +50,11 @@ class Directions:
     def basis(self) -> Floats:
         """All that is moved, shape (P, f + r)."""
         return np.column_stack([self.nuisances, self.robot])
+
+    @property
+    def every(self) -> Floats:
+        """What is moved and what is left at nominal, shape (P, f + r + w)."""
+        return np.column_stack([self.nuisances, self.robot, self.weak])
 
     @property
     def count(self) -> int:
@@ -249,6 +255,17 @@ def _project(
     """Columns with those of the nuisances in A projected out, and the rank of these."""
     U = _range(A[:, parameters.free & parameters.nuisance])
     return columns - U @ (U.T @ columns), U.shape[1]
+
+
+def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
+    """Columns with what the nuisances can absorb of them taken away.
+
+    Args:
+        columns: Scaled columns, or residuals, shape (M, k).
+        A: Whitened Jacobian times the scales, shape (M, P).
+        parameters: The parameters.
+    """
+    return _project(columns, A, parameters)[0]
 
 
 def _range(A: Floats) -> Floats:

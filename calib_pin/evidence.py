@@ -135,6 +135,7 @@ class ExpectedAccuracy:
     Attributes:
         nominal: Of the nominal robot.
         calibrated: Of the corrected robot.
+        bound: What `calibrated` stays below in 95 of 100 cases.
         unmodeled: The part of both that no parameter describes.
         better: Probability that the corrected robot is better over all of them.
         share: Part of the configurations at which it is better with a probability of
@@ -143,6 +144,7 @@ class ExpectedAccuracy:
 
     nominal: tuple[float, float]
     calibrated: tuple[float, float]
+    bound: tuple[float, float]
     unmodeled: tuple[float, float]
     better: float
     share: float

@@ -22,6 +22,7 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.progress import Progress
 from calib_pin.scale import scale_observable
+from calib_pin.shrinkage import Evidence, expected_errors, posterior
 from calib_pin.solve import Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
@@ -31,6 +32,9 @@ __all__ = ["Fit", "analyze_structure", "fit", "register", "structure_at"]
 
 EXPLAINED = 1e-18
 """Part of the cost of the nominal robot below which everything is explained."""
+
+EXACT = 1e-6
+"""Scatter, in standard deviations, below which rows differ by rounding alone."""
 
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
@@ -48,8 +52,11 @@ class Fit:
         result: Outcome of the solver.
         rank: Practical rank: nuisance and robot directions that were estimated.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
-        covariance: Of the parameters, shape (P, P); that of the stated sigmas where
-            the data have them, else scaled by sigma0.
+        covariance: Of the parameters, shape (P, P), with what the measurements leave
+            open and the prior holds.
+        evidence: What the rows say of the size of the robot's errors, and the prior
+            that follows; None where they are exact.
+        unit: Standard deviation of unit weight that the covariance uses.
         singular_values: Of the whitened, scaled Jacobian of the estimated robot
             directions at the solution with the nuisances projected out, descending.
         revealed: Robot directions that nominal geometry hides and that were moved all
@@ -66,6 +73,8 @@ class Fit:
     result: LeastSquaresResult
     rank: int
     sigma0: float
+    evidence: Evidence | None
+    unit: float
     covariance: Floats
     singular_values: Floats
     revealed: Floats
@@ -147,22 +156,26 @@ def _fit(
 
     solutions = stages.solutions
     last = solutions[-1]
+    unit = 1.0 if problem.data.stated else last.sigma0
+    evidence, result = _shrunk(problem, last, unit)
+    size = None if evidence is None else evidence.expected.size
     found_by = [solution.found for solution in reversed(solutions)]
     searched = next((found for found in found_by if found.evolution), found_by[0])
-    weight = 1.0 if problem.data.stated else last.sigma0**2
     return Fit(
         problem=problem,
         before=before.x,
         structure=found,
         directions=last.directions,
+        evidence=evidence,
+        unit=unit,
         result=replace(
-            last.result,
+            result,
             nit=before.nit + stages.nit,
             nfev=before.nfev + stages.nfev,
         ),
         rank=last.rank,
         sigma0=last.sigma0,
-        covariance=weight * last.half @ last.half.T,
+        covariance=posterior(problem, last.directions, result.jac, size, unit),
         singular_values=robot_singular_values(
             last.directions, last.result.jac, parameters
         ),
@@ -304,14 +317,12 @@ class _Solution:
     Attributes:
         directions: The directions.
         found: What the solver found.
-        half: Factor of the covariance at unit weight, shape (P, rank).
         rank: Rank of the Jacobian in the directions.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
     """
 
     directions: Directions
     found: Solved
-    half: Floats
     rank: int
     sigma0: float
 
@@ -329,15 +340,55 @@ def _judge(problem: Problem, directions: Directions, found: Solved) -> _Solution
         found = replace(found, result=replace(found.result, fun=fun, jac=jac))
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(found.result.jac @ basis, mode="r")
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    s = np.linalg.svd(triangle, compute_uv=False)
     rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
     dof = problem.count - rank
     return _Solution(
         directions=directions,
         found=found,
-        half=basis @ (Vt[:rank].T / s[:rank]),
         rank=rank,
         sigma0=float(np.sqrt(2.0 * found.result.cost / dof)) if dof > 0 else np.nan,
+    )
+
+
+def _shrunk(
+    problem: Problem, last: _Solution, unit: float
+) -> tuple[Evidence | None, LeastSquaresResult]:
+    """The mode of the posterior from the least squares, and the evidence for it.
+
+    Args:
+        problem: The registered problem.
+        last: The least squares.
+        unit: Standard deviation of unit weight.
+
+    Returns:
+        The evidence, None where the rows are exact or tell nothing, and the solution;
+        its residual and Jacobian are without the rows of the prior.
+    """
+    found = last.result
+    if not unit > EXACT or last.rank == 0:
+        return None, found
+    evidence = expected_errors(
+        last.directions, problem.parameters, found.x, found.fun, found.jac, unit
+    )
+    if not evidence.matters or problem.many:
+        return evidence, found
+    # Whitened like the rows, whose unit weight is not in their standard deviations.
+    expected = evidence.expected
+    held = replace(problem, expected=replace(expected, size=expected.size / unit))
+    basis = problem.parameters.scales[:, None] * last.directions.every
+    shrunk = least_squares(held, found.x, basis)
+    start = len(shrunk.fun) - problem.priors - expected.count
+    own = np.r_[0:start, start + expected.count : len(shrunk.fun)]
+    fun, jac = shrunk.fun[own], shrunk.jac[own]
+    return evidence, replace(
+        shrunk,
+        fun=fun,
+        jac=jac,
+        cost=0.5 * float(fun @ fun),
+        nit=found.nit + shrunk.nit,
+        nfev=found.nfev + shrunk.nfev,
+        status=found.status if shrunk.status.success else shrunk.status,
     )
 
 

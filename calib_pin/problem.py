@@ -50,6 +50,11 @@ class Expected:
     directions: Floats
     size: float
 
+    @property
+    def count(self) -> int:
+        """Number of directions k."""
+        return int(self.directions.shape[1])
+
     def rows(self, scaled: Floats) -> Floats:
         """Whitened residuals of scaled parameter values, (..., P) -> (..., k)."""
         return np.asarray(scaled @ self.directions / self.size)

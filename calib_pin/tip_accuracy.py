@@ -14,7 +14,7 @@ from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
 
-__all__ = ["LEVER", "TipAccuracy", "tip_accuracy"]
+__all__ = ["LEVER", "TipAccuracy", "tip_accuracy", "without_frames"]
 
 SAMPLES = 300
 """Configurations of the workspace."""
@@ -152,7 +152,7 @@ def tip_accuracy(
     T, J = error.jacobian(q, theta[:of_error])
     C = fitted.covariance[:of_error, :of_error]
     position, orientation = _deviations(J, C)
-    alone = _deviations(_without_frames(J), C)
+    alone = _deviations(without_frames(J), C)
     rows = problem.data.sample(ROWS)
     some = replace(problem, data=rows.rows(rng.permutation(len(rows))))
     to_base = error.base.inverse().homogeneous
@@ -182,7 +182,7 @@ def _deviations(J: Floats, C: Floats) -> tuple[Floats, Floats]:
     return position, orientation
 
 
-def _without_frames(J: Floats) -> Floats:
+def without_frames(J: Floats) -> Floats:
     """Twists of the tool without what base and tool could absorb of each.
 
     Args:

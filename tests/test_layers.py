@@ -37,7 +37,15 @@ LAYERS = (
     ),
     (
         *("assessment", "calibration", "calibration_record", "comparison"),
-        *("compensation", "evaluation", "fit", "parameter_changes", "tip_drift"),
+        *(
+            "compensation",
+            "evaluation",
+            "expected_accuracy",
+            "fit",
+            "parameter_changes",
+            "shrinkage",
+            "tip_drift",
+        ),
         *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
         *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
         *("training", "trajectory"),

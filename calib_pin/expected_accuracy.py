@@ -1,0 +1,128 @@
+"""How far the tool is expected to be off before and after, measured there or not.
+
+Errors of the robot have the posterior of the fit: what the measurements tell, and the
+expected size of errors in all that they leave open. A displacement of base and tool is
+no error of the robot.
+"""
+
+from __future__ import annotations
+
+from math import erf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.evidence import ExpectedAccuracy
+from calib_pin.fit import Fit
+from calib_pin.problem import Problem
+from calib_pin.shrinkage import posterior
+from calib_pin.spatial import Floats
+from calib_pin.tip_accuracy import without_frames
+
+__all__ = ["expected_accuracy"]
+
+SURE = 0.95
+"""Probability of a bound, and from which a configuration counts as better."""
+
+DRAWS = 400
+"""Draws of an error by which a bound is found, for each size of errors."""
+
+
+def expected_accuracy(
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    q: Floats,
+    rng: np.random.Generator,
+) -> ExpectedAccuracy:
+    """Accuracy of the nominal and the corrected robot at some configurations.
+
+    With the mean mu and the covariance C of the errors, and G the mean of `J^T J`, the
+    nominal robot's expected square is `mu^T G mu + tr(G C)` and that of the corrected
+    one `tr(G C)`. Their difference for the true errors, `mu^T G mu + 2 mu^T G z` with
+    `z ~ N(0, C)`, is normal, and so is the probability that the corrected robot is the
+    better one. All is averaged over the likely sizes of errors.
+
+    Args:
+        fitted: The fit.
+        problem: The problem about its solution.
+        theta: Parameter values about that, shape (P,).
+        q: Configurations, shape (N, n) [rad, m].
+        rng: Draws the errors by which the bound is found.
+    """
+    parameters = fitted.problem.parameters
+    count = len(problem.error.screws)
+    scales = parameters.scales[:count]
+    robot = (parameters.free & ~parameters.nuisance)[:count]
+    J = without_frames(problem.error.jacobian(q, theta[:count])[1]) * scales
+    J, mean = J[:, :, robot], (theta[:count] / scales)[robot]
+    C = _covariances(fitted, robot)
+    by_position, by_orientation = (
+        _Expected(part, mean, C, rng) for part in (J[:, :3], J[:, 3:])
+    )
+    return ExpectedAccuracy(
+        nominal=(by_position.nominal, by_orientation.nominal),
+        calibrated=(by_position.calibrated, by_orientation.calibrated),
+        bound=(by_position.bound, by_orientation.bound),
+        unmodeled=(0.0, 0.0),
+        better=by_position.better,
+        share=by_position.share,
+    )
+
+
+class _Expected:
+    """Expected accuracy of position or orientation.
+
+    Args:
+        J: Derivative by the scaled errors of the robot, shape (N, 3, p).
+        mean: The estimated errors, shape (p,).
+        C: Their covariances for several sizes of errors, shape (S, p, p).
+        rng: Random generator of the bound.
+    """
+
+    def __init__(
+        self, J: Floats, mean: Floats, C: Floats, rng: np.random.Generator
+    ) -> None:
+        moved = J @ mean
+        gain = np.sum(moved**2, axis=1)
+        G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
+        squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
+        left = float(np.mean([s.sum() for s in squares]))
+        draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in squares]
+        self.nominal = float(np.sqrt(gain.mean() + left))
+        self.calibrated = float(np.sqrt(left))
+        self.bound = float(np.sqrt(np.quantile(np.concatenate(draws), SURE)))
+        # The differences of single configurations, and of the whole, are normal along
+        # one direction of the errors each.
+        along = np.einsum("nd,ndi->ni", moved, J)
+        self.better = _chance(gain.mean()[None], along.mean(axis=0)[None], C)[0]
+        self.share = float(np.mean(_chance(gain, along, C) >= SURE))
+
+
+def _chance(gain: Floats, along: Floats, C: Floats) -> Floats:
+    """Probability that `gain + 2 along^T z` is positive, `z ~ N(0, C)`.
+
+    Args:
+        gain: Shape (N,).
+        along: Shape (N, p).
+        C: Covariances that are equally likely, shape (S, p, p).
+    """
+    variances = np.einsum("ni,sij,nj->sn", along, C, along, optimize=True)
+    ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
+    chances = np.array([[0.5 + 0.5 * erf(x) for x in row] for row in ratios])
+    return np.asarray(chances.mean(axis=0))
+
+
+def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
+    """Of the robot's scaled errors, for each likely size of errors, (S, p, p)."""
+    size = len(robot)
+    scales = fitted.problem.parameters.scales[:size]
+    every = [fitted.covariance]
+    if fitted.evidence is not None:
+        triangle = np.asarray(np.linalg.qr(fitted.result.jac, mode="r"))
+        every = [
+            posterior(fitted.problem, fitted.directions, triangle, tau, fitted.unit)
+            for tau in fitted.evidence.sizes.tolist()
+        ]
+    found = [(C[:size, :size] / np.outer(scales, scales)) for C in every]
+    return np.array(found)[:, robot][:, :, robot]

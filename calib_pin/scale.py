@@ -8,10 +8,11 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib_pin.error_model import PoseLinearization
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats, adjoint, invert
 
-__all__ = ["scale_deviation", "scale_observable"]
+__all__ = ["growth", "scale_deviation", "scale_observable"]
 
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
@@ -57,10 +58,7 @@ def scale_deviation(problem: Problem, theta: Floats) -> float:
     at_tool = np.tile(np.eye(6), (count, 1))
     moved = np.column_stack([(by_parameters * scales)[:, free], at_base, at_tool])
     rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), 12))])
-    grown = np.zeros((count, 6))
-    R, p = poses.to_base[:, :3, :3], poses.to_base[:, :3, 3]
-    grown[:, :3] = np.einsum("nji,nj->ni", R, p)
-    b = grown.reshape(-1)
+    b = _grown(poses, poses.to_base).reshape(-1)
     _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
     rank = int((s > 1e-11 * s[0]).sum())
     # Minimum-norm growth, and all that changes without moving the tool.
@@ -74,3 +72,47 @@ def scale_deviation(problem: Problem, theta: Floats) -> float:
     # What rounding leaves of large terms is nothing noticed.
     least = EXPLAINED * float(np.linalg.norm(rows * z))
     return 1.0 / size if size > least else np.inf
+
+
+def growth(problem: Problem, theta: Floats) -> Floats:
+    """Derivative of the whitened rows by the logarithm of the robot's size.
+
+    All lengths from the base to the tip grow by one factor; base and tool stay.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+
+    Returns:
+        The derivative, component by component as in `Problem.sigma`, shape (N d,).
+    """
+    of_robot, own = problem.split(theta)
+    error, data = problem.error, problem.data
+    poses = error.linearize(data.q, of_robot, error.factors(data.q, data.payload))
+    T, grown = poses.T, _grown(poses, poses.to_base @ invert(poses.to_tip))
+    begun = np.isfinite(data.start[:, 0]) if data.start.size else np.zeros(len(T), bool)
+    if begun.any():
+        loads = [data.payload[k] for k in np.flatnonzero(begun)]
+        factors = error.factors(data.start[begun], loads)
+        start = error.linearize(data.start[begun], of_robot, factors)
+        T = T.copy()
+        T[begun] = invert(start.T) @ T[begun]
+        # The twist of T_0^-1 T is that of T without that of T_0, carried there.
+        begins = _grown(start, start.to_base @ invert(start.to_tip))
+        grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
+    by_twist = problem.measurement.linearize(T, own, data).by_twist
+    changes = (by_twist @ grown[:, :, None])[:, :, 0] / problem.sigma
+    return np.asarray(changes.reshape(-1))
+
+
+def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:
+    """Body twists of the tool as a point on it moves away from the base, (N, 6).
+
+    Args:
+        poses: The tool poses.
+        to_point: Poses of the point in the base link, shape (N, 4, 4).
+    """
+    twists = np.zeros((len(to_point), 6))
+    R, p = poses.to_base[:, :3, :3], to_point[:, :3, 3]
+    twists[:, :3] = np.einsum("nji,nj->ni", R, p)
+    return twists

@@ -1,0 +1,183 @@
+"""What no real robot has: lengths that all grew, distances missed, joints far away."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.evidence import Finding
+from calib_pin.fit import Fit, fit
+from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.measurements import Measurements
+from calib_pin.plausibility import plausibility
+from calib_pin.problem import Problem
+from calib_pin.scale import growth
+from calib_pin.setup import (
+    AnchorSetup,
+    DistanceSetup,
+    FrameSetup,
+    PointSetup,
+    Setup,
+)
+from calib_pin.simulation import simulate
+from calib_pin.spatial import Floats
+
+ARM = calib_pin.load_chain("space6")
+BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+BALLS = Setup(
+    base_frame=BASE,
+    targets={
+        "a": PointSetup((0.05, 0.08, 0.12), estimate=True),
+        "b": PointSetup((-0.06, 0.03, 0.1), estimate=True),
+    },
+)
+APART = float(np.linalg.norm([0.11, 0.05, 0.02]))
+WIRE = Setup(
+    tool_frame=TOOL,
+    anchors={
+        "w": AnchorSetup((1.5, 0.2, 0.4), 0.01, estimate=True, estimate_bias=True)
+    },
+)
+
+
+def robot_errors(problem: Problem, rng: np.random.Generator, size: float) -> Floats:
+    free = problem.parameters.free & ~problem.parameters.nuisance
+    drawn = rng.normal(size=len(free)) * size * problem.parameters.scales
+    return np.where(free, drawn, 0.0)
+
+
+def measured(
+    model: str, setup: Setup, seed: int, size: float = 1.0, count: int = 60
+) -> Measurements:
+    rng = np.random.default_rng(seed)
+    problem = nominal_problem(ARM, model, setup)
+    theta = robot_errors(problem, rng, size)
+    return simulate(problem, theta, rng, count=count, noise=1e-4)
+
+
+def fitted(rows: Measurements, setup: Setup) -> Fit:
+    return fit(make_problem(ARM, rows, setup), np.random.default_rng(0))
+
+
+def found(rows: Measurements, setup: Setup) -> tuple[Finding, ...]:
+    return plausibility(fitted(rows, setup))
+
+
+FRAMES = Setup(base_frame=BASE, tool_frame=TOOL)
+
+
+@pytest.mark.parametrize(
+    ("model", "setup"),
+    [("position", FRAMES), ("point-distance", WIRE), ("relative-distance", FRAMES)],
+)
+def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
+    """At nominal it is the derivative by the translations of all placements."""
+    problem = make_problem(ARM, measured(model, setup, 0), setup)
+    theta = np.zeros(len(problem.parameters))
+    problem = problem.register(theta)
+    _, J = problem.linearize_rows(theta)
+    places = {screw.parameter.name: screw.place for screw in problem.error.screws}
+    direction = np.zeros(len(theta))
+    for k, name in enumerate(problem.parameters.names):
+        if ".placement." in name and name[-2:] in (".x", ".y", ".z"):
+            M = ARM.placements[places[name] - 1]
+            direction[k] = (M.rotation.T @ M.translation)["xyz".index(name[-1])]
+    # The fixed joint behind the last one grows as well, which the tool can express.
+    last = np.eye(4)
+    for M in ARM.placements:
+        last = last @ M.homogeneous
+    tip = np.linalg.inv(last) @ ARM.poses(np.zeros((1, 6)))[0]
+    tool = problem.parameters.index("tool.frame.x")
+    behind = tip[:3, :3] @ problem.error.tool.rotation
+    direction[tool : tool + 3] = behind.T @ tip[:3, 3]
+    expected = J[: problem.sigma.size] @ direction
+    np.testing.assert_allclose(growth(problem, theta), expected, rtol=1e-9, atol=1e-6)
+
+
+@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize(
+    ("model", "setup"), [("position", FRAMES), ("point-distance", WIRE)]
+)
+def test_a_clean_robot_is_plausible(model: str, setup: Setup, seed: int) -> None:
+    assert not found(measured(model, setup, seed), setup)
+
+
+@pytest.mark.parametrize(
+    ("model", "setup"), [("position", FRAMES), ("point-distance", WIRE)]
+)
+def test_lengths_that_all_grew(model: str, setup: Setup) -> None:
+    rows = measured(model, setup, 1)
+    rows = replace(rows, values=1.03 * rows.values)
+    (finding,) = found(rows, setup)
+    assert (finding.code, finding.severity) == ("scale", "error")
+    # The robot's own errors, 1 mm each, are a scale as well.
+    assert finding.evidence["scale"] == pytest.approx(0.03, abs=5e-3)
+    assert "% longer" in finding.message and "instrument" in finding.remedy
+
+
+def test_a_few_millimeters_are_no_scale() -> None:
+    """Errors of 5 mm, and three of them are chance; a real TALOS has such."""
+    for seed in range(5):
+        codes = {f.code for f in found(measured("position", FRAMES, seed, 5.0), FRAMES)}
+        assert "scale" not in codes
+
+
+def test_a_distance_that_gives_the_scale() -> None:
+    """Sockets 60 mm apart that are 50: nothing else knows how large the robot is."""
+    sockets = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.55, 0.3, 0.4))}
+    setup = Setup(tool_frame=TOOL, sockets=sockets)
+    rows = measured("fixed-point", setup, 2, count=120)
+    clean, wrong = (
+        replace(setup, distances=(DistanceSetup(("s/0", "s/1"), value, 1e-5),))
+        for value in (0.05, 0.06)
+    )
+    assert not found(rows, clean)
+    (finding,) = found(rows, replace(wrong, sockets={}))
+    assert finding.code == "scale" and "s/0 - s/1" in finding.remedy
+    assert finding.evidence["scale"] == pytest.approx(0.2, abs=0.02)
+
+
+def test_a_distance_that_the_measurements_contradict() -> None:
+    rows = measured("position", BALLS, 3)
+    ruler = DistanceSetup(("a", "b"), APART, 5e-4)
+    right = replace(BALLS, distances=(ruler,))
+    assert not found(rows, right)
+    wrong = replace(BALLS, distances=(replace(ruler, value=APART + 6.1e-3),))
+    (finding,) = found(rows, wrong)
+    assert (finding.code, finding.severity) == ("known-distance", "error")
+    assert finding.evidence["between"] == "a - b"
+    assert finding.evidence["found"] == pytest.approx(APART, abs=3e-4)
+    assert finding.evidence["normalized_residual"] == pytest.approx(12.2, abs=1.0)
+
+
+def test_the_wrong_distance_is_named_among_others() -> None:
+    rng = np.random.default_rng(4)
+    places = rng.normal([0.5, 0.1, 0.5], 0.2, (6, 3))
+    names = [f"p{k // 2}/{k % 2}" for k in range(6)]
+    sockets = {n: PointSetup(tuple(xyz)) for n, xyz in zip(names, places, strict=True)}
+    setup = Setup(tool_frame=TOOL, sockets=sockets)
+    rows = measured("fixed-point", setup, 4, count=180)
+    lengths = np.linalg.norm(places[1::2] - places[::2], axis=1)
+    lengths[1] += 0.01
+    distances = tuple(
+        DistanceSetup((f"p{k}/0", f"p{k}/1"), float(length), 1e-5)
+        for k, length in enumerate(lengths)
+    )
+    findings = found(rows, replace(setup, sockets={}, distances=distances))
+    assert findings[0].code == "known-distance"
+    assert findings[0].evidence["between"] == "p1/0 - p1/1"
+
+
+def test_a_joint_that_is_mounted_askew_is_a_warning() -> None:
+    """A true offset of 100 mrad: the measurements insist on it."""
+    problem = nominal_problem(ARM, "position", FRAMES)
+    rng = np.random.default_rng(5)
+    theta = robot_errors(problem, rng, 0.3)
+    theta[problem.parameters.index("joint_3.placement.rz")] = 0.1
+    rows = simulate(problem, theta, rng, count=60, noise=1e-4)
+    findings = found(rows, FRAMES)
+    assert [(f.code, f.severity) for f in findings] == [("large-correction", "warning")]

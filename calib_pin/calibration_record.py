@@ -5,6 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
+from calib_pin.evidence import TRUSTED
 from calib_pin.result import (
     CalibratedModel,
     CoupledGroup,
@@ -28,8 +29,8 @@ class CalibrationRecord:
     Attributes:
         file: The file.
         model: The calibrated robot.
-        verdict: `good` or `untrusted`.
-        reason: Why it must not be trusted; empty where it is good.
+        verdict: One of `evidence.VERDICTS`.
+        reason: Why, in one sentence; empty where there is nothing to say.
         parameters: Every parameter with its estimate.
         groups: Coupled groups.
         errors: Accuracy by quantity; NaN where the file lacks a number.
@@ -77,6 +78,11 @@ class CalibrationRecord:
             for group in self.groups
             if {name for name, _ in group.terms} <= self.of_robot
         )
+
+    @property
+    def trusted(self) -> bool:
+        """Whether it may be used."""
+        return self.verdict in TRUSTED
 
     @property
     def described(self) -> bool:

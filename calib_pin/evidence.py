@@ -11,6 +11,8 @@ from dataclasses import dataclass, field
 from typing import Literal
 
 __all__ = [
+    "TRUSTED",
+    "VERDICTS",
     "ExpectedAccuracy",
     "Finding",
     "Gain",
@@ -18,6 +20,12 @@ __all__ = [
     "Severity",
     "VarianceComponent",
 ]
+
+VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
+"""What a calibration can come to."""
+
+TRUSTED = ("good", "no-gain")
+"""Those of a result that may be used: as it is, or to leave the robot as it is."""
 
 Severity = Literal["info", "warning", "error"]
 

@@ -449,7 +449,10 @@ class CalibrationResult(Identification):
 
     @property
     def geometry(self) -> CalibratedModel | None:
-        """What a URDF gets: the best geometry; None where it must not have any."""
+        """What a corrected URDF gets: the best geometry; None where there is none.
+
+        Without a gain the URDF stays as it is.
+        """
         if self.verdict != "good":
             return None
         if self.urdf is None:

@@ -132,14 +132,16 @@ def calibrate(
     DIR gets <robot name>.urdf, nominal.urdf, calibration.json and report.html, which
     opens in a browser, and residual_model.json where something was learned; it can be
     moved as a whole. Without --validation, --holdout or a column 'set' (train,
-    validate) the fit is checked by five-fold cross-validation. Exit status 2: the
-    result must not be trusted, the reason comes first, and no <robot name>.urdf is
-    written.
+    validate) the fit is checked by five-fold cross-validation. Where there is nothing
+    to correct, <robot name>.urdf is the nominal file. Exit status 2: the result is
+    unchecked or must not be trusted, the reason comes first, and no <robot name>.urdf
+    is written.
     """
     import time
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
+    from calib_pin.evidence import TRUSTED
     from calib_pin.io.staging import write_files
     from calib_pin.measurements import AT
     from calib_pin.remedies import as_found, remedies
@@ -210,6 +212,6 @@ def calibrate(
     if not quiet:
         written = [path for path in files or () if path in contents]
         say_written([*(f"wrote {path}" for path in written), *pictured])
-    elif result.verdict != "good":
-        notice(f"untrusted: {result.reason}")
-    return 0 if result.verdict == "good" else 2
+    elif result.verdict not in TRUSTED:
+        notice(f"{result.verdict}: {result.reason}")
+    return 0 if result.verdict in TRUSTED else 2

@@ -105,7 +105,8 @@ def result_contents(
     """All files of a result, of which the last one knows the hashes of the others.
 
     Args:
-        result: The result; the corrected URDF is there if it can be trusted.
+        result: The result; the corrected URDF is there if it can be trusted, and is
+            the nominal one where there is no gain.
         files: Where its files go.
         run: How it came about.
         figures: What is drawn of it.
@@ -123,7 +124,9 @@ def result_contents(
     document = calibration_document(result, _provenance(run), remedies=remedies)
     document["run"] = run_id(document, encode_residual_model(result.model))
     contents = {files.nominal: result.model.chain.robot.source}
-    if result.geometry is not None:
+    if result.verdict == "no-gain":
+        contents[files.urdf] = result.model.chain.robot.source
+    elif result.geometry is not None:
         contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
     learned = encode_residual_model(result.model, document["run"])
     if learned is not None:

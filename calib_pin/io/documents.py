@@ -14,6 +14,7 @@ import pinocchio as pin
 
 from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
+from calib_pin.evidence import ExpectedAccuracy
 from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.setup import setup_document
@@ -193,6 +194,7 @@ def calibration_document(
         "format": FORMAT,
         "version": VERSION,
         "verdict": {"status": result.verdict, "reason": result.reason},
+        "findings": [asdict(finding) for finding in result.findings],
         "robot": {
             "name": robot.name,
             "file": robot.file,
@@ -220,7 +222,10 @@ def calibration_document(
             "sigma0": result.sigma0,
             "stated_sigma": result.stated_sigma,
             "chi2_interval": list(chi2_interval(result.dof)) if result.dof > 0 else [],
+            "noise": [asdict(component) for component in result.noise],
             "outliers": [asdict(outlier) for outlier in result.outliers],
+            "displaced": result.displaced,
+            "gains": [asdict(gain) for gain in result.gains],
         },
         "solver": {
             "name": result.solver,
@@ -262,15 +267,30 @@ def calibration_document(
 
 
 def _predicted(result: CalibrationResult) -> Json | None:
-    """The error of the tip over the workspace that the noise leaves, by the fit."""
+    """Errors of the tool to expect: what noise leaves by the fit, and all of them."""
+    stages = {"measured": result.measured, "workspace": result.workspace}
+    known = {name: _expected(found) for name, found in stages.items() if found}
     if result.tip is None:
-        return None
+        return {"position": None, "orientation": None, **known} if known else None
     (position, orientation), alone = result.tip.rms, result.tip.of_robot
     return {
         "position": position,
         "orientation": orientation,
         "robot": {"position": alone[0], "orientation": alone[1]},
+        **known,
     }
+
+
+def _expected(found: ExpectedAccuracy) -> Json:
+    sizes = {
+        stage: dict(zip(("position", "orientation"), size, strict=True))
+        for stage, size in (
+            ("nominal", found.nominal),
+            ("calibrated", found.calibrated),
+            ("unmodeled", found.unmodeled),
+        )
+    }
+    return {**sizes, "better": found.better, "share": found.share}
 
 
 def _urdf(urdf: UrdfResult, method: str) -> Json:

@@ -8,6 +8,7 @@ from reprlib import repr
 from typing import Any
 
 from calib_pin.calibration_record import CalibrationRecord
+from calib_pin.evidence import VERDICTS
 from calib_pin.io.calibration_file import (
     numbers,
     read_document,
@@ -21,8 +22,6 @@ from calib_pin.io.results import read_calibration
 from calib_pin.result import CalibratedModel, CoupledGroup, ParameterEstimate
 
 __all__ = ["read_record"]
-
-VERDICTS = ("good", "untrusted")
 
 
 def read_record(path: str | Path) -> CalibrationRecord:

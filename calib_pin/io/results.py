@@ -15,6 +15,7 @@ import pinocchio as pin
 from calib_pin.chain import Chain, Robot
 from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
+from calib_pin.evidence import TRUSTED
 from calib_pin.io.calibration_file import (
     numbers,
     read_document,
@@ -101,7 +102,7 @@ def _read(
         if (learned is None) != (model.setup.learned is None):
             raise ValueError("'residual_model' and 'setup.learned' need each other")
         verdict = document["verdict"]
-        if notice is not None and verdict["status"] != "good":
+        if notice is not None and verdict["status"] not in TRUSTED:
             notice(f"{path} must not be trusted: {verdict['reason']}")
     require_one_run(listed, run, robot.source, path, read)
     if learned is None:

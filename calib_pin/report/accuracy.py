@@ -2,11 +2,12 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.evidence import TRUSTED
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
@@ -16,6 +17,7 @@ from calib_pin.report.tables import (
     number,
     sizes,
 )
+from calib_pin.report.trust import advised, set_aside
 from calib_pin.result import CalibrationResult, Evaluation, QuantityErrors
 from calib_pin.solvers import Status
 from calib_pin.training import BEYOND
@@ -26,6 +28,7 @@ __all__ = [
     "beyond",
     "evaluated",
     "moves",
+    "opening",
     "subject",
     "untrusted",
     "verdict",
@@ -45,14 +48,34 @@ UNSEEN = {
 FOLDS = "every part of the rows, by a fit of the other parts"
 """What they are in a cross-validation."""
 
+NOTHING = "the measurements show no error of the robot; nothing needs correcting"
+"""What a calibration without a gain comes to."""
+
 LISTED_OWNERS = 3
 """Members of one kind, such as sockets, that are named before they are counted."""
 
 
+def opening(result: CalibrationResult) -> Sequence[Line]:
+    """What comes first: what was set aside, and the verdict.
+
+    A reason not to trust the result comes before anything else.
+    """
+    lines = [*set_aside(result), verdict(result)]
+    return lines if result.verdict in TRUSTED else lines[::-1]
+
+
 def verdict(result: CalibrationResult) -> Line:
     """Whether the result can be trusted, and why it cannot."""
-    if result.verdict != "good":
-        return untrusted(result.reason)
+    reason = _sentence(result.reason)
+    if result.verdict not in TRUSTED:
+        for finding in result.findings:
+            if finding.message in reason:
+                reason = reason.replace(finding.message, advised(finding))
+        return untrusted(reason, result.verdict)
+    if result.verdict == "no-gain":
+        return Line(f"NO GAIN: {reason or NOTHING}.", "good")
+    if reason:
+        return Line(f"GOOD: {reason}.", "good")
     ended = "reached its target" if result.status is Status.TARGET else "converged"
     if result.validation == "none":
         checked = "; too few rows to check it on unseen ones."
@@ -63,9 +86,13 @@ def verdict(result: CalibrationResult) -> Line:
     return Line(f"GOOD: the fit {ended}{checked}", "good")
 
 
-def untrusted(reason: str) -> Line:
+def untrusted(reason: str, status: str = "untrusted") -> Line:
     """The line that comes first where a result must not be trusted."""
-    return Line(f"UNTRUSTED: {reason.rstrip('.')}.", "bad")
+    return Line(f"{status.upper()}: {_sentence(reason)}.", "bad")
+
+
+def _sentence(reason: str) -> str:
+    return reason.rstrip(".")
 
 
 def _better(error: QuantityErrors) -> bool:
@@ -141,6 +168,9 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
 
 def moves(result: CalibrationResult) -> Iterator[Block]:
     """How far the corrected robot is from the nominal one: it must look like it."""
+    if result.verdict == "no-gain":
+        yield Line("Nothing is corrected: the URDF is the nominal one.", "note")
+        return
     geometry = result.geometry or (result.model if result.urdf is None else None)
     corrections = {} if geometry is None else geometry.urdf_corrections()
     if not corrections:
@@ -165,7 +195,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
             "seen: nothing is corrected.",
             "note",
         )
-    if result.urdf is None:
+    if result.urdf is None or result.verdict == "no-gain":
         return
     setup = result.model.setup
     kinds: list[str] = [name for name in setup.parameters if name in BEYOND]

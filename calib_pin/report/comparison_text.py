@@ -23,8 +23,9 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     """Whether the robot moved, where, by which parameters, and what to think of it."""
     pair = (("A", found.first), ("B", found.second))
     for label, record in pair:
-        if record.verdict != "good":
-            yield untrusted(f"{label} ({record.file}): {record.reason}")
+        if not record.trusted:
+            said = f"{label} ({record.file}): {record.reason}"
+            yield untrusted(said, record.verdict)
     yield _verdict(found)
     yield from _doubts(found)
     chain = found.first.model.chain
@@ -65,7 +66,7 @@ def _verdict(found: Comparison) -> Line:
 
 def _cause(found: Comparison) -> str:
     """What has made a drift, as far as it can be known."""
-    trusted = found.first.verdict == found.second.verdict == "good"
+    trusted = found.first.trusted and found.second.trusted
     if found.same_rows or not found.same_parameters or not trusted:
         return "The two do not agree on the tip: it differs by"
     if not found.described:

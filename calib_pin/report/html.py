@@ -16,7 +16,7 @@ from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
 from calib_pin.remedies import Remedy
-from calib_pin.report.accuracy import accuracy, beyond, moves, subject, verdict
+from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.figures import Drawn
 from calib_pin.report.identification import ranks, remedied, unknown
@@ -28,6 +28,7 @@ from calib_pin.report.tables import (
     parameter_overview,
     quantity,
 )
+from calib_pin.report.trust import expected, findings, noise, percent
 from calib_pin.result import CalibrationResult
 from calib_pin.units import DISPLAY
 
@@ -56,7 +57,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
-    "residuals": ("Rows that do not fit", ("residuals",)),
+    "residuals": ("Noise and outliers", ("residuals",)),
     "provenance": ("What was done", ("convergence",)),
 }
 """Title and figures of each section, by its key."""
@@ -113,7 +114,8 @@ def html_report(
     return page.render(
         title=f"Calibration of {name}",
         subject=subject(result).text,
-        verdict=verdict(result),
+        opening=opening(result),
+        findings=list(findings(result)),
         tiles=list(_tiles(result)),
         sections=list(_sections(result, document, figures, remedies)),
         style=Markup(_file("style.css")),
@@ -142,6 +144,14 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
             remark=f"95 % below {quantity(after.p95, unit).text}, "
             f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
         )
+    if result.workspace is not None:
+        yield _Tile(
+            label="expected tool error, rms over the workspace",
+            before=quantity(result.workspace.nominal[0], "m"),
+            after=quantity(result.workspace.calibrated[0], "m"),
+            unit=DISPLAY["m"][0],
+            remark=f"better with {percent(result.workspace.better)}",
+        )
 
 
 def _sections(
@@ -151,7 +161,12 @@ def _sections(
     remedies: Sequence[Remedy],
 ) -> Iterator[_Section]:
     blocks: dict[str, list[Block]] = {
-        "accuracy": [*accuracy(result), *moves(result), *beyond(result)],
+        "accuracy": [
+            *accuracy(result),
+            *moves(result),
+            *expected(result),
+            *beyond(result),
+        ],
         "identifiability": list(_known(result, remedies)),
         "parameters": list(listed("at a bound", result.at_bounds)),
         "residuals": list(_residuals(result)),
@@ -192,17 +207,19 @@ def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Bl
 
 
 def _residuals(result: CalibrationResult) -> Iterator[Block]:
+    yield from noise(result)
     if result.outliers:
         count = len(result.outliers)
         yield Line(
-            f"{count} of {result.training} rows are further off than chance allows."
+            f"{count} of {result.training} measurements are further off than chance "
+            "allows."
         )
         yield outlier_table(result, LISTED)
         if len(result.outliers) > LISTED:
             more = len(result.outliers) - LISTED
             yield Line(f"{more} more are in calibration.json.", "note")
     else:
-        yield Line("None: no row is further off than chance allows.")
+        yield Line("No measurement is further off than chance allows.")
     yield from statistics(result)
 
 

@@ -1,4 +1,4 @@
-"""What the residuals say: chi-square, correlations, rows that do not fit."""
+"""What the residuals say: chi-square, and correlations."""
 
 from __future__ import annotations
 
@@ -9,10 +9,10 @@ from calib_pin.report.blocks import Block, Facts, Line, Names
 from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
 
-__all__ = ["correlated", "outliers", "statistics"]
+__all__ = ["correlated", "statistics"]
 
 LISTED = 5
-"""Outliers and correlated pairs that are listed before the rest is only counted."""
+"""Correlated pairs that are listed before the rest is only counted."""
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
@@ -21,25 +21,23 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
     sigmas = "stated" if result.stated_sigma else "assumed"
     entries = [("chi-square", f"{number(result.chi2)} with {result.dof} dof")]
     remark = ""
-    if result.stated_sigma and result.dof > 0:
+    if result.dof > 0:
         low, high = chi2_interval(result.dof)
         where = "inside"
         if result.chi2 < low:
-            where, remark = "below", "less than their sigma says: it may be too large."
+            where, remark = "below", "the sigma may be too large."
         elif result.chi2 > high:
             where = "above"
-            remark = (
-                "more than their sigma says: it is too small, rows do not fit, or "
-                "errors are left that no parameter describes."
-            )
+            remark = "sigma too small, outliers, or unmodeled errors."
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} the 95 % interval {interval}"))
     if result.dof > 0:
         entries.append(("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"))
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
-    if remark and not learned:
-        yield Line(f"The rows scatter {remark}", indent=True)
+    if remark and result.stated_sigma and not learned:
+        said = f"Chi-square is {where} what the stated sigma explains: {remark}"
+        yield Line(said, indent=True)
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
@@ -58,16 +56,6 @@ def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]
         ]
         entries += _rest(len(pairs), most, "pairs")
         yield Names("Correlated above 0.95", entries)
-
-
-def outliers(result: CalibrationResult) -> Iterator[Names]:
-    """Rows that do not fit, the worst of them by name."""
-    found = result.outliers
-    if found:
-        entries = [f"{row.place}  {number(row.size)} sigma" for row in found[:LISTED]]
-        entries += _rest(len(found), LISTED, "rows")
-        count = f"{len(found)} of {result.training}"
-        yield Names(f"Rows that do not fit ({count})", entries)
 
 
 def _rest(count: int, most: int, what: str) -> Iterator[str]:

@@ -31,11 +31,15 @@ __all__ = [
     "parameter_overview",
     "parameter_table",
     "quantity",
+    "significant",
     "sizes",
 ]
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""
+
+DECIMALS = 4
+"""Decimals of an estimate without a standard deviation."""
 
 SIZES = ("mean", "rms", "95 %", "max", "unit")
 """Columns of an accuracy."""
@@ -51,6 +55,27 @@ def number(value: float) -> str:
     if 1.0 <= size < 1e5:
         return f"{value:.{max(0, 3 - int(math.log10(size)))}f}"
     return f"{value:.1e}"
+
+
+def significant(value: float, digits: int = 2) -> str:
+    """So many significant digits: those of a standard deviation, or of an estimate."""
+    if not math.isfinite(value):
+        return "inf" if value > 0 else "unknown"
+    places = decimals(value, digits)
+    return f"{round(value, places):.{max(places, 0)}f}"
+
+
+def decimals(value: float, digits: int = 2) -> int:
+    """Decimal places that show so many significant digits; fewer than none for tens.
+
+    Example:
+        >>> decimals(0.0123), decimals(0.0996), decimals(1234.0), decimals(0.0)
+        (3, 2, -2, 0)
+    """
+    if value == 0.0 or not math.isfinite(value):
+        return 0
+    # As it is when rounded: 0.0996 is 0.10.
+    return digits - 1 - int(f"{abs(value):.{digits - 1}e}".partition("e")[2])
 
 
 def quantity(value: float, unit: str) -> Cell:
@@ -183,16 +208,24 @@ def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
 
 
 def outlier_table(result: CalibrationResult, most: int) -> Table:
-    """Rows that do not fit with their errors, worst first.
+    """Outliers with their weights and errors, worst first.
 
     Args:
         result: The result.
-        most: Number of rows that are listed.
+        most: Number of outliers that are listed.
     """
     found, errors = result.outliers, result.fitted
     kept = found[:most]
-    cells = [[Cell(row.place), Cell(number(row.size), row.size)] for row in kept]
-    titles = ["size [sigma]"]
+    cells = [
+        [
+            Cell(row.place),
+            Cell(f"{row.size:.1f}", row.size),
+            Cell(significant(row.weight), row.weight),
+            Cell(row.cause),
+        ]
+        for row in kept
+    ]
+    titles = ["normalized residual", "weight", "cause"]
     for of in errors.quantities:
         unit = DISPLAY[of.unit][0]
         titles += [f"{of.name}, nominal [{unit}]", f"calibrated [{unit}]"]
@@ -202,7 +235,7 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
                 Cell("-") if math.isnan(size) else quantity(size, of.unit)
                 for size in sizes
             ]
-    return Table("Rows that do not fit", columns("row", titles), cells)
+    return Table("Outliers", columns("measurement", titles, {"cause": "remark"}), cells)
 
 
 def _estimate(
@@ -210,17 +243,19 @@ def _estimate(
 ) -> Iterator[Cell]:
     """Value, standard deviation and unit of a parameter or a group, as asked for."""
     unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
-    deviation = Cell("-")
-    if item.sigma is not None:
-        deviation = Cell(f"{factor * item.sigma:.4f}", item.sigma)
-    value = Cell(_signed(factor * item.value), item.value)
+    deviation, places = Cell("-"), DECIMALS
+    if item.sigma:
+        # The value to the place to which it is known.
+        places = decimals(factor * item.sigma)
+        deviation = Cell(significant(factor * item.sigma), item.sigma)
+    value = Cell(_signed(factor * item.value, places), item.value)
     cells = dict(zip(ESTIMATE, (value, deviation, Cell(unit)), strict=True))
     return (cells[column] for column in shown)
 
 
-def _signed(value: float) -> str:
-    """Four decimals with a sign, which zero has not."""
-    text = f"{value:+.4f}"
+def _signed(value: float, places: int) -> str:
+    """So many decimals with a sign, which zero has not."""
+    text = f"{round(value, places):+.{max(places, 0)}f}"
     return text if float(text) else text[1:]
 
 

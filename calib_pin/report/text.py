@@ -5,12 +5,13 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from calib_pin.remedies import Remedy
-from calib_pin.report.accuracy import accuracy, beyond, moves, subject, verdict
+from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.identification import identified
-from calib_pin.report.statistics import correlated, outliers, statistics
+from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
+from calib_pin.report.trust import expected, findings, noise, outliers
 from calib_pin.result import CalibrationResult
 from calib_pin.threads import serial_blas
 
@@ -38,19 +39,22 @@ def format_report(result: CalibrationResult) -> str:
 def report(
     result: CalibrationResult, remedies: Sequence[Remedy] = ()
 ) -> Iterator[Block]:
-    """Verdict, accuracy, identifiability and what does not fit.
+    """Verdict, accuracy, noise and outliers, then identifiability and parameters.
 
     Args:
         result: The result.
         remedies: What would tell more of the robot.
     """
-    yield verdict(result)
+    yield from opening(result)
     yield subject(result)
+    yield from findings(result)
     yield from accuracy(result)
     yield from moves(result)
+    yield from expected(result)
     yield from beyond(result)
+    yield from noise(result)
+    yield from statistics(result)
+    yield from outliers(result)
     yield from identified(result, fitted=True, remedies=remedies)
     yield from listed("at a bound", result.at_bounds)
-    yield from statistics(result)
     yield from correlated(result)
-    yield from outliers(result)

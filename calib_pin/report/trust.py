@@ -1,0 +1,180 @@
+"""How far a result can be trusted: what was set aside, findings, noise, accuracy."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from calib_pin.evidence import ExpectedAccuracy, Finding, Outlier, VarianceComponent
+from calib_pin.report.blocks import Block, Cell, Column, Line, Table, columns
+from calib_pin.report.tables import significant
+from calib_pin.result import CalibrationResult
+from calib_pin.units import DISPLAY
+
+__all__ = [
+    "advised",
+    "expected",
+    "findings",
+    "noise",
+    "outliers",
+    "percent",
+    "set_aside",
+]
+
+LISTED = 5
+"""Outliers that are listed before the rest is only counted."""
+
+NAMED = 3
+"""Measurements that were set aside, and causes, that the first sentence names."""
+
+TONES = {"error": "bad", "warning": "strong", "info": "note"}
+"""How a finding is shown, by its severity."""
+
+
+def set_aside(result: CalibrationResult) -> Iterator[Line]:
+    """Which measurements were set aside, and what it would be with them."""
+    rows = [outlier for outlier in result.outliers if outlier.weight == 0.0]
+    if not rows:
+        return
+    were = "measurement was" if len(rows) == 1 else "measurements were"
+    causes = dict.fromkeys(row.cause for row in rows if row.cause)
+    named = "; ".join(
+        _named(words) for words in ([row.place for row in rows], [*causes]) if words
+    )
+    with_them = ""
+    if result.displaced is not None:
+        them = "it" if len(rows) == 1 else "them"
+        unit, factor = DISPLAY["m"]
+        off = significant(factor * result.displaced)
+        with_them = f"; with {them} the tool would be {off} {unit} off from here"
+    yield Line(
+        f"{len(rows)} of {result.training} {were} set aside ({named}){with_them}.",
+        "strong",
+    )
+
+
+def _named(words: Sequence[str]) -> str:
+    rest = [f"and {len(words) - NAMED} more"] if len(words) > NAMED else []
+    return ", ".join([*words[:NAMED], *rest])
+
+
+def findings(result: CalibrationResult) -> Iterator[Line]:
+    """What is wrong with the data or the result, but for what the reason says."""
+    for finding in result.findings:
+        if finding.message not in result.reason:
+            tone = TONES[finding.severity]
+            said = f"{finding.severity.capitalize()}: {advised(finding)}."
+            yield Line(said, tone)  # type: ignore[arg-type]
+
+
+def advised(finding: Finding) -> str:
+    """What is wrong, and what to do about it."""
+    return "; ".join(filter(None, (finding.message, finding.remedy)))
+
+
+def expected(result: CalibrationResult) -> Iterator[Block]:
+    """How far the tool is expected to be off, where it was measured and elsewhere."""
+    known = [
+        (where, accuracy)
+        for where, accuracy in (
+            ("where you measured", result.measured),
+            ("over the workspace", result.workspace),
+        )
+        if accuracy is not None
+    ]
+    if not known:
+        return
+    rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
+    titles = ("nominal", "calibrated", "unmodeled", "unit", "better", "at")
+    yield Table("Expected tool error (rms)", columns("", titles), rows)
+    yield Line(
+        "Unmodeled: the part that no parameter describes. Better: the probability that "
+        "the calibrated robot is better; at: the share of the configurations where it "
+        "is so with 95 %.",
+        "note",
+    )
+
+
+def _accuracy(where: str, found: ExpectedAccuracy) -> Iterator[Sequence[Cell]]:
+    shown = [Cell(percent(part), part) for part in (found.better, found.share)]
+    stages = (found.nominal, found.calibrated, found.unmodeled)
+    for k, si in enumerate(("m", "rad")):
+        sizes = [stage[k] for stage in stages]
+        if not math.isfinite(sizes[0]):
+            continue
+        unit, factor = DISPLAY[si]
+        numbers = [Cell(significant(factor * size), size) for size in sizes]
+        yield Cell(where), *numbers, Cell(unit), *shown
+        where, shown = "", [Cell(""), Cell("")]
+
+
+def percent(part: float) -> str:
+    """Whole percents, but never all or nothing where it is not quite so."""
+    if 0.0 < part < 0.01:
+        return "< 1 %"
+    if 0.99 < part < 1.0:
+        return "> 99 %"
+    return f"{100 * part:.0f} %"
+
+
+def noise(result: CalibrationResult) -> Iterator[Block]:
+    """The noise of every quantity: stated or assumed, estimated, and what is more."""
+    found = result.noise
+    if not found:
+        return
+    pure = any(part.pure is not None for part in found)
+    titles = ["given", "estimated", "95 % interval", *["repeats"][:pure]]
+    of = (*columns("", (*titles, "unmodeled", "unit")), Column("", "remark"))
+    yield Table(
+        "Noise (1 sigma of a component)", of, [_noise(part, pure) for part in found]
+    )
+
+
+def _noise(part: VarianceComponent, pure: bool) -> Sequence[Cell]:
+    unit, factor = DISPLAY[part.unit]
+
+    def shown(size: float | None) -> Cell:
+        if size is None or not math.isfinite(size):
+            return Cell("-")
+        return Cell(significant(factor * size), size)
+
+    low, high = (shown(end).text for end in part.interval)
+    remark = "stated" if part.stated else "assumed"
+    if part.contradicted:
+        remark += ", contradicted"
+    if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
+        remark += "; lack of fit"
+    return (
+        Cell(part.quantity),
+        shown(part.given),
+        shown(part.estimate),
+        Cell("-" if low == "-" else f"{low} ... {high}"),
+        *[shown(part.pure)][:pure],
+        shown(part.unmodeled),
+        Cell(unit),
+        Cell(remark),
+    )
+
+
+def outliers(result: CalibrationResult) -> Iterator[Block]:
+    """Outliers with their weights, the worst of them by name."""
+    found = result.outliers
+    if not found:
+        return
+    caused = any(row.cause for row in found)
+    of = columns(
+        "", ("normalized residual", "weight", *["cause"][:caused]), {"cause": "remark"}
+    )
+    rows = [_outlier(row, caused) for row in found[:LISTED]]
+    yield Table(f"Outliers ({len(found)} of {result.training})", of, rows)
+    if len(found) > LISTED:
+        yield Line(f"and {len(found) - LISTED} more in calibration.json", indent=True)
+
+
+def _outlier(row: Outlier, caused: bool) -> Sequence[Cell]:
+    return (
+        Cell(row.place),
+        Cell(f"{row.size:.1f}", row.size),
+        Cell(significant(row.weight), row.weight),
+        *[Cell(row.cause)][:caused],
+    )

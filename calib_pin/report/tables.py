@@ -244,9 +244,9 @@ def _estimate(
     """Value, standard deviation and unit of a parameter or a group, as asked for."""
     unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
     deviation, places = Cell("-"), DECIMALS
-    if item.sigma:
+    if item.sigma is not None:
         # The value to the place to which it is known.
-        places = decimals(factor * item.sigma)
+        places = decimals(factor * item.sigma) if item.sigma else DECIMALS
         deviation = Cell(significant(factor * item.sigma), item.sigma)
     value = Cell(_signed(factor * item.value, places), item.value)
     cells = dict(zip(ESTIMATE, (value, deviation, Cell(unit)), strict=True))

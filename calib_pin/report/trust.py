@@ -6,7 +6,7 @@ import math
 from collections.abc import Iterator, Sequence
 
 from calib_pin.evidence import ExpectedAccuracy, Finding, Outlier, VarianceComponent
-from calib_pin.report.blocks import Block, Cell, Column, Line, Table, columns
+from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import significant
 from calib_pin.result import CalibrationResult
 from calib_pin.units import DISPLAY
@@ -124,36 +124,63 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
         return
     pure = any(part.pure is not None for part in found)
     titles = ["given", "estimated", "95 % interval", *["repeats"][:pure]]
-    of = (*columns("", (*titles, "unmodeled", "unit")), Column("", "remark"))
     yield Table(
-        "Noise (1 sigma of a component)", of, [_noise(part, pure) for part in found]
+        "Noise (1 sigma of a component)",
+        columns("", (*titles, "unmodeled", "unit")),
+        [_noise(part, pure) for part in found],
     )
+    for part in found:
+        if said := _doubt(part):
+            yield Line(said, "note")
 
 
 def _noise(part: VarianceComponent, pure: bool) -> Sequence[Cell]:
-    unit, factor = DISPLAY[part.unit]
-
-    def shown(size: float | None) -> Cell:
-        if size is None or not math.isfinite(size):
-            return Cell("-")
-        return Cell(significant(factor * size), size)
-
-    low, high = (shown(end).text for end in part.interval)
-    remark = "stated" if part.stated else "assumed"
-    if part.contradicted:
-        remark += ", contradicted"
-    if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
-        remark += "; lack of fit"
+    given, estimate, repeats, unmodeled = (
+        Cell(_shown(size, part.unit), size)
+        for size in (part.given, part.estimate, part.pure, part.unmodeled)
+    )
+    low, high = (_shown(end, part.unit) for end in part.interval)
+    known = math.isfinite(part.estimate)
+    by = "stated" if part.stated else "assumed"
     return (
         Cell(part.quantity),
-        shown(part.given),
-        shown(part.estimate),
-        Cell("-" if low == "-" else f"{low} ... {high}"),
-        *[shown(part.pure)][:pure],
-        shown(part.unmodeled),
-        Cell(unit),
-        Cell(remark),
+        Cell(f"{given.text} {by}", given.value),
+        estimate,
+        Cell(f"{low} ... {high}" if known else "-"),
+        *[repeats][:pure],
+        unmodeled,
+        Cell(DISPLAY[part.unit][0]),
     )
+
+
+def _shown(size: float | None, unit: str) -> str:
+    if size is None or math.isnan(size):
+        return "-"
+    return significant(DISPLAY[unit][1] * size)
+
+
+def _doubt(part: VarianceComponent) -> str:
+    """What contradicts the given standard deviation, and what is behind it."""
+    unit = DISPLAY[part.unit][0]
+    parts = []
+    if part.contradicted:
+        by = "stated" if part.stated else "assumed"
+        given = _shown(part.given, part.unit)
+        parts.append(f"the measurements contradict the {by} {given} {unit}")
+    if part.unmodeled is not None:
+        quiet = part.pure if part.pure is not None else part.given
+        sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
+        parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")
+    if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
+        parts.append(
+            "configurations differ more than their repetitions explain (p "
+            f"{_probability(part.lack_of_fit)})"
+        )
+    return f"{part.quantity}: {'; '.join(parts)}." if parts else ""
+
+
+def _probability(p: float) -> str:
+    return f"= {p:.3f}" if p >= 1e-3 else "< 0.001"
 
 
 def outliers(result: CalibrationResult) -> Iterator[Block]:

@@ -1,0 +1,169 @@
+"""What decides trust as people read it, from results that are made up."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import pytest
+
+import calib_pin
+from calib_pin.evidence import (
+    ExpectedAccuracy,
+    Finding,
+    Gain,
+    Outlier,
+    VarianceComponent,
+)
+from calib_pin.report.tables import significant
+from calib_pin.report.text import format_report
+from calib_pin.result import CalibrationResult
+
+WORKSPACE = ExpectedAccuracy(
+    nominal=(2.47e-3, 3.1e-3),
+    calibrated=(0.312e-3, 0.4e-3),
+    unmodeled=(0.2e-3, 0.3e-3),
+    better=0.9995,
+    share=0.93,
+)
+EVIDENCE: dict[str, Any] = {
+    "outliers": (
+        Outlier("rows.csv:12", 10, 180.2, 0.0, "target ball"),
+        Outlier("rows.csv:14", 12, 150.0, 0.0, "target ball"),
+        Outlier("rows.csv:20", 18, 5.21, 0.43),
+    ),
+    "displaced": 2.61e-3,
+    "noise": (
+        VarianceComponent(
+            *("position", "m", 1e-4, False, 4.012, 4.012e-4, (3.71e-4, 4.33e-4)),
+            *(0.61, True, 2.04e-5, 3.98e-4, 1e-9),
+        ),
+        VarianceComponent(
+            *("orientation", "rad", 1e-4, True, 1.0, float("nan"), (0.0, 0.0)),
+            *(0.0, False),
+        ),
+    ),
+    "gains": (Gain("5-fold", "position", 40, 1e-3, 1e-4, 1e-6, 1.0, 1.02),),
+    "measured": replace(WORKSPACE, nominal=(0.756e-3, 1e-3), better=1.0, share=1.0),
+    "workspace": WORKSPACE,
+    "findings": (
+        Finding(
+            "scale",
+            "warning",
+            "all lengths came out 0.5 % longer",
+            {"scale": 5e-3},
+            "check the unit of the lengths",
+        ),
+    ),
+}
+
+
+@pytest.fixture(scope="module")
+def result() -> CalibrationResult:
+    chain = calib_pin.load_chain("space7")
+    setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
+    rows = calib_pin.read_measurements(
+        calib_pin.robot_file("space7", "measurements.csv"), chain
+    )
+    found = calib_pin.calibrate(chain, rows, setup, validate=False)
+    return replace(found, **{**EVIDENCE, "verdict": "good", "reason": ""})
+
+
+def words(result: CalibrationResult, **changes: Any) -> str:
+    return " ".join(format_report(replace(result, **changes)).split())
+
+
+def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
+    said = (
+        f"2 of {result.training} measurements were set aside (rows.csv:12, "
+        "rows.csv:14; target ball); with them the tool would be 2.6 mm off from here."
+    )
+    assert words(result).startswith(f"{said} GOOD: ")
+    bad = words(result, verdict="untrusted", reason="it did not converge.")
+    assert bad.startswith(f"UNTRUSTED: it did not converge. {said}")
+    one = words(result, outliers=result.outliers[:1], displaced=None)
+    assert one.startswith("1 of ") and "measurement was set aside" in one
+    assert "set aside" not in words(result, outliers=result.outliers[2:])
+    many = tuple(replace(result.outliers[0], place=f"a.csv:{k}") for k in range(7))
+    assert "(a.csv:0, a.csv:1, a.csv:2, and 4 more; target" in words(
+        result, outliers=many
+    )
+
+
+@pytest.mark.parametrize(
+    ("verdict", "reason", "expected"),
+    [
+        ("good", "the error falls from 2 to 1 mm", "GOOD: the error falls from 2 to"),
+        ("no-gain", "", "NO GAIN: the measurements show no error of the robot"),
+        ("no-gain", "0.1 mm as it is.", "NO GAIN: 0.1 mm as it is. "),
+        ("unchecked", "five configurations", "UNCHECKED: five configurations. "),
+        ("untrusted", "no", "UNTRUSTED: no. "),
+    ],
+)
+def test_verdicts(
+    result: CalibrationResult, verdict: str, reason: str, expected: str
+) -> None:
+    text = words(result, outliers=(), verdict=verdict, reason=reason)
+    assert text.startswith(expected)
+    assert ("Nothing is corrected" in text) == (verdict == "no-gain")
+    assert ("Joint origins move" in text) == (verdict != "no-gain")
+
+
+def test_findings(result: CalibrationResult) -> None:
+    (found,) = result.findings
+    said = "all lengths came out 0.5 % longer; check the unit of the lengths."
+    assert f"Warning: {said}" in words(result)
+    # The reason says it once, and with what to do about it.
+    text = words(result, verdict="untrusted", reason=found.message, outliers=())
+    assert text.startswith(f"UNTRUSTED: {said}") and "Warning" not in text
+
+
+def test_two_accuracies(result: CalibrationResult) -> None:
+    lines = format_report(result).splitlines()
+    start = lines.index("Expected tool error (rms)")
+    cells = [line.split() for line in lines[start + 1 : start + 6]]
+    assert cells[0] == ["nominal", "calibrated", "unmodeled", "unit", "better", "at"]
+    assert cells[1][-7:] == ["0.76", "0.31", "0.20", "mm", "100", "%", "100", "%"][1:]
+    assert cells[3][-8:] == ["0.31", "0.20", "mm", ">", "99", "%", "93", "%"]
+    assert cells[4] == ["0.18", "0.023", "0.017", "deg"]
+    assert "Expected tool error" not in words(result, measured=None, workspace=None)
+
+
+def test_noise(result: CalibrationResult) -> None:
+    lines = format_report(result).splitlines()
+    start = lines.index("Noise (1 sigma of a component)")
+    cells = [line.split() for line in lines[start + 1 : start + 4]]
+    assert cells[0] == [
+        *("given", "estimated", "95", "%", "interval", "repeats", "unmodeled", "unit")
+    ]
+    assert cells[1] == [
+        *("position", "0.10", "assumed", "0.40", "0.37", "...", "0.43"),
+        *("0.020", "0.40", "mm"),
+    ]
+    assert cells[2] == ["orientation", "0.0057", "stated", "-", "-", "-", "-", "deg"]
+    assert (
+        "position: the measurements contradict the assumed 0.10 mm; 0.020 mm noise, "
+        "0.40 mm unmodeled; configurations differ more than their repetitions explain "
+        "(p < 0.001)."
+    ) in words(result)
+    assert "orientation: " not in words(result)
+
+
+def test_outliers(result: CalibrationResult) -> None:
+    lines = format_report(result).splitlines()
+    start = lines.index(f"Outliers (3 of {result.training})")
+    cells = [line.split() for line in lines[start + 1 : start + 5]]
+    assert cells[0] == ["normalized", "residual", "weight", "cause"]
+    assert cells[1] == ["rows.csv:12", "180.2", "0", "target", "ball"]
+    assert cells[3] == ["rows.csv:20", "5.2", "0.43"]
+
+
+@pytest.mark.parametrize(
+    ("value", "text"),
+    [
+        *((0.0123, "0.012"), (0.0996, "0.10"), (0.4321, "0.43"), (9.96, "10")),
+        *((123.4, "120"), (0.0, "0"), (float("inf"), "inf"), (-0.0567, "-0.057")),
+    ],
+)
+def test_significant_digits(value: float, text: str) -> None:
+    assert significant(value) == text

@@ -55,6 +55,7 @@ def identify(
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.calibration import identify as structural
+    from calib_pin.evidence import TRUSTED
     from calib_pin.io.documents import encode, identification_document
     from calib_pin.remedies import as_found, remedies
     from calib_pin.report.accuracy import untrusted
@@ -82,7 +83,7 @@ def identify(
         document["verdict"] = {"status": verdict, "reason": reason}
         typer.echo(encode(document).decode(), nl=False)
     else:
-        doubts = [] if verdict == "good" else [untrusted(reason)]
+        doubts = [] if verdict in TRUSTED else [untrusted(reason, verdict)]
         fitted = bool(measurements)
         show([*doubts, *identified(found, fitted=fitted, remedies=better)])
-    return 0 if verdict == "good" else 2
+    return 0 if verdict in TRUSTED else 2

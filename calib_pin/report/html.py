@@ -47,6 +47,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
             "model-ladder",
         ),
     ),
+    "residuals": ("Noise and outliers", ("residuals",)),
     "identifiability": (
         "What can be known",
         (
@@ -57,7 +58,6 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
-    "residuals": ("Noise and outliers", ("residuals",)),
     "provenance": ("What was done", ("convergence",)),
 }
 """Title and figures of each section, by its key."""
@@ -146,11 +146,11 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
         )
     if result.workspace is not None:
         yield _Tile(
-            label="expected tool error, rms over the workspace",
+            label="expected tool error over the workspace, rms",
             before=quantity(result.workspace.nominal[0], "m"),
             after=quantity(result.workspace.calibrated[0], "m"),
             unit=DISPLAY["m"][0],
-            remark=f"better with {percent(result.workspace.better)}",
+            remark=f"better than nominal: {percent(result.workspace.better)}",
         )
 
 

@@ -135,12 +135,17 @@ def noise(result: CalibrationResult) -> Iterator[Block]:
 
 
 def _noise(part: VarianceComponent, pure: bool) -> Sequence[Cell]:
+    known = math.isfinite(part.estimate)
     given, estimate, repeats, unmodeled = (
         Cell(_shown(size, part.unit), size)
-        for size in (part.given, part.estimate, part.pure, part.unmodeled)
+        for size in (
+            part.given,
+            part.estimate if known else None,
+            part.pure,
+            part.unmodeled,
+        )
     )
     low, high = (_shown(end, part.unit) for end in part.interval)
-    known = math.isfinite(part.estimate)
     by = "stated" if part.stated else "assumed"
     return (
         Cell(part.quantity),
@@ -154,7 +159,7 @@ def _noise(part: VarianceComponent, pure: bool) -> Sequence[Cell]:
 
 
 def _shown(size: float | None, unit: str) -> str:
-    if size is None or math.isnan(size):
+    if size is None:
         return "-"
     return significant(DISPLAY[unit][1] * size)
 

@@ -130,8 +130,8 @@ def test_sections_in_order(page: tuple[bytes, dict[str, Any]]) -> None:
         or attributes.get("id") in ("parameters", "residuals", "provenance")
     ]
     assert found == [
-        *("verdict", "accuracy", "identifiability", "parameters"),
-        *("residuals", "provenance"),
+        *("verdict", "accuracy", "residuals", "identifiability"),
+        *("parameters", "provenance"),
     ]
 
 

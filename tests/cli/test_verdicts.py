@@ -1,0 +1,84 @@
+"""What each verdict leaves behind: exit status, words, files, and what reads them."""
+
+from __future__ import annotations
+
+import json
+from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
+from typing import Any
+
+import pytest
+
+import calib_pin.calibration
+from calib_pin.result import CalibrationResult
+
+COMMAND = "calibrate arm.urdf rows.csv --setup setup.yaml --model position"
+REASON = "it is as accurate as it gets"
+
+
+@pytest.fixture
+def judged(monkeypatch: pytest.MonkeyPatch) -> Callable[[str], None]:
+    """Whatever is calibrated gets a verdict."""
+    calibrate = calib_pin.calibration.calibrate
+
+    def judge(verdict: str) -> None:
+        def judged(*args: Any, **options: Any) -> CalibrationResult:
+            found = calibrate(*args, **options)
+            return replace(found, verdict=verdict, reason=REASON)
+
+        monkeypatch.setattr(calib_pin.calibration, "calibrate", judged)
+
+    return judge
+
+
+@pytest.mark.parametrize(
+    ("verdict", "status", "first", "urdf"),
+    [
+        ("good", 0, "GOOD", True),
+        ("no-gain", 0, "NO GAIN", True),
+        ("unchecked", 2, "UNCHECKED", False),
+        ("untrusted", 2, "UNTRUSTED", False),
+    ],
+)
+def test_what_a_verdict_leaves(here, run, judged, verdict, status, first, urdf):
+    judged(verdict)
+    result = run(f"{COMMAND} -o out")
+    assert (result.status, result.err) == (status, "")
+    assert result.out.startswith(f"{first}: {REASON}.")
+    assert Path("out/arm.urdf").exists() == urdf
+    assert ("wrote out/arm.urdf" in result.out) == urdf
+    nominal = Path("arm.urdf").read_bytes()
+    assert Path("out/nominal.urdf").read_bytes() == nominal
+    if urdf:
+        same = Path("out/arm.urdf").read_bytes() == nominal
+        assert same == (verdict == "no-gain")
+    assert f"{first}: {REASON}." in Path("out/report.html").read_text()
+    document = json.loads(Path("out/calibration.json").read_text())
+    assert document["verdict"] == {"status": verdict, "reason": REASON}
+
+    quiet = run(f"{COMMAND} --quiet")
+    assert (quiet.status, quiet.out) == (status, "")
+    said = "" if status == 0 else f"calib-pin: note: {verdict}: {REASON}\n"
+    assert quiet.err == said
+
+    evaluated = run("evaluate out/calibration.json new.csv")
+    assert evaluated.status == status
+    assert evaluated.out.startswith("UNTRUSTED: ") == (status == 2)
+    compared = run("compare out/calibration.json done/calibration.json")
+    assert compared.status == status
+    both = f"{first}: A (out/calibration.json): {REASON}."
+    assert (both in compared.out) == (status == 2)
+
+
+def test_no_gain_replaces_the_robot_of_an_earlier_run(here, run, judged):
+    assert run(f"{COMMAND} -o out").status == 0
+    corrected = Path("out/arm.urdf").read_bytes()
+    judged("no-gain")
+    assert run(f"{COMMAND} -o out --force").status == 0
+    nominal = Path("arm.urdf").read_bytes()
+    assert Path("out/arm.urdf").read_bytes() == nominal != corrected
+    # A folder that was calibrated can be calibrated again.
+    again = run("calibrate out/nominal.urdf rows.csv --setup setup.yaml -o out --force")
+    assert again.status == 0
+    assert Path("out/nominal.urdf").read_bytes() == nominal

@@ -237,7 +237,7 @@ def _yardstick(fitted: Fit) -> str:
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
     if "camera" in problem.data.parts:
-        lengths.append("the distances between the board's points ('targets')")
+        lengths.append("the size of the board's squares ('targets')")
     elif "spheres" in own:
         lengths.append("the radius of the sphere")
     if {"position", "pose"}.intersection(problem.data.parts) or any(

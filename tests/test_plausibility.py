@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+import os
 from dataclasses import replace
+from pathlib import Path
 
 import numpy as np
 import pytest
@@ -201,3 +203,63 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters(
     (finding,) = found(replace(rows, sigma=None, q=rows.q + gears), WIRE)
     assert (finding.code, finding.severity) == ("implausible-correction", severity)
     assert float(finding.evidence["errors_without"]) < 4.0
+
+
+DATA = Path(
+    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
+)
+real = pytest.mark.skipif(
+    not DATA.is_dir(), reason=f"no real measurements in {DATA} (CALIB_PIN_DATA)"
+)
+ROBOTS = {
+    "ur10_tmac/train.csv": ("example:ur10_robot", "tool0", "position"),
+    "ur5_tracker/train.csv": ("example:ur5_robot", "tool0", "position"),
+    "talos_left_arm/measurements.csv": (
+        *("example:talos_reduced", "gripper_left_base_link", "position"),
+    ),
+    "tiago/train.csv": ("example:tiago_no_hand", "wrist_ft_tool_link", "position"),
+    "tiago/validate.csv": ("example:tiago_no_hand", "wrist_ft_tool_link", "position"),
+    "mukca_panda/panda_1.csv": ("example:panda", "panda_link8", "fixed-point"),
+}
+SOCKETS = ("front", "right", "back-high")
+
+
+def of_real(file: str, apart: float = 0.05) -> Problem:
+    robot, tip, model = ROBOTS[file]
+    chain = calib_pin.load_chain(robot, tip=tip)
+    rows = calib_pin.read_measurements(DATA / file, chain, model=model)
+    known: tuple[DistanceSetup, ...] = ()
+    if model == "fixed-point":
+        known = tuple(
+            DistanceSetup((f"{place}/0", f"{place}/1"), apart, 1e-5)
+            for place in SOCKETS
+        )
+    return make_problem(chain, rows, Setup(distances=known))
+
+
+@real
+@pytest.mark.parametrize("file", ROBOTS)
+def test_real_robots_are_plausible(file: str) -> None:
+    problem = of_real(file)
+    findings = plausibility(fit(problem, np.random.default_rng(0)))
+    assert [f for f in findings if f.severity == "error"] == []
+
+
+@real
+@pytest.mark.parametrize(
+    ("file", "factor", "apart", "expected"),
+    [
+        ("ur10_tmac/train.csv", 1.01, 0.05, 0.0107),
+        ("ur10_tmac/train.csv", 1.05, 0.05, 0.0507),
+        ("mukca_panda/panda_1.csv", 1.0, 0.06, 0.21),
+    ],
+)
+def test_real_robots_measured_with_a_wrong_length(
+    file: str, factor: float, apart: float, expected: float
+) -> None:
+    problem = of_real(file, apart)
+    rows = replace(problem.data, values=factor * problem.data.values)
+    problem = replace(problem, data=rows)
+    (finding,) = plausibility(fit(problem, np.random.default_rng(0)))
+    assert (finding.code, finding.severity) == ("scale", "error")
+    assert finding.evidence["scale"] == pytest.approx(expected, rel=0.02)

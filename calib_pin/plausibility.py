@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.directions import projected
 from calib_pin.evidence import Finding
 from calib_pin.fit import Fit, analyze_structure
 from calib_pin.known_distances import KnownDistances
@@ -139,15 +140,13 @@ class _Linear:
         whole = fitted.problem
         problem = replace(whole, data=whole.data.sample(ROWS), expected=None)
         parameters = problem.parameters
-        nuisance = parameters.free & parameters.nuisance
         robot = parameters.free & ~parameters.nuisance
         r, J = problem.linearize_rows(fitted.theta)
         g = np.zeros(len(r))
         g[: problem.sigma.size] = growth(problem, fitted.theta)
-        N = (J * parameters.scales)[:, nuisance]
-        columns = np.column_stack([(J * parameters.scales)[:, robot], g, r])
-        if N.shape[1]:
-            columns = columns - N @ np.linalg.lstsq(N, columns, rcond=1e-11)[0]
+        scaled = J * parameters.scales
+        columns = np.column_stack([scaled[:, robot], g, r])
+        columns = projected(columns, scaled, parameters)
         A, g, r = columns[:, :-2], columns[:, -2], columns[:, -1]
         y = A @ (fitted.theta / parameters.scales)[robot] - r
         U, s, Vt = np.linalg.svd(A, full_matrices=False)
@@ -300,13 +299,9 @@ def _decided_by_others(fitted: Fit, by_own: Floats) -> Floats:
         by_own: Derivative of the whitened distances by the instrument's own
             parameters, shape (D, K).
     """
-    scales = fitted.problem.parameters.scales
-    basis = scales[:, None] * fitted.directions.basis
-    D = by_own @ basis[len(scales) - by_own.shape[1] :]
-    triangle = np.linalg.qr(fitted.result.jac @ basis, mode="r")
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
-    kept = s > 1e-12 * s.max(initial=0.0)
-    h = np.sum((D @ Vt[kept].T / s[kept]) ** 2, axis=1)
+    D = np.zeros((len(by_own), len(fitted.theta)))
+    D[:, len(fitted.theta) - by_own.shape[1] :] = by_own
+    h = np.einsum("di,ij,dj->d", D, fitted.covariance, D) / fitted.unit**2
     return np.asarray(np.maximum(1.0 - h, ROUNDING))
 
 

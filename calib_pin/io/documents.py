@@ -287,6 +287,7 @@ def _expected(found: ExpectedAccuracy) -> Json:
         for stage, size in (
             ("nominal", found.nominal),
             ("calibrated", found.calibrated),
+            ("bound", found.bound),
             ("unmodeled", found.unmodeled),
         )
     }

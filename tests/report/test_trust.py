@@ -22,6 +22,7 @@ from calib_pin.result import CalibrationResult
 WORKSPACE = ExpectedAccuracy(
     nominal=(2.47e-3, 3.1e-3),
     calibrated=(0.312e-3, 0.4e-3),
+    bound=(0.39e-3, 0.5e-3),
     unmodeled=(0.2e-3, 0.3e-3),
     better=0.9995,
     share=0.93,
@@ -122,10 +123,16 @@ def test_two_accuracies(result: CalibrationResult) -> None:
     lines = format_report(result).splitlines()
     start = lines.index("Expected tool error (rms)")
     cells = [line.split() for line in lines[start + 1 : start + 6]]
-    assert cells[0] == ["nominal", "calibrated", "unmodeled", "unit", "better", "at"]
-    assert cells[1][-7:] == ["0.76", "0.31", "0.20", "mm", "100", "%", "100", "%"][1:]
-    assert cells[3][-8:] == ["0.31", "0.20", "mm", ">", "99", "%", "93", "%"]
-    assert cells[4] == ["0.18", "0.023", "0.017", "deg"]
+    assert cells[0] == [
+        *("nominal", "calibrated", "95", "%", "unmodeled", "unit", "better", "at")
+    ]
+    assert cells[1][3:] == [
+        *("0.76", "0.31", "0.39", "0.20", "mm", "100", "%", "100", "%")
+    ]
+    assert cells[3][3:] == [
+        *("2.5", "0.31", "0.39", "0.20", "mm", ">", "99", "%", "93", "%")
+    ]
+    assert cells[4] == ["0.18", "0.023", "0.029", "0.017", "deg"]
     assert "Expected tool error" not in words(result, measured=None, workspace=None)
 
 

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     (
         *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
-        *("spatial", "units"),
+        *("restricted_likelihood", "spatial", "units"),
     ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
@@ -47,8 +47,9 @@ LAYERS = (
             "tip_drift",
         ),
         *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
-        *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
-        *("training", "trajectory"),
+        *("posterior", "repetitions", "result", "row_errors", "simulation", "solve"),
+        *("splits", "systematic", "tip_accuracy", "training", "trajectory"),
+        "variance_components",
     ),
     ("io", "report", "viewer"),
     ("cli",),

@@ -32,7 +32,14 @@ from calib_pin.spatial import Floats
 if TYPE_CHECKING:
     from calib_pin.fit import Fit
 
-__all__ = ["balanced", "grouped", "units", "variance_components"]
+__all__ = [
+    "balanced",
+    "by_quantity",
+    "current_units",
+    "grouped",
+    "units",
+    "variance_components",
+]
 
 REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake."""
@@ -64,9 +71,9 @@ def variance_components(
     """
     quantities = problem.measurement.quantities
     half = half_covariance(result.jac, basis, problem.parameters)
-    groups = _by_quantity(problem, result, half)
+    groups = by_quantity(problem, result.x, result.fun, result.jac, half)
     stated = np.array([_stated(problem, quantity) for quantity in quantities])
-    found, used = _tested(groups, stated, _current(problem) ** 2)
+    found, used = _tested(groups, stated, current_units(problem) ** 2)
     repeated = pure_errors(problem, result.x, _leverages(problem, result, half))
     return tuple(
         _component(problem, k, found, float(used[k]), groups.counts, repeated[k])
@@ -128,29 +135,39 @@ def grouped(problem: Problem, rows: Floats) -> Groups:
         for quantity in problem.measurement.quantities
     ]
     products = np.array([part.T @ part for part in parts])
-    products *= _current(problem)[:, None, None] ** 2
+    products *= current_units(problem)[:, None, None] ** 2
     return Groups(_counts(problem), products, known.T @ known)
 
 
-def _by_quantity(problem: Problem, result: LeastSquaresResult, half: Floats) -> Groups:
-    """The rows of a solution by quantity; in its orthonormal columns `J half`."""
-    fun, jac = result.fun, result.jac
+def by_quantity(
+    problem: Problem, theta: Floats, fun: Floats, jac: Floats, half: Floats
+) -> Groups:
+    """The rows of a problem by quantity, in its orthonormal columns.
+
+    Args:
+        problem: The problem.
+        theta: Where it was linearized, shape (P,).
+        fun: Whitened residual there, shape (M,).
+        jac: Whitened Jacobian there, shape (M, P); both of a square system of very
+            many rows.
+        half: Factor of the covariance, see `half_covariance`, shape (P, r).
+    """
     if not problem.many:
         return grouped(problem, np.column_stack([jac @ half, fun]))
     # Those of one quantity are what is left where the others weigh nothing.
     quantities, current = problem.measurement.quantities, _each(problem)
-    further = len(problem.further_rows(result.x))
+    further = len(problem.further_rows(theta))
     systems = [(fun, jac)]
     if len(quantities) > 1:
         systems = []
         for quantity in quantities:
             alone = np.full(problem.components, np.inf)
             alone[quantity.columns] = current[quantity.columns]
-            systems.append(replace(problem, units=alone).linearize(result.x))
+            systems.append(replace(problem, units=alone).linearize(theta))
     rows = [np.column_stack([J @ half, r]) for r, J in systems]
     parts = [part[: len(part) - further] for part in rows]
     products = np.array([part.T @ part for part in parts])
-    products *= _current(problem)[:, None, None] ** 2
+    products *= current_units(problem)[:, None, None] ** 2
     known = rows[0][len(rows[0]) - further :]
     return Groups(_counts(problem), products, known.T @ known)
 
@@ -177,8 +194,8 @@ def _each(problem: Problem) -> Floats:
     return problem.units if len(problem.units) else np.ones(problem.components)
 
 
-def _current(problem: Problem) -> Floats:
-    """Unit weight of every quantity, shape (K,)."""
+def current_units(problem: Problem) -> Floats:
+    """Standard deviation of unit weight of every quantity, shape (K,)."""
     quantities = problem.measurement.quantities
     return _each(problem)[[quantity.columns.start for quantity in quantities]]
 

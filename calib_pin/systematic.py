@@ -36,8 +36,9 @@ from calib_pin.problem import Problem
 from calib_pin.restricted_likelihood import (
     EXACT,
     Groups,
-    Variances,
     estimate_variances,
+    moments,
+    restricted_likelihood,
 )
 from calib_pin.spatial import Floats
 from calib_pin.variance_components import current_units, grouped
@@ -203,26 +204,25 @@ def _significant(
     names = [effects.error.screws[k].parameter.name for k in effects.columns]
     kind_of = np.array([name.rsplit(".", 2)[1] for name in names])
     current = current_units(problem) ** 2
-
-    def estimated(kinds: tuple[str, ...]) -> Variances:
-        return estimate_variances(
-            _with_effects(groups, kind_of, kinds),
-            np.concatenate([current, np.ones(len(kinds))]),
-        )
-
     chosen: tuple[str, ...] = ()
-    best = estimated(chosen)
+    best = estimate_variances(_with_effects(groups, kind_of, ()), current)
+    likelihood, values = best.likelihood, best.values
     for _ in EFFECTS:
         left = [kind for kind in EFFECTS if kind in kind_of and kind not in chosen]
-        tried = {(*chosen, kind): estimated((*chosen, kind)) for kind in left}
-        kinds = max(tried, key=lambda key: tried[key].likelihood, default=())
-        if not kinds or tried[kinds].likelihood - best.likelihood < 0.5 * SIGNIFICANT:
+        tried = {}
+        for kind in left:
+            some = _with_effects(groups, kind_of, (*chosen, kind))
+            found = moments(some, current)
+            if (found > 0.0).all():
+                tried[(*chosen, kind)] = found, restricted_likelihood(some, found)
+        kinds = max(tried, key=lambda key: tried[key][1], default=())
+        if not kinds or tried[kinds][1] - likelihood < 0.5 * SIGNIFICANT:
             break
-        chosen, best = kinds, tried[kinds]
+        chosen, (values, likelihood) = kinds, tried[kinds]
     if not chosen:
         return None
     count = len(groups.counts)
-    factors = dict(zip(chosen, np.sqrt(best.values[count:]), strict=True))
+    factors = dict(zip(chosen, np.sqrt(values[count:]), strict=True))
     kept = np.isin(kind_of, chosen)
     sizes = effects.sizes * [factors.get(kind, 0.0) for kind in kind_of]
     return replace(
@@ -231,7 +231,7 @@ def _significant(
         sizes=sizes[kept],
         gear=effects.gear * float(factors.get("transmission", 0.0)),
         compliance=effects.compliance * float(factors.get("compliance", 0.0)),
-        noise=best.values[:count] / current,
+        noise=values[:count] / current,
     )
 
 

@@ -29,13 +29,7 @@ from numpy.typing import NDArray
 
 from calib_pin.spatial import Floats
 
-__all__ = [
-    "Groups",
-    "Variances",
-    "estimate_variances",
-    "moments",
-    "restricted_likelihood",
-]
+__all__ = ["Groups", "Variances", "estimate_variances"]
 
 ROUNDS = 50
 """Most steps of scoring; three to ten are usual."""
@@ -131,72 +125,6 @@ def estimate_variances(groups: Groups, start: Floats | None = None) -> Variances
         likelihood=state.likelihood,
         covariance=state.covariance,
     )
-
-
-def moments(groups: Groups, noise: Floats) -> Floats:
-    """Variances that explain the residuals of weighted least squares by their squares.
-
-    Least-squares variance components at the weights of the fit (Teunissen and
-    Amiri-Simkooei 2008, W = V^-1 of noise alone): the last groups are pseudo-
-    observations of random effects X, and with Y = R X
-
-        |r_k|^2 = sum_l s_l |R_kl|^2 + sum_h s_h |Y_kh|^2,
-        |Y_g^T r|^2 = sum_l s_l |Y_lg|^2 + sum_h s_h |Y_g^T Y_h|^2.
-
-    Restricted likelihood counts every combination of effects alike, also those that
-    hardly show, and where effects are not quite what disturbs the residuals it makes
-    them as large as those need. Squares are matched where they are large.
-
-    Args:
-        groups: Groups of measured values, then one for each kind of effect.
-        noise: Variances of the measured values that the fit had, shape (K,).
-
-    Returns:
-        Variances, shape (K + G,), none negative.
-    """
-    count, kinds = len(noise), len(groups.counts) - len(noise)
-    products = groups.products[:count] / noise[:, None, None]
-    effect = np.diagonal(groups.products[count:], axis1=1, axis2=2)[:, :-1] > 0.0
-    of_fit = ~effect.any(axis=0)
-    total = products.sum(axis=0)
-    M = np.linalg.inv((groups.known + total)[:-1, :-1][np.ix_(of_fit, of_fit)])
-    # Columns of effects and the residual with the fit projected out.
-    free = np.eye(len(total))
-    inner = np.flatnonzero(of_fit)
-    outer = np.append(np.flatnonzero(~of_fit), len(total) - 1)
-    free[np.ix_(inner, outer)] = -M @ (groups.known + total)[np.ix_(inner, outer)]
-    seen = free[:, outer].T @ products @ free[:, outer]
-    both = free[:, outer].T @ (groups.known + total) @ free[:, outer]
-    hats = M @ products[:, inner[:, None], inner]
-    traces = np.trace(hats, axis1=1, axis2=2)
-    own = effect[:, ~of_fit]
-    N = np.zeros((count + kinds,) * 2)
-    square = np.zeros(count + kinds)
-    N[:count, :count] = np.einsum("kij,lji->kl", hats, hats, optimize=True)
-    N[:count, :count] += np.diag(groups.counts[:count] - 2.0 * traces)
-    square[:count] = seen[:, -1, -1]
-    diagonal = np.diagonal(seen, axis1=1, axis2=2)[:, :-1]
-    N[:count, count:] = diagonal @ own.T
-    N[count:, :count] = N[:count, count:].T
-    N[count:, count:] = own @ both[:-1, :-1] ** 2 @ own.T
-    square[count:] = own @ both[:-1, -1] ** 2
-    result = np.zeros(count + kinds)
-    some = np.ones(count + kinds, bool)
-    while some.any():
-        result[some] = np.linalg.lstsq(N[np.ix_(some, some)], square[some], rcond=None)[
-            0
-        ]
-        if (result >= 0.0).all():
-            break
-        some &= result > 0.0
-        result[~some] = 0.0
-    result[:count] *= noise
-    return result
-
-
-def restricted_likelihood(groups: Groups, values: Floats) -> float:
-    """Logarithm of the restricted likelihood of given variances, up to a constant."""
-    return _State.at(groups, values).likelihood
 
 
 def _first(groups: Groups) -> Floats:

@@ -226,7 +226,9 @@ def _tested(
     few = found.redundancies < FEW
     if few.all():
         return found, np.sqrt(start)
-    intervals = [_interval(v, f) for v, f in zip(found.values, found.dof, strict=True)]
+    intervals = [
+        variance_interval(v, f) for v, f in zip(found.values, found.dof, strict=True)
+    ]
     stands = np.array([low <= 1.0 <= high for low, high in intervals])
     held = stated & (few | stands)
     values, kept = found.values, few & ~stated
@@ -249,7 +251,7 @@ def _tested(
     return found, np.maximum(factors, LEAST * factors.max())
 
 
-def _interval(variance: float, dof: float) -> tuple[float, float]:
+def variance_interval(variance: float, dof: float) -> tuple[float, float]:
     """What holds a variance in 95 of 100 cases, by its estimate."""
     if dof < 0.5:
         return 0.0, np.inf
@@ -283,14 +285,14 @@ def _component(
     redundancy, stated = float(found.redundancies[k]), _stated(problem, quantity)
     variance, dof = float(found.values[k]), float(found.dof[k])
     squares, lack, unmodeled = variance * redundancy, None, None
-    low, high = _interval(variance, dof)
+    low, high = variance_interval(variance, dof)
     if pure is not None:
         lack = pure.lack_of_fit(squares, redundancy)
         unmodeled = pure.unmodeled(squares, redundancy)
         if lack is not None and lack < REJECTED:
             # Residuals of one configuration are one value of what the model lacks.
             variance = pure.variance + unmodeled
-            low, high = _interval(variance, redundancy - pure.dof)
+            low, high = variance_interval(variance, redundancy - pure.dof)
     elif stated:
         unmodeled = variance - 1.0 if low > 1.0 else 0.0
     known = redundancy > 0.0

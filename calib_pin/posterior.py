@@ -108,6 +108,7 @@ def posterior(
     directions: Directions,
     components: Sequence[VarianceComponent] = (),
     systematic: Systematic | None = None,
+    size: float | None = None,
 ) -> Posterior:
     """The deviations of a fit about any references.
 
@@ -117,9 +118,12 @@ def posterior(
         directions: The directions that were moved.
         components: The noise of every quantity; default as the units say.
         systematic: Random effects of gears and compliance, None for none.
+        size: Expected size of errors, in scales, see `shrinkage`; None where the rows
+            alone decide.
     """
     fun, jac = problem.factorize(theta)
-    half = half_covariance(jac, directions.basis, problem.parameters)
+    basis, held = _held(problem, directions, size)
+    half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
     noise = np.ones(len(problem.measurement.quantities))
     if systematic is not None:
         noise = systematic.noise
@@ -127,7 +131,9 @@ def posterior(
     core = np.eye(half.shape[1])
     if systematic is not None or shared.any():
         products = by_quantity(problem, theta, fun, jac, half)
-        core = products.known[:-1, :-1] + np.tensordot(
+        prior = held @ half
+        core = prior.T @ prior + products.known[:-1, :-1]
+        core += np.tensordot(
             (noise - shared) / current_units(problem) ** 2,
             products.products[:, :-1, :-1],
             axes=1,
@@ -141,7 +147,8 @@ def posterior(
         few = replace(problem, data=problem.data.sample(ROWS))
         _, J = few.linearize_rows(theta)
         X = systematic.rows(few, theta)
-        inverse = half_covariance(J, directions.basis, problem.parameters)
+        own = np.concatenate([J, held])
+        inverse = half_covariance(own, basis, problem.parameters)
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     return Posterior(
         problem=problem,
@@ -151,6 +158,21 @@ def posterior(
         systematic=systematic,
         noise=noise,
     )
+
+
+def _held(
+    problem: Problem, directions: Directions, size: float | None
+) -> tuple[Floats, Floats]:
+    """What moves, shape (P, k), and the rows of a prior on it, shape (p, P).
+
+    Under a prior all errors of the robot move, as in `shrinkage.posterior`.
+    """
+    parameters = problem.parameters
+    if size is None:
+        return directions.basis, np.zeros((0, len(parameters)))
+    alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+    rows = np.diag(1.0 / (size * parameters.scales))[alone]
+    return np.eye(len(parameters))[:, parameters.free], rows
 
 
 def _shared(

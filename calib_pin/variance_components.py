@@ -328,5 +328,7 @@ def _converted(fitted: Fit, factor: float) -> Fit:
             cost=result.cost / factor**2,
         ),
         sigma0=fitted.sigma0 / factor,
+        unit=1.0,
+        covariance=(factor / fitted.unit) ** 2 * fitted.covariance,
         singular_values=fitted.singular_values / factor,
     )

@@ -137,3 +137,19 @@ def test_it_belongs_to_its_references() -> None:
     old = posterior(fitted.problem, fitted.theta, fitted.directions, (), found.effects)
     sizes = [np.sum(p.twists(q) ** 2, axis=2) for p in (old, found.posterior)]
     np.testing.assert_allclose(*sizes, rtol=1e-6)
+
+
+def test_under_an_expected_size_it_is_the_covariance_of_the_fit() -> None:
+    fitted = job(0, 0.0).fitted
+    assert fitted.evidence is not None
+    size = fitted.evidence.expected.size
+    found = posterior(
+        fitted.problem, fitted.theta, fitted.directions, size=size
+    ).covariance
+    deviations = np.sqrt(np.diag(fitted.covariance))
+    deviations[deviations == 0.0] = 1.0
+    np.testing.assert_allclose(
+        found / np.outer(deviations, deviations),
+        fitted.covariance / np.outer(deviations, deviations),
+        atol=1e-6,
+    )

@@ -22,7 +22,11 @@ from calib_pin.errors import RobotError, nearest
 from calib_pin.setup import Payload
 from calib_pin.spatial import Floats, adjoint, invert
 
-__all__ = ["Chain", "Robot"]
+__all__ = ["FREE_TRAVEL", "Chain", "Robot"]
+
+FREE_TRAVEL = 1.0
+"""How far a joint that slides goes either way where its URDF states no limits [m]: as
+long as the usual linear axis that carries a robot."""
 
 
 @dataclass(frozen=True)
@@ -64,8 +68,9 @@ class Chain:
         joints: Names of the n moving joints, from base to tip.
         revolute: True for revolute and continuous joints, shape (n,).
         reversed: True for joints passed from child to parent, shape (n,).
-        lower: Lower position limits, shape (n,) [rad, m]; -pi where there is none.
-        upper: Upper position limits, shape (n,) [rad, m]; pi where there is none.
+        lower: Lower position limits, shape (n,) [rad, m]; where there is none, half a
+            turn back, or `FREE_TRAVEL` for a joint that slides.
+        upper: Upper position limits, shape (n,) [rad, m]; the same forward.
         crossed: Names of joints whose limits in the URDF cross; they count as none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in the frame of the chain's joint before
@@ -157,8 +162,9 @@ class Chain:
             )
             if wrong
         )
-        self.lower: Floats = np.where(limited, lower, -np.pi)
-        self.upper: Floats = np.where(limited, upper, np.pi)
+        free = np.where(self.revolute, np.pi, FREE_TRAVEL)
+        self.lower: Floats = np.where(limited, lower, -free)
+        self.upper: Floats = np.where(limited, upper, free)
         self.placements: tuple[pin.SE3, ...] = tuple(
             self._model.jointPlacements[j].copy() for j in self._ids
         )

@@ -1,25 +1,28 @@
-"""Quantiles of chi-square.
+"""Quantiles and tails of chi-square, tails of Fisher's F.
 
 `scipy.special` has them too, but to load it takes as long as to load Pinocchio.
 """
 
 from __future__ import annotations
 
-from math import exp, inf, lgamma, log
+from math import exp, inf, lgamma, log, log1p
 
-__all__ = ["chi_square_quantile"]
+__all__ = ["chi_square_quantile", "chi_square_tail", "f_tail"]
 
 EPSILON = 2.0**-52
 
 STEPS = 60
 """Most steps; seven are usual. Rounding moves the last ones for millions of degrees."""
 
+TINY = 1e-300
+"""In place of a zero denominator of a continued fraction (Lentz's method)."""
 
-def chi_square_quantile(dof: int, tail: float) -> float:
+
+def chi_square_quantile(dof: float, tail: float) -> float:
     """What chi-square exceeds with a given probability.
 
     Args:
-        dof: Degrees of freedom, 1 or more.
+        dof: Degrees of freedom, positive, whole or not.
         tail: That probability, between 0 and 1.
 
     Example:
@@ -46,6 +49,71 @@ def chi_square_quantile(dof: int, tail: float) -> float:
         if abs(x - last) <= 4.0 * EPSILON * x:
             break
     return x
+
+
+def chi_square_tail(x: float, dof: float) -> float:
+    """Probability of chi-square to exceed a value.
+
+    Args:
+        x: The value.
+        dof: Degrees of freedom, positive, whole or not.
+
+    Example:
+        >>> round(chi_square_tail(7.814728, 3), 6)
+        0.05
+    """
+    return _tails(0.5 * dof, 0.5 * x)[0] if x > 0.0 else 1.0
+
+
+def f_tail(x: float, above: float, below: float) -> float:
+    """Probability of Fisher's F to exceed a value.
+
+    Of one degree of freedom above it is the probability of Student's t to exceed the
+    root of the value in size.
+
+    Args:
+        x: The value.
+        above: Degrees of freedom of the numerator, positive, whole or not.
+        below: Those of the denominator.
+
+    Example:
+        >>> round(f_tail(4.964603, 1, 10), 6)
+        0.05
+    """
+    if not x > 0.0:
+        return 1.0
+    part = above * x / (above * x + below)
+    # The continued fraction converges fast below the mean only.
+    if part * (above + below + 4.0) < above + 2.0:
+        return 1.0 - _beta(0.5 * above, 0.5 * below, part, 1.0 - part)
+    return _beta(0.5 * below, 0.5 * above, below / (above * x + below), part)
+
+
+def _beta(a: float, b: float, x: float, rest: float) -> float:
+    """Regularized incomplete beta function I_x(a, b), rest = 1 - x.
+
+    By its continued fraction (Abramowitz and Stegun 26.5.8, Lentz's method).
+    """
+    if x <= 0.0 or rest <= 0.0:
+        return 0.0 if x <= 0.0 else 1.0
+    front = exp(
+        lgamma(a + b) - lgamma(a) - lgamma(b) + a * log(x) + b * log1p(-x)
+        if x < 0.5
+        else lgamma(a + b) - lgamma(a) - lgamma(b) + a * log1p(-rest) + b * log(rest)
+    )
+    c, d = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0) or TINY)
+    fraction, change, m = d, inf, 0
+    while abs(change - 1.0) > EPSILON:
+        m += 1
+        for term in (
+            m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)),
+            -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)),
+        ):
+            d = 1.0 / (1.0 + term * d or TINY)
+            c = 1.0 + term / c or TINY
+            change = c * d
+            fraction *= change
+    return front * fraction / a
 
 
 def _tails(a: float, x: float) -> tuple[float, float, float]:

@@ -18,6 +18,7 @@ __all__ = [
     "WEAK",
     "Directions",
     "appearing",
+    "half_covariance",
     "practical_directions",
     "projected",
     "pruned",
@@ -30,6 +31,9 @@ __all__ = [
 
 WEAK = 10.0
 """Posterior standard deviation, in scales, from which a direction is left alone."""
+
+RANK = 1e-12
+"""Singular values below this part of the largest are rounding."""
 
 
 @dataclass(frozen=True)
@@ -204,6 +208,27 @@ def appearing(
     # Rounding must not move, by 1e-20, parameters that nothing moves.
     result[np.abs(result) < 1e-13] = 0.0
     return result, float(np.sum((U[:, shown].T @ r) ** 2))
+
+
+def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Floats:
+    """Factor H of the covariance `H H^T` of least squares at unit weight.
+
+    It belongs to the references that the Jacobian is taken about, and so does what is
+    multiplied by it. The columns of `J H` are orthonormal.
+
+    Args:
+        J: Whitened Jacobian at the solution, shape (M, P).
+        basis: Directions that were moved, of the scaled parameters, shape (P, k).
+        parameters: The parameters.
+
+    Returns:
+        The factor, shape (P, rank).
+    """
+    scaled = parameters.scales[:, None] * basis
+    triangle = np.linalg.qr(J @ scaled, mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    rank = int((s > RANK * s.max(initial=0.0)).sum())
+    return np.asarray(scaled @ (Vt[:rank].T / s[:rank]))
 
 
 def robot_singular_values(

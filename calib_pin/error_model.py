@@ -22,7 +22,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, Protocol
+from typing import Literal, NamedTuple, Protocol
 
 import numpy as np
 import pinocchio as pin
@@ -37,7 +37,14 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats, adjoint, interpolate, invert, se3_exp
+from calib_pin.spatial import (
+    Floats,
+    adjoint,
+    interpolate,
+    interpolated_twists,
+    invert,
+    se3_exp,
+)
 
 __all__ = ["ErrorModel", "Learned", "PoseLinearization", "ordered_screws"]
 
@@ -84,6 +91,7 @@ class PoseLinearization:
         corrections: Positions of the parameters that are joint corrections, shape (C,).
         factors: What the screws of these are multiplied by, shape (N, C).
         learned: Motion of the tool that was learned, shape (N, 4, 4), None for none.
+        fading: The rest of poses at which what was learned fades, None for none.
     """
 
     T: Floats
@@ -97,9 +105,14 @@ class PoseLinearization:
     corrections: NDArray[np.intp]
     factors: Floats
     learned: Floats | None = None
+    fading: Fading | None = None
 
     def joint_twists(self) -> Floats:
         """Body twists of the tool by the joint positions, shape (N, 6, n)."""
+        if self.fading is not None:
+            of_plain, of_whole, whole = self.fading
+            plain = replace(self, fading=None).joint_twists()
+            return np.asarray(of_plain @ plain + of_whole @ whole.joint_twists())
         blocks = self.regressor.reshape(len(self.T), 6, -1, 6)
         at_tip = np.einsum("nakb,kb->nak", blocks, self.axes)
         behind = self.to_tip if self.learned is None else self.to_tip @ self.learned
@@ -117,6 +130,10 @@ class PoseLinearization:
         Returns:
             Derivative, shape (N, d, P).
         """
+        if self.fading is not None:
+            of_plain, of_whole, whole = self.fading
+            plain = replace(self, fading=None).derivative(by_twist @ of_plain)
+            return plain + whole.derivative(by_twist @ of_whole)
         if self.learned is not None:
             by_twist = by_twist @ adjoint(invert(self.learned))
         rows, size = by_twist.shape[:2]
@@ -140,6 +157,21 @@ class PoseLinearization:
         result[:, :, tip:] = by_twist @ self.columns[:, tip:]
         result[:, :, self.corrections] *= self.factors[:, None, :]
         return result
+
+
+class Fading(NamedTuple):
+    """A pose between that of the parameters and that with what was learned.
+
+    Attributes:
+        of_plain: Its body twist by that of the former, shape (N, 6, 6).
+        of_whole: The same by that of the latter.
+        whole: Linearization with all that was learned; the one that holds this has
+            none of it.
+    """
+
+    of_plain: Floats
+    of_whole: Floats
+    whole: PoseLinearization
 
 
 @dataclass(frozen=True)
@@ -331,11 +363,20 @@ class ErrorModel:
             factors: Those at q, where they are known already.
         """
         factors = self.factors(q) if factors is None else factors
-        if self.learned is not None and not (self.learned.weight(q) == 1.0).all():
-            # What fades is small, and so is its own change.
-            plain = self.with_learned(None).linearize(q, theta, factors)
-            T = self.poses(q, theta, factors)
-            return replace(plain, T=T, learned=invert(plain.T) @ T)
+        if self.learned is None or (self.learned.weight(q) == 1.0).all():
+            return self._linearize_whole(q, theta, factors)
+        # The weight belongs to the commands, which no parameter changes.
+        weight = self.learned.weight(q)
+        plain = self.with_learned(None).linearize(q, theta, factors)
+        whole = self._linearize_whole(q, theta, factors)
+        twists = interpolated_twists(plain.T, whole.T, weight)
+        T = self.poses(q, theta, factors)
+        return replace(plain, T=T, fading=Fading(*twists, whole))
+
+    def _linearize_whole(
+        self, q: Floats, theta: Floats, factors: Floats
+    ) -> PoseLinearization:
+        """The same where what was learned counts fully."""
         theta = self._shifted(theta)
         columns, corrections = ordered_screws(self.screws, theta, self.places)
         base, placements, tip, tool = self._placed(corrections)

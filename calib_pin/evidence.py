@@ -92,6 +92,8 @@ class VarianceComponent:
             None where nothing tells it from noise.
         lack_of_fit: Probability that noise alone leaves more than this between
             configurations; None without repetitions.
+        pure_test: Probability that chance alone sets the pure error as far apart from
+            the given standard deviation; None without repetitions.
     """
 
     quantity: str
@@ -106,6 +108,7 @@ class VarianceComponent:
     pure: float | None = None
     unmodeled: float | None = None
     lack_of_fit: float | None = None
+    pure_test: float | None = None
 
 
 @dataclass(frozen=True)

@@ -11,9 +11,11 @@ from calib_pin.configurations import observable_configurations
 from calib_pin.directions import (
     Directions,
     appearing,
+    half_covariance,
     practical_directions,
     pruned,
     robot_singular_values,
+    rounding,
     visible_directions,
 )
 from calib_pin.identifiability import Structure, structure
@@ -35,6 +37,10 @@ EXPLAINED = 1e-18
 
 EXACT = 1e-6
 """Scatter, in standard deviations, below which rows differ by rounding alone."""
+
+PULL = 0.01
+"""Posterior deviations by which a parameter must want to leave its bound inwards: less
+than anyone sees, and more than rounding or an unfinished iteration leaves."""
 
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
@@ -296,18 +302,37 @@ def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
             bounds = np.clip(x, lower, upper)
             fitted = run(held.holding({int(k): float(bounds[k]) for k in worst}))
             continue
-        gradient = fitted.result.jac.T @ fitted.result.fun * held.parameters.scales
-        size = np.linalg.norm(fitted.result.fun)
+        pulls = _pulls(fitted)
         inward = {
             k
             for k, value in held.held_at.items()
             if k not in released
-            and (gradient[k] if value == upper[k] else -gradient[k]) > 1e-6 * size
+            and (pulls[k] if value == upper[k] else -pulls[k]) > PULL
         }
         if not inward:
             return fitted
         released |= inward
         fitted = run(held.releasing(inward))
+
+
+def _pulls(fitted: Fit) -> dict[int, float]:
+    """How far the cost wants held parameters to fall, in their posterior deviations.
+
+    With the moved directions projected out of its column, a parameter let go would
+    move by gradient / curvature, and would have the deviation sigma0 / curvature^0.5.
+    """
+    problem, result = fitted.problem, fitted.result
+    held = list(problem.held_at)
+    basis = fitted.directions.basis
+    moved = result.jac @ half_covariance(result.jac, basis, problem.parameters)
+    columns = result.jac[:, held]
+    alone = columns - moved @ (moved.T @ columns)
+    size = np.linalg.norm(alone, axis=0)
+    # Where the moved directions can do what it does, rounding is left.
+    seen = size > rounding(result.jac) * np.linalg.norm(columns, axis=0)
+    unit = size * max(np.nan_to_num(fitted.sigma0), 1e-300)
+    pulls = np.where(seen, result.fun @ alone / np.where(seen, unit, 1.0), 0.0)
+    return dict(zip(held, pulls.tolist(), strict=True))
 
 
 @dataclass(frozen=True)

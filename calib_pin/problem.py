@@ -161,11 +161,11 @@ class Problem:
     def distinct_values(self) -> int:
         """Measured values and distances, repetitions of a configuration left out."""
         rows = np.flatnonzero(self.data.weight > 0.0)
-        _, first = np.unique(self._repeated()[rows], return_index=True)
+        _, first = np.unique(self.repeated()[rows], return_index=True)
         values = int(np.isfinite(self.sigma[rows[first]]).sum())
         return values + len(self._distances)
 
-    def _repeated(self) -> NDArray[np.int64]:
+    def repeated(self) -> NDArray[np.int64]:
         """Label of the rows that show one thing in one configuration, shape (N,)."""
         labels = self.data.groups()
         for names in (self.data.target, self.data.payload):

@@ -15,6 +15,7 @@ __all__ = [
     "adjoint",
     "from_quaternion",
     "interpolate",
+    "interpolated_twists",
     "invert",
     "nearest_rotation",
     "se3_exp",
@@ -97,6 +98,31 @@ def interpolate(first: Floats, last: Floats, part: Floats) -> Floats:
     result[..., :3, 3] = part[..., None] * way[..., :3, 3]
     result[..., 3, 3] = 1.0
     return np.asarray(first @ result)
+
+
+def interpolated_twists(
+    first: Floats, last: Floats, part: Floats
+) -> tuple[Floats, Floats]:
+    """Derivative of `interpolate` by body twists of both poses.
+
+    Args:
+        first: Poses, shape (..., 4, 4).
+        last: Other poses, shape (..., 4, 4).
+        part: Part of the way, shape (...).
+
+    Returns:
+        Body twists of the pose between by those of either, shape (..., 6, 6) both.
+    """
+    to_first = invert(first)
+    way, between = to_first @ last, to_first @ interpolate(first, last, part)
+    turn, share = so3_log(way[..., :3, :3]), part[..., None, None]
+    by_last = np.zeros((*way.shape[:-2], 6, 6))
+    R = np.swapaxes(between[..., :3, :3], -1, -2) @ way[..., :3, :3]
+    by_last[..., :3, :3] = share * R
+    turned = so3_log_derivative(part[..., None] * turn)
+    by_last[..., 3:, 3:] = share * np.linalg.solve(turned, so3_log_derivative(turn))
+    by_first = adjoint(invert(between)) - by_last @ adjoint(invert(way))
+    return by_first, by_last
 
 
 def so3_log(R: Floats) -> Floats:

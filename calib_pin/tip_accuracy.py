@@ -11,6 +11,7 @@ import numpy as np
 from calib_pin.directions import visible_nuisances
 from calib_pin.fit import Fit
 from calib_pin.problem import Problem
+from calib_pin.shrinkage import posterior
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
 
@@ -150,7 +151,13 @@ def tip_accuracy(
     of_error = len(error.screws)
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
-    C = fitted.covariance[:of_error, :of_error]
+    # Parameters are deviations from references, and so is their covariance.
+    moved, at = fitted.problem.at(fitted.theta)
+    _, jac = moved.factorize(at)
+    evidence = fitted.evidence
+    size = None if evidence is None else evidence.expected.size
+    C = posterior(moved, fitted.directions, jac, size, fitted.unit)
+    C = C[:of_error, :of_error]
     position, orientation = _deviations(J, C)
     alone = _deviations(without_frames(J), C)
     rows = problem.data.sample(ROWS)
@@ -167,7 +174,7 @@ def tip_accuracy(
             theta=theta,
             robot=fitted.directions.robot,
             of_tip=J[:, :3],
-            weight=1.0 if problem.data.stated else fitted.sigma0,
+            weight=fitted.unit,
             last=(len(problem.data), _rms(position)),
         ),
     )

@@ -256,7 +256,7 @@ def train(
         return Trained(fitted, problem, theta)
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
-    directions = shifts(fitted)
+    directions = shifts(fitted, problem, theta)
     found = RESIDUAL_MODELS[setup.learned](
         training_rows(problem, theta, directions),
         rng,
@@ -360,15 +360,20 @@ class _Given:
         return np.ones(len(q))
 
 
-def shifts(fitted: Fit) -> Floats:
+def shifts(fitted: Fit, problem: Problem, theta: Floats) -> Floats:
     """Directions of the error model that the fit could tell, in its scales, (P', k).
 
     Those of the robot and the frames; the instrument stays as it was fitted.
+
+    Args:
+        fitted: The fit.
+        problem: Its problem about the references that the directions are for.
+        theta: The solution about these, shape (P,).
     """
-    parameters = fitted.problem.parameters
-    frames = visible_nuisances(fitted.result.jac, parameters)
-    basis = np.column_stack([frames, fitted.directions.robot])
-    basis = (parameters.scales[:, None] * basis)[: len(fitted.problem.error.screws)]
+    parameters = problem.parameters
+    _, J = problem.linearize(theta)
+    basis = np.column_stack([visible_nuisances(J, parameters), fitted.directions.robot])
+    basis = (parameters.scales[:, None] * basis)[: len(problem.error.screws)]
     return basis[:, basis.any(axis=0)]
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain, Robot
+from calib_pin.chain import FREE_TRAVEL, Chain, Robot
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_chain, load_robot, parse_robot
 from calib_pin.setup import Payload
@@ -540,7 +540,8 @@ def test_limits(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     )
     chain = chain_of(urdf)
     free = (-np.pi, np.pi)
-    expected = [(-1.0, 2.5), free, free, (0.0, 0.35), free, free, free]
+    slide = (-FREE_TRAVEL, FREE_TRAVEL)
+    expected = [(-1.0, 2.5), free, free, (0.0, 0.35), slide, free, free]
     np.testing.assert_array_equal(np.column_stack([chain.lower, chain.upper]), expected)
     q = chain.random_configurations(1000, np.random.default_rng(0))
     assert ((chain.lower <= q) & (q <= chain.upper)).all()

@@ -325,6 +325,24 @@ def test_what_was_learned_fades_with_its_shift(space: Space, framed: Setup) -> N
     assert np.abs(linear.joint_twists() - exact).max() < 5.0 * size
 
 
+@pytest.mark.parametrize("space", SPACES)
+def test_derivatives_where_what_was_learned_fades(space: Space, framed: Setup) -> None:
+    model = model_of(load_chain("space6"), framed)
+    q, theta = some(model, 4)
+    q[:, 0] = 0.5, -0.2, -0.8, -2.0
+    model = model.with_learned(Fading(space, 0.1, 0.5 * theta))
+    T, J = model.jacobian(q, theta)
+    step = 1e-6
+    for k in range(len(theta)):
+        ends = [
+            model.poses(q, theta + s * np.eye(len(theta))[k]) for s in (step, -step)
+        ]
+        moved = np.linalg.inv(T) @ (ends[0] - ends[1]) / (2.0 * step)
+        found = moved[:, [0, 1, 2, 2, 0, 1], [3, 3, 3, 1, 2, 0]]
+        # Central differences err by step^2, rounding by 1e-16 / step.
+        np.testing.assert_allclose(J[:, :, k], found, atol=1e-9)
+
+
 @pytest.mark.parametrize("space", [None, *SPACES])
 def test_kinematics_are_those_of_the_linearization(
     space: Space | None, special_chain: Chain, framed: Setup

@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     (
         *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
-        *("spatial", "units"),
+        *("restricted_likelihood", "spatial", "units"),
     ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
@@ -37,19 +37,11 @@ LAYERS = (
     ),
     (
         *("assessment", "calibration", "calibration_record", "comparison"),
-        *(
-            "compensation",
-            "evaluation",
-            "expected_accuracy",
-            "fit",
-            "parameter_changes",
-            "shrinkage",
-            "tip_drift",
-        ),
-        *("inverse_kinematics", "joint_readings", "ladder", "planning"),
-        *("plausibility", "remedies"),
-        *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
-        *("training", "trajectory"),
+        *("compensation", "evaluation", "expected_accuracy", "fit"),
+        *("inverse_kinematics", "joint_readings", "ladder", "parameter_changes"),
+        *("planning", "plausibility", "posterior", "remedies", "repetitions", "result"),
+        *("row_errors", "shrinkage", "simulation", "solve", "splits", "systematic"),
+        *("tip_accuracy", "tip_drift", "training", "trajectory", "variance_components"),
     ),
     ("io", "report", "viewer"),
     ("cli",),

@@ -121,3 +121,18 @@ def test_what_frames_absorb_is_taken_away() -> None:
         predicted.append(tip.of_robot[0])
     expected = np.sqrt(np.mean(np.square(predicted)))
     assert np.sqrt(np.mean(squares)) == pytest.approx(expected, rel=0.15)
+
+
+def test_a_far_first_guess_predicts_the_same() -> None:
+    """Parameters belong to references, and so does their covariance."""
+    *_, rows = simulated(2, 40)
+    far = FrameSetup((0.5, 0.1, -0.2), (1.0, -0.3, 0.4), estimate=True)
+    found = [
+        calib_pin.calibrate(CHAIN, rows, setup, validate=False).tip
+        for setup in (Setup(), Setup(base_frame=far))
+    ]
+    near, other = found
+    assert near is not None and other is not None
+    # Directions of the structure come from Jacobians about other references.
+    np.testing.assert_allclose(other.position, near.position, rtol=1e-6)
+    np.testing.assert_allclose(other.orientation, near.orientation, rtol=1e-6)

@@ -42,7 +42,7 @@ class Joints:
         model = chain.robot.model
         index = [model.idx_qs[model.getJointId(name)] for name in chain.joints]
         lower, upper = model.lowerPositionLimit[index], model.upperPositionLimit[index]
-        # A chain gives half a turn either way to joints whose URDF states no limits.
+        # A chain gives limits of its own to joints whose URDF states none.
         free = (chain.lower != lower) | (chain.upper != upper)
         return Joints(
             np.where(free, -np.inf, chain.lower),

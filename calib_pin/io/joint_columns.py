@@ -7,7 +7,7 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.chain import Chain
+from calib_pin.chain import FREE_TRAVEL, Chain
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import RESERVED
@@ -222,8 +222,9 @@ def _check_unit(
         why = f"as mapped to joint '{source.joint}' with an offset of {offset}"
     table.check_size(source.column, q, kind, largest, why)
     unit = table.columns[source.column].unit or kind.si
-    # The chain gives +-pi to joints without limits; those may turn further.
-    if limits == (-np.pi, np.pi) or unit not in kind.smaller:
+    # The chain gives these to joints without limits, which may go further.
+    free = (-np.pi, np.pi) if kind is ANGLE else (-FREE_TRAVEL, FREE_TRAVEL)
+    if limits == free or unit not in kind.smaller:
         return
     excess = np.maximum(lower - q, q - upper)
     row = int(np.argmax(excess))

@@ -1,0 +1,216 @@
+r"""How far a fit can be off: by noise, and by what gears and compliance did to it.
+
+About any references, the covariance follows from the rows linearized there. A fit
+moves by `theta - theta_true = A^+ (X g + e)` where g are the random effects of joints
+that the model lacks (`systematic`) and e is noise, part of which may be the same in all
+repetitions of a configuration (`repetitions`). At another configuration the tool is
+off by
+
+    J A^+ e + (J A^+ X - X_there) g,
+
+less than both terms by themselves: a fit absorbs what it can of the effects.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.directions import Directions, half_covariance
+from calib_pin.evidence import VarianceComponent
+from calib_pin.problem import Problem
+from calib_pin.repetitions import repetitions
+from calib_pin.spatial import Floats
+from calib_pin.systematic import ROWS, Systematic
+from calib_pin.variance_components import (
+    REJECTED,
+    by_quantity,
+    current_units,
+)
+
+__all__ = ["Posterior", "posterior"]
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Deviations of a fit, about the references of its problem.
+
+    Attributes:
+        problem: The problem.
+        theta: Parameter values about its references, shape (P,).
+        by_noise: Deviations of the parameters by independent noises of deviation one,
+            shape (P, r).
+        by_effects: The same by the effects of gears and compliance, shape (P, S).
+        systematic: These effects; None for none.
+        noise: Variance of a measured value of each quantity at a new configuration,
+            relative to that of its row, shape (K,).
+    """
+
+    problem: Problem
+    theta: Floats
+    by_noise: Floats
+    by_effects: Floats
+    systematic: Systematic | None
+    noise: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the parameters, shape (P, P)."""
+        half = np.column_stack([self.by_noise, self.by_effects])
+        return np.asarray(half @ half.T)
+
+    def twists(self, q: Floats) -> Floats:
+        """Deviations of the tool as body twists, shape (N, 6, r + S).
+
+        The squares of the last axis add up to variances. Frames, the columns 0 to 5 and
+        the last six of the error model, count as what they were fitted to be.
+
+        Args:
+            q: Joint positions, shape (N, n) [rad, m].
+        """
+        error = self.problem.error
+        count = len(error.screws)
+        _, J = error.jacobian(q, self.theta[:count])
+        parts = [J @ self.by_noise[:count]]
+        if self.systematic is not None:
+            moved = self.problem.at(self.theta)[0].error
+            there = self.systematic.twists(moved, q)
+            parts.append(J @ self.by_effects[:count] - there)
+        return np.concatenate(parts, axis=2)
+
+    def row_variances(self, problem: Problem, theta: Floats) -> Floats:
+        """Expected squares of the whitened residuals of rows not fitted, (N, d).
+
+        Args:
+            problem: The problem with these rows, about the same references and in the
+                same units.
+            theta: Parameter values about these, shape (P,).
+        """
+        shape = len(problem.data), problem.components
+        count = shape[0] * shape[1]
+        _, J = problem.linearize_rows(theta)
+        J = J[:count]
+        squares = np.sum((J @ self.by_noise) ** 2, axis=1)
+        if self.systematic is not None:
+            there = self.systematic.rows(problem, theta)
+            squares += np.sum((J @ self.by_effects - there) ** 2, axis=1)
+        result = squares.reshape(shape)
+        for k, quantity in enumerate(problem.measurement.quantities):
+            result[:, quantity.columns] += self.noise[k]
+        return np.where(np.isfinite(problem.given_sigma), result, 0.0)
+
+
+def posterior(
+    problem: Problem,
+    theta: Floats,
+    directions: Directions,
+    components: Sequence[VarianceComponent] = (),
+    systematic: Systematic | None = None,
+    size: float | None = None,
+) -> Posterior:
+    """The deviations of a fit about any references.
+
+    Args:
+        problem: The problem about these references, in the units of the fit.
+        theta: The solution about them, shape (P,).
+        directions: The directions that were moved.
+        components: The noise of every quantity; default as the units say.
+        systematic: Random effects of gears and compliance, None for none.
+        size: Expected size of errors, in scales, see `shrinkage`; None where the rows
+            alone decide.
+    """
+    fun, jac = problem.factorize(theta)
+    basis, held = _held(problem, directions, size)
+    half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
+    noise = np.ones(len(problem.measurement.quantities))
+    if systematic is not None:
+        noise = systematic.noise
+    shared = _shared(problem, components, noise)
+    core = np.eye(half.shape[1])
+    if systematic is not None or shared.any():
+        products = by_quantity(problem, theta, fun, jac, half)
+        prior = held @ half
+        core = prior.T @ prior + products.known[:-1, :-1]
+        core += np.tensordot(
+            (noise - shared) / current_units(problem) ** 2,
+            products.products[:, :-1, :-1],
+            axes=1,
+        )
+    if shared.any():
+        core += _by_configuration(problem, jac @ half, shared)
+    values, vectors = np.linalg.eigh(core)
+    by_effects = np.zeros((len(theta), 0))
+    if systematic is not None:
+        # Of very many rows a sample absorbs as much as all of them.
+        few = replace(problem, data=problem.data.sample(ROWS))
+        _, J = few.linearize_rows(theta)
+        X = systematic.rows(few, theta)
+        own = np.concatenate([J, held])
+        inverse = half_covariance(own, basis, problem.parameters)
+        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
+    return Posterior(
+        problem=problem,
+        theta=theta,
+        by_noise=half @ (vectors * np.sqrt(np.maximum(values, 0.0))),
+        by_effects=by_effects,
+        systematic=systematic,
+        noise=noise,
+    )
+
+
+def _held(
+    problem: Problem, directions: Directions, size: float | None
+) -> tuple[Floats, Floats]:
+    """What moves, shape (P, k), and the rows of a prior on it, shape (p, P).
+
+    Under a prior all errors of the robot move, as in `shrinkage.posterior`.
+    """
+    parameters = problem.parameters
+    if size is None:
+        return directions.basis, np.zeros((0, len(parameters)))
+    alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+    rows = np.diag(1.0 / (size * parameters.scales))[alone]
+    return np.eye(len(parameters))[:, parameters.free], rows
+
+
+def _shared(
+    problem: Problem, components: Sequence[VarianceComponent], noise: Floats
+) -> Floats:
+    """Part of the variances of quantities that repetitions have in common, (K,)."""
+    result = np.zeros(len(noise))
+    if problem.many:
+        return result
+    current = current_units(problem)
+    for k, component in enumerate(components):
+        lacking = component.lack_of_fit
+        if component.pure is not None and lacking is not None and lacking < REJECTED:
+            pure = (component.pure / component.given / current[k]) ** 2
+            result[k] = max(float(noise[k]) - pure, 0.0)
+    return result
+
+
+def _by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
+    """What errors that repetitions have in common add to the covariance, (r, r).
+
+    Args:
+        problem: The problem.
+        U: Orthonormal columns of its rows, shape (M, r).
+        shared: Variance of these errors of each quantity, shape (K,).
+    """
+    size, rank = problem.components, U.shape[1]
+    rows, label = repetitions(problem)
+    each = U[: len(problem.data) * size].reshape(-1, size, rank)
+    result = np.zeros((rank, rank))
+    weight = np.sqrt(problem.data.weight)[:, None, None]
+    alone = np.ones(len(each), bool)
+    alone[rows] = False
+    for k, quantity in enumerate(problem.measurement.quantities):
+        part = each[:, quantity.columns] * weight
+        summed = np.zeros((int(label.max(initial=-1)) + 1, *part.shape[1:]))
+        np.add.at(summed, label, part[rows])
+        for columns in (summed, part[alone]):
+            flat = columns.reshape(-1, rank)
+            result += shared[k] * flat.T @ flat
+    return result

@@ -1,0 +1,155 @@
+"""Errors of fits against what is said of them, with gears that the model lacks."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.fit import Fit, fit
+from calib_pin.formulation import nominal_problem
+from calib_pin.posterior import Posterior, posterior
+from calib_pin.problem import Problem
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.spatial import Floats
+from calib_pin.systematic import Systematic, systematic
+from calib_pin.variance_components import balanced, variance_components
+
+SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
+MORE = ("placement", "transmission", "compliance")
+NORMAL = 1.959964
+
+
+@dataclass(frozen=True)
+class Job:
+    """A calibration of a robot with gears and compliance, and the true robot."""
+
+    true: Problem
+    theta: Floats
+    fitted: Fit
+    effects: Systematic | None
+    posterior: Posterior
+
+    def deviations(self, q: Floats) -> tuple[Floats, Floats]:
+        """Errors of the tool's position, and their standard deviations, (N, 3)."""
+        moved = self.posterior.problem.error
+        count, known = len(self.true.error.screws), len(moved.screws)
+        true = self.true.error.poses(q, self.theta[:count])
+        found = moved.poses(q, self.posterior.theta[:known])
+        missed = found[:, :3, 3] - true[:, :3, 3]
+        squares = np.sum(self.posterior.twists(q)[:, :3] ** 2, axis=2)
+        return np.einsum("nji,nj->ni", found[:, :3, :3], missed), np.sqrt(squares)
+
+
+def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Job:
+    """A PA10 measured with effects that displace the tool by so many deviations."""
+    rng = np.random.default_rng(seed)
+    chain = calib_pin.load_chain("pa10")
+    plain = nominal_problem(chain, "position", SETUP)
+    true = nominal_problem(chain, "position", replace(SETUP, parameters=MORE))
+    known = set(plain.parameters.names)
+    names = true.parameters.names
+    drawn = calib_pin.draw_errors(plain.parameters, rng)
+    values = dict(zip(plain.parameters.names, drawn, strict=True))
+    geometry = np.array([values.get(name, 0.0) for name in names])
+    effects = true.parameters.scales * rng.normal(size=len(names))
+    away = [k for k, n in enumerate(names) if n in known or n.endswith("gain")]
+    effects[away] = 0.0
+    q = chain.random_configurations(50, rng)
+    T = [
+        true.error.poses(q, x[: len(true.error.screws)]) for x in (effects, 0 * effects)
+    ]
+    size = np.sqrt(np.mean((T[0] - T[1])[:, :3, 3] ** 2))
+    theta = geometry + times * noise / size * effects
+    rows = calib_pin.simulate(
+        true, theta, rng, count=150 // repeats, noise=noise, repeats=repeats
+    )
+    problem = replace(plain, data=replace(rows, sigma=None))
+    fitted = balanced(problem, lambda p: fit(p, np.random.default_rng(0)))
+    moved, at = fitted.problem.at(fitted.theta)
+    noises = variance_components(fitted.problem, fitted.result, fitted.directions.basis)
+    found = systematic(moved, at, fitted.directions)
+    return Job(
+        true,
+        theta,
+        fitted,
+        found,
+        posterior(moved, at, fitted.directions, noises, found),
+    )
+
+
+def test_effects_are_found_and_their_noise_is_the_true_one() -> None:
+    found = job(0, 10.0)
+    assert found.effects is not None
+    assert found.effects.gear > 0.0 and found.effects.compliance > 0.0
+    unit = 1e-4 * found.fitted.problem.units[0]
+    # 350 redundancies beside 31 parameters and 35 effects: three deviations are 11 %.
+    assert unit * found.effects.noise[0] ** 0.5 == pytest.approx(2e-5, rel=0.12)
+
+
+def test_without_effects_none_is_found() -> None:
+    found = job(0, 0.0)
+    assert found.effects is None
+    covariance = found.posterior.covariance
+    np.testing.assert_allclose(
+        found.posterior.by_noise @ found.posterior.by_noise.T, covariance
+    )
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize(
+    ("times", "repeats"), [(0.0, 1), (5.0, 1), (20.0, 1), (10.0, 3)]
+)
+def test_predicted_errors_of_the_tool_cover(times: float, repeats: int) -> None:
+    rng, inside, ratios = np.random.default_rng(1), [], []
+    for seed in range(40):
+        found = job(seed, times, repeats=repeats)
+        q = found.true.error.chain.random_configurations(40, rng)
+        error, deviation = found.deviations(q)
+        inside.append(np.mean(np.abs(error) < NORMAL * deviation))
+        ratios.append(np.sum(error**2) / np.sum(deviation**2))
+    # Errors at the configurations of a job move together: three deviations of the mean.
+    chance = 3.0 * np.std(inside) / np.sqrt(len(inside))
+    low, high = (0.94, 0.96) if times == 0.0 else (0.9, 0.98)
+    assert low - chance < np.mean(inside) < high + chance
+    assert np.sqrt(np.mean(ratios)) == pytest.approx(1.0, abs=0.2)
+
+
+def test_new_rows_are_missed_by_what_is_predicted() -> None:
+    found = job(2, 10.0)
+    rng = np.random.default_rng(3)
+    rows = calib_pin.simulate(found.true, found.theta, rng, count=300, noise=2e-5)
+    there = replace(found.posterior.problem, data=replace(rows, sigma=None))
+    missed = there.errors(found.posterior.theta) / there.sigma
+    predicted = found.posterior.row_variances(there, found.posterior.theta)
+    assert np.sqrt(np.sum(missed**2) / np.sum(predicted)) == pytest.approx(1.0, abs=0.3)
+
+
+def test_it_belongs_to_its_references() -> None:
+    """The tool is as uncertain whatever frames the parameters are counted from."""
+    found = job(4, 10.0)
+    fitted, q = (
+        found.fitted,
+        found.true.error.chain.random_configurations(5, np.random.default_rng(0)),
+    )
+    old = posterior(fitted.problem, fitted.theta, fitted.directions, (), found.effects)
+    sizes = [np.sum(p.twists(q) ** 2, axis=2) for p in (old, found.posterior)]
+    np.testing.assert_allclose(*sizes, rtol=1e-6)
+
+
+def test_under_an_expected_size_it_is_the_covariance_of_the_fit() -> None:
+    fitted = job(0, 0.0).fitted
+    assert fitted.evidence is not None
+    size = fitted.evidence.expected.size
+    found = posterior(
+        fitted.problem, fitted.theta, fitted.directions, size=size
+    ).covariance
+    deviations = np.sqrt(np.diag(fitted.covariance))
+    deviations[deviations == 0.0] = 1.0
+    np.testing.assert_allclose(
+        found / np.outer(deviations, deviations),
+        fitted.covariance / np.outer(deviations, deviations),
+        atol=1e-6,
+    )

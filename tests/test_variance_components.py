@@ -1,0 +1,197 @@
+"""Noise of each quantity: found where it is stated wrong, left where it is right."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin import problem as problem_module
+from calib_pin.directions import half_covariance
+from calib_pin.evidence import VarianceComponent
+from calib_pin.fit import Fit, fit
+from calib_pin.formulation import nominal_problem
+from calib_pin.problem import Problem
+from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
+from calib_pin.spatial import Floats, so3_exp, to_quaternion
+from calib_pin.variance_components import balanced, variance_components
+
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+CHAIN = calib_pin.load_chain("space6")
+OFFSETS = Setup(parameters=("joint-offset",), tool_frame=TOOL)
+
+
+class Solve:
+    """Fits, counted."""
+
+    def __init__(self) -> None:
+        self.calls = 0
+
+    def __call__(self, problem: Problem) -> Fit:
+        self.calls += 1
+        return fit(problem, np.random.default_rng(0))
+
+
+def poses(
+    seed: int, noise: tuple[float, float], *, sigma: float | None, count: int = 60
+) -> Problem:
+    """Poses of a robot with offsets, noise of position [m] and orientation [rad]."""
+    problem = nominal_problem(CHAIN, "pose", OFFSETS)
+    rng = np.random.default_rng(seed)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=0.0)
+    values = rows.values.copy()
+    values[:, :3] += noise[0] * rng.normal(size=(count, 3))
+    x, y, z, w = np.moveaxis(values[:, 3:], 1, 0)
+    R = np.array(
+        [
+            [1 - 2 * (y * y + z * z), 2 * (x * y - z * w), 2 * (x * z + y * w)],
+            [2 * (x * y + z * w), 1 - 2 * (x * x + z * z), 2 * (y * z - x * w)],
+            [2 * (x * z - y * w), 2 * (y * z + x * w), 1 - 2 * (x * x + y * y)],
+        ]
+    )
+    turned = np.moveaxis(R, 2, 0) @ so3_exp(noise[1] * rng.normal(size=(count, 3)))
+    values[:, 3:] = to_quaternion(turned)
+    stated = None if sigma is None else np.full((count, 6), sigma)
+    return replace(problem, data=replace(rows, values=values, sigma=stated))
+
+
+def found(fitted: Fit) -> tuple[VarianceComponent, ...]:
+    return variance_components(fitted.problem, fitted.result, fitted.directions.basis)
+
+
+@pytest.mark.parametrize("sigma", [None, 1e-4])
+@pytest.mark.parametrize("noise", [(5e-4, 2e-5), (2e-5, 5e-4)])
+def test_position_and_orientation_are_balanced(
+    noise: tuple[float, float], sigma: float | None
+) -> None:
+    """Given 0.1 mm and 0.1 mrad, five times too small and too large."""
+    solve, estimates = Solve(), []
+    for seed in range(5):
+        fitted = balanced(poses(seed, noise, sigma=sigma), solve)
+        components = found(fitted)
+        estimates.append([c.estimate for c in components])
+        assert all(c.contradicted == (sigma is not None) for c in components)
+        assert fitted.sigma0 == pytest.approx(1.0, rel=1e-3)
+    # 170 redundancies each, 5 seeds: 2.4 % is one deviation of the mean.
+    np.testing.assert_allclose(np.mean(estimates, axis=0), noise, rtol=0.08)
+    assert solve.calls <= 15
+
+
+def test_what_is_stated_stands_where_it_is_right() -> None:
+    solve, rejected = Solve(), []
+    for seed in range(12):
+        fitted = balanced(poses(seed, (1e-4, 1e-4), sigma=1e-4), solve)
+        components = found(fitted)
+        rejected += [c.contradicted for c in components]
+        for c in components:
+            assert c.contradicted == (c.factor != 1.0)
+            assert c.contradicted == (not c.interval[0] <= 1e-4 <= c.interval[1])
+            assert c.contradicted or c.unmodeled == 0.0
+    # Of 24, more than 4 are rejected by chance at 5 % once in a hundred.
+    assert sum(rejected) <= 4
+    assert solve.calls == 12 + sum(a or b for a, b in np.reshape(rejected, (12, 2)))
+
+
+def test_what_is_stated_too_small_is_unmodeled_error() -> None:
+    fitted = balanced(poses(4, (5e-4, 1e-4), sigma=1e-4), Solve())
+    position, _ = found(fitted)
+    assert position.contradicted and position.interval[0] < 5e-4 < position.interval[1]
+    assert position.unmodeled == pytest.approx(np.sqrt(24.0) * 1e-4, rel=0.15)
+    # Nothing tells it from noise where that is only assumed.
+    assumed = found(balanced(poses(4, (5e-4, 1e-4), sigma=None), Solve()))
+    assert [c.unmodeled for c in assumed] == [None, None]
+
+
+def test_one_quantity_is_fitted_once() -> None:
+    problem = nominal_problem(CHAIN, "position", OFFSETS)
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4)
+    problem = replace(problem, data=replace(rows, sigma=None))
+    plain, solve = Solve()(problem), Solve()
+    fitted = balanced(problem, solve)
+    assert solve.calls == 1
+    np.testing.assert_array_equal(fitted.theta, plain.theta)
+    np.testing.assert_allclose(fitted.covariance, plain.covariance)
+    assert fitted.problem.units == pytest.approx([plain.sigma0] * 3)
+    assert found(fitted)[0].estimate == pytest.approx(1e-4 * plain.sigma0)
+    assert fitted.problem.cost(fitted.theta) == pytest.approx(fitted.result.cost)
+
+
+def test_exact_measurements_divide_by_nothing() -> None:
+    for noise in ((0.0, 0.0), (1e-4, 0.0), (0.0, 1e-4)):
+        fitted = balanced(poses(1, noise, sigma=None), Solve())
+        assert np.isfinite(fitted.covariance).all()
+        units = fitted.problem.units if len(fitted.problem.units) else np.ones(6)
+        assert (units >= 0.99e-3 * units.max()).all()
+
+
+def test_mixed_instruments_and_a_known_distance() -> None:
+    """Of each part its own; the distance between sockets keeps its sigma."""
+    setup = Setup(
+        parameters=("joint-offset",),
+        base_frame=FrameSetup(estimate=False),
+        tool_frame=TOOL,
+        planes={"wall": PlaneSetup((0.0, 0.0, 1.0), 2.0, estimate=True)},
+        targets={"a": PointSetup((0.1, 0.0, 0.0)), "b": PointSetup((0.0, 0.1, 0.0))},
+        distances=(DistanceSetup(("a", "b"), 0.1 * 2.0**0.5, 1e-5),),
+    )
+    ratios = []
+    for seed in range(6):
+        problem = nominal_problem(CHAIN, "position+plane-distance", setup)
+        rng = np.random.default_rng(seed)
+        truth = calib_pin.draw_errors(problem.parameters, rng)
+        rows = calib_pin.simulate(problem, truth, rng, count=200, noise=0.0)
+        values = rows.values.copy()
+        part = np.array([name.startswith("position") for name in rows.target])
+        values[part, :3] += 5e-4 * rng.normal(size=(part.sum(), 3))
+        values[~part, 3] += 2e-5 * rng.normal(size=(~part).sum())
+        rows = replace(rows, values=values)
+        fitted = balanced(replace(problem, data=rows), Solve())
+        ratios.append([c.estimate for c in found(fitted)])
+    np.testing.assert_allclose(np.median(ratios, axis=0), [5e-4, 2e-5], rtol=0.1)
+
+
+def test_few_values_keep_the_given_ratio() -> None:
+    """Two rows of one target determine its place and leave one redundancy at most."""
+    problem = poses(0, (3e-4, 3e-4), sigma=None, count=3)
+    fitted = balanced(problem, Solve())
+    components = found(fitted)
+    assert all(np.isfinite(c.factor) and c.factor > 0.0 for c in components)
+
+
+@pytest.mark.slow
+def test_very_many_rows_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = poses(2, (3e-4, 5e-5), sigma=None)
+    few = found(balanced(problem, Solve()))
+    monkeypatch.setattr(problem_module, "MANY", 1)
+    fitted = balanced(replace(problem), Solve())
+    assert fitted.problem.many
+    many = found(fitted)
+    for a, b in zip(few, many, strict=True):
+        assert b.estimate == pytest.approx(a.estimate, rel=1e-3)
+        assert b.redundancy == pytest.approx(a.redundancy, rel=1e-3)
+
+
+def test_a_posterior_is_no_wider_than_its_prior() -> None:
+    """Without sigma columns priors keep their own deviations."""
+    setup = replace(OFFSETS, prior={"*.joint-offset.*": 1e-4})
+    problem = nominal_problem(CHAIN, "position", setup)
+    rng = np.random.default_rng(1)
+    rows = calib_pin.simulate(
+        problem, np.zeros(len(problem.parameters)), rng, count=20, noise=2e-3
+    )
+    problem = replace(problem, data=replace(rows, sigma=None))
+    fitted = balanced(problem, Solve())
+    half = half_covariance(
+        fitted.result.jac, fitted.directions.basis, problem.parameters
+    )
+    deviations: Floats = np.sqrt(np.sum(half**2, axis=1))
+    tied = np.isfinite(problem.parameters.priors)
+    assert tied.sum() == 6
+    assert (deviations[tied] <= 1e-4 * (1.0 + 1e-9)).all()
+    # Scaled by sigma0 they were up to twenty times as wide.
+    assert fitted.problem.units[0] == pytest.approx(20.0, rel=0.3)

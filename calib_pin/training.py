@@ -20,6 +20,7 @@ from calib_pin.fit import Fit, fit
 from calib_pin.formulation import make_problem, restricted
 from calib_pin.known_distances import KnownDistances
 from calib_pin.measurements import Measurements
+from calib_pin.predicted import predicted_variance
 from calib_pin.problem import Problem
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import (
@@ -73,7 +74,11 @@ class Trained:
 
     @serial_blas
     def unseen(
-        self, rows: Measurements, positions: NDArray[np.intp] | None = None
+        self,
+        rows: Measurements,
+        positions: NDArray[np.intp] | None = None,
+        *,
+        predict: bool = True,
     ) -> Unseen:
         """Errors of rows, and the distances that the model finds between new places.
 
@@ -82,16 +87,48 @@ class Trained:
         Args:
             rows: The N rows.
             positions: Where they stand among all rows, shape (N,).
+            predict: Whether to predict the variances of the errors.
         """
-        before, at = placed(self.fit.problem, self.fit.before, rows)
-        after, theta = placed(self.problem, self.theta, rows)
+        nominal = placed(self.fit.problem, self.fit.before, rows)
+        found = placed(self.problem, self.theta, rows)
+        return self.seen(nominal, found, positions, predict=predict)
+
+    def seen(
+        self,
+        before: tuple[Problem, Floats],
+        after: tuple[Problem, Floats],
+        positions: NDArray[np.intp] | None = None,
+        registered: Sequence[int] = (),
+        *,
+        predict: bool = True,
+    ) -> Unseen:
+        """Errors of rows by problems of these rows.
+
+        Args:
+            before: The problem of the nominal robot, and its parameter values.
+            after: That of the calibrated robot.
+            positions: Where the rows stand among all rows, shape (N,).
+            registered: Positions of parameters, beside those of new places, that were
+                estimated from these rows.
+            predict: Whether to predict the variances of the errors.
+        """
+        rows = after[0].data
         known = {feature.name for feature in self.problem.measurement.features}
+        names = set(self.problem.parameters.names)
+        own = [k for k, n in enumerate(after[0].parameters.names) if n not in names]
+        variance = np.full(after[0].sigma.shape, np.nan)
+        if predict:
+            there = replace(self.fit.problem, data=rows), self.fit.theta
+            if own or registered:
+                there = after
+            variance = predicted_variance(self.fit, *there, [*registered, *own])
         return Unseen(
             np.arange(len(rows)) if positions is None else positions,
-            before.shown(at),
-            after.shown(theta),
-            found_distances((before, at), (after, theta), known),
-            tuple(f.name for f in after.measurement.features if f.name not in known),
+            before[0].shown(before[1]),
+            after[0].shown(after[1]),
+            variance,
+            found_distances(before, after, known),
+            tuple(f.name for f in after[0].measurement.features if f.name not in known),
             self._reason,
         )
 
@@ -117,6 +154,8 @@ class Unseen:
         before: Errors of the nominal robot, base, tool and instrument fitted, shape
             (N, d); NaN for what a row of mixed measurements does not have.
         after: Errors of the trained model, shape (N, d).
+        variance: The variance of these that the fit predicts, shape (N, d): noise, and
+            what it leaves uncertain; NaN where nobody asked.
         distances: Known distances between places that were not fitted.
         placed: Names of these places, which stand where the rows put them.
         reason: Why the fit that they check says little of the robot; empty where it
@@ -126,9 +165,27 @@ class Unseen:
     positions: NDArray[np.intp]
     before: Floats
     after: Floats
+    variance: Floats
     distances: tuple[FoundDistance, ...] = ()
     placed: tuple[str, ...] = ()
     reason: str = ""
+
+    def counted(self, weight: Floats) -> Unseen:
+        """Those that are not set aside; all of them where no other is left.
+
+        Args:
+            weight: Weight of all rows that the positions belong to, shape (N',).
+        """
+        kept = weight[self.positions] > 0.0
+        if kept.all() or not kept.any():
+            return self
+        return replace(
+            self,
+            positions=self.positions[kept],
+            before=self.before[kept],
+            after=self.after[kept],
+            variance=self.variance[kept],
+        )
 
 
 def found_distances(

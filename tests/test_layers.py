@@ -13,7 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     (
         *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
-        *("spatial", "units"),
+        *("spatial", "student", "units"),
     ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
@@ -23,6 +23,7 @@ LAYERS = (
             "measurements",
             "registration",
             "row_kernels",
+            "stretches",
             "threads",
         ),
     ),
@@ -48,6 +49,7 @@ LAYERS = (
         ),
         *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
         *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
+        *("gains", "held_out", "moved_instrument", "predicted"),
         *("training", "trajectory"),
     ),
     ("io", "report", "viewer"),

@@ -68,9 +68,7 @@ def gains(
     return tuple(_gains(method, problem, (before, after), whitened, present, label))
 
 
-def press_check(
-    fitted: Fit, rows: Measurements, labels: NDArray[np.int64]
-) -> Unseen:
+def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> Unseen:
     """Errors of every group of rows by a fit of the others; see `predicted.press`.
 
     Args:
@@ -82,8 +80,8 @@ def press_check(
     unit = unit_weight(fitted)
     if problem.many:
         # Among so many, no group has a say.
-        found = (problem.shown(theta) for theta in (fitted.before, fitted.theta))
-        return Unseen(positions, *found, (unit * problem.sigma) ** 2)
+        before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
+        return Unseen(positions, before, after, (unit * problem.sigma) ** 2)
     jac = problem.factorize(fitted.before)[1]
     frames = problem.parameters.scales[:, None] * visible_nuisances(
         jac, problem.parameters
@@ -107,19 +105,18 @@ def _gains(
     every = slice(0, problem.components)
     # Root mean square over the components that a row has: one for noise alone.
     count = np.maximum(present.sum(axis=1), 1)
-    sizes = [_size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]]
-    ratio = _ratio(*whitened[1:], present)
-    yield _gain(method, ALL, *sizes, label, ratio)
+    before, after = (
+        _size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]
+    )
+    ratio = _ratio(whitened[1], whitened[2], present)
+    yield _gain(method, ALL, before, after, label, ratio)
     for quantity in problem.measurement.quantities:
         columns = quantity.columns
-        rows = present[:, columns].any(axis=1)
+        here = present[:, columns]
+        rows = here.any(axis=1)
         if rows.any():
-            before, after = (
-                _size(errors, columns, present)[rows] for errors in parts
-            )
-            ratio = _ratio(
-                *(part[:, columns] for part in whitened[1:]), present[:, columns]
-            )
+            before, after = (_size(errors, columns, present)[rows] for errors in parts)
+            ratio = _ratio(whitened[1][:, columns], whitened[2][:, columns], here)
             yield _gain(method, quantity.name, before, after, label[rows], ratio)
 
 

@@ -1,4 +1,4 @@
-"""Variances that a fit predicts for the errors of other rows, and with each left out."""
+"""Errors of rows that were not fitted: their predicted variances, and PRESS."""
 
 from __future__ import annotations
 

@@ -33,8 +33,14 @@ where an exponential correlation has decayed to 1/e."""
 BLOCKS = 20
 """Blocks that a file is cut into where its correlation allows it."""
 
-FEWEST_BLOCKS = 10
-"""Blocks that a file is cut into in any case."""
+FEWEST_BLOCKS = 5
+"""Blocks that a file is cut into in any case: as many as there are folds."""
+
+JUMP = 2.0
+"""Length of a step that is a jump, by that of the step at hand."""
+
+FEWEST = 10
+"""Configurations whose order can tell anything: chance must not look like a path."""
 
 
 def stretches(rows: Measurements) -> NDArray[np.int64]:
@@ -54,12 +60,14 @@ def stretches(rows: Measurements) -> NDArray[np.int64]:
         The labels, from 0; all -1 where the order tells nothing.
     """
     none = np.full(len(rows), -1)
+    if len(rows) < FEWEST:
+        return none
     configuration = rows.groups()
     _, first = np.unique(configuration, return_index=True)
     order = np.sort(first)
     z, file = _standardized(rows.q[order]), _numbers(rows, order)
     count = len(order)
-    if count < FEWEST_BLOCKS or not z.any():
+    if count < FEWEST or not z.any():
         return none
     near = _variogram(z, file, 1)
     if near > min(CLOSE, 1.0 - CHANCE / np.sqrt(count)):
@@ -103,8 +111,8 @@ def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
 def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64]:
     """Label of blocks of about equal length that end with their file.
 
-    Each ends at the largest step near its nominal end: a jump between two clusters or
-    lines is where the next block begins.
+    A jump near the nominal end, between two clusters or lines, is where the next block
+    begins.
     """
     begins = np.zeros(len(file), bool)
     begins[0] = True
@@ -118,5 +126,6 @@ def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64
         for end in ends.tolist():
             low = end - (length - 1) // 2
             high = min(end + length // 2 + 1, stop)
-            begins[low + int(np.argmax(step[low:high]))] = True
+            jump = low + int(np.argmax(step[low:high]))
+            begins[jump if step[jump] > JUMP**2 * step[end] else end] = True
     return np.asarray(np.cumsum(begins) - 1)

@@ -17,7 +17,7 @@ from calib_pin.directions import visible_nuisances
 from calib_pin.evidence import Gain
 from calib_pin.fit import Fit
 from calib_pin.measurements import Measurements
-from calib_pin.predicted import normal_factor, press, unit_weight
+from calib_pin.predicted import normal_factor, press
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.student import student_tail
@@ -77,20 +77,27 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
         labels: Group of each row, shape (N,).
     """
     problem, positions = fitted.problem, np.arange(len(rows))
-    unit = unit_weight(fitted)
     if problem.many:
         # Among so many, no group has a say.
         before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
-        return Unseen(positions, before, after, (unit * problem.sigma) ** 2)
+        return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
     jac = problem.factorize(fitted.before)[1]
-    frames = problem.parameters.scales[:, None] * visible_nuisances(
-        jac, problem.parameters
+    frames = visible_nuisances(jac, problem.parameters)
+    scales = problem.parameters.scales[:, None]
+    before, _ = press(
+        problem, fitted.before, normal_factor(jac, scales * frames), labels
     )
-    before, _ = press(problem, fitted.before, normal_factor(jac, frames), labels)
-    basis = problem.parameters.scales[:, None] * fitted.directions.basis
-    factor = normal_factor(fitted.result.jac, basis)
-    after, variance = press(problem, fitted.theta, factor, labels)
-    return Unseen(positions, before, after, unit**2 * variance)
+    jac, moved = fitted.result.jac, fitted.directions.basis
+    if fitted.evidence is not None and fitted.evidence.matters:
+        # The errors of expected size are known like further measurements.
+        expected = fitted.evidence.expected
+        further = expected.rows(np.diag(1.0 / problem.parameters.scales)).T
+        jac = np.concatenate([jac, fitted.unit * further])
+        moved = fitted.directions.every
+    after, variance = press(
+        problem, fitted.theta, normal_factor(jac, scales * moved), labels
+    )
+    return Unseen(positions, before, after, fitted.unit**2 * variance)
 
 
 def _gains(

@@ -13,20 +13,13 @@ from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
 
-__all__ = ["normal_factor", "predicted_variance", "press", "unit_weight"]
+__all__ = ["normal_factor", "predicted_variance", "press"]
 
 ENTRIES = 4_000_000
 """Entries of a Jacobian that are looked at together."""
 
 UNDETERMINED = 1e-9
 """Part of a group's rows that the others predict, below which they do not: rounding."""
-
-
-def unit_weight(fitted: Fit) -> float:
-    """Standard deviation of unit weight of the whitened rows of a fit."""
-    problem = fitted.problem
-    known = problem.data.stated or len(problem.units) > 0
-    return 1.0 if known else fitted.sigma0
 
 
 @serial_blas
@@ -59,7 +52,7 @@ def predicted_variance(
     factor = np.zeros((len(theta), len(names)))
     factor[own] = _root(fitted.covariance)[of_fit]
     factor[list(estimated)] = 0.0
-    size, unit = problem.components, unit_weight(fitted)
+    size, unit = problem.components, fitted.unit
     whitened = np.empty(sigma.shape)
     for part in _parts(np.arange(len(sigma)), problem, bool(len(estimated))):
         some = replace(problem, data=problem.data.rows(part))

@@ -43,10 +43,10 @@ from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import tip_accuracy
 from calib_pin.training import (
     Trained,
-    Unseen,
     geometry_alone,
     train,
 )
+from calib_pin.unseen import Unseen
 
 __all__ = ["calibrate", "identify"]
 

@@ -21,7 +21,7 @@ from calib_pin.predicted import normal_factor, press
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.student import student_tail
-from calib_pin.training import Unseen
+from calib_pin.unseen import Unseen
 
 __all__ = ["ALL", "PRESS", "gains", "press_check"]
 

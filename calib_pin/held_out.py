@@ -26,8 +26,9 @@ from calib_pin.progress import Stages
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 from calib_pin.splits import clusters, folds, groups, shuffled_groups, validation_name
-from calib_pin.training import Trained, Unseen, cross_validate
+from calib_pin.training import Trained, cross_validate
 from calib_pin.units import DISPLAY
+from calib_pin.unseen import Unseen
 
 __all__ = ["Checked", "check", "counting", "split"]
 

@@ -31,12 +31,12 @@ from calib_pin.threads import serial_blas
 from calib_pin.training import (
     BEYOND,
     Trained,
-    Unseen,
     cross_validate,
     parameter_names,
     train,
     with_parameters,
 )
+from calib_pin.unseen import Unseen
 
 __all__ = ["Climbed", "climb"]
 

@@ -14,7 +14,8 @@ from calib_pin.evidence import Finding
 from calib_pin.problem import SAMPLE, Problem
 from calib_pin.solve import least_squares
 from calib_pin.spatial import Floats
-from calib_pin.training import Trained, Unseen, placed
+from calib_pin.training import Trained
+from calib_pin.unseen import Unseen, placed
 
 __all__ = ["Stand", "as_it_stands"]
 

@@ -16,7 +16,7 @@ from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
 from calib_pin.student import student_tail
-from calib_pin.training import Unseen
+from calib_pin.unseen import Unseen
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 

@@ -49,7 +49,7 @@ LAYERS = (
         ),
         *("inverse_kinematics", "joint_readings", "ladder", "planning", "remedies"),
         *("result", "row_errors", "simulation", "solve", "splits", "tip_accuracy"),
-        *("gains", "held_out", "moved_instrument", "predicted"),
+        *("gains", "held_out", "moved_instrument", "predicted", "unseen"),
         *("training", "trajectory"),
     ),
     ("io", "report", "viewer"),

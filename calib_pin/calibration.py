@@ -6,7 +6,7 @@ what of the robot can be known. `identify` looks at the structure without measur
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 
 import numpy as np
 
@@ -20,9 +20,10 @@ from calib_pin.assessment import (
     verdict,
 )
 from calib_pin.chain import Chain
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import OptionError, nearest
 from calib_pin.fit import analyze_structure
 from calib_pin.formulation import nominal_problem
+from calib_pin.held_out import Checked, check, split
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
@@ -37,16 +38,15 @@ from calib_pin.result import (
 )
 from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
-from calib_pin.splits import FOLDS, folds, shuffled_groups, validation_name
+from calib_pin.splits import FOLDS
 from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import tip_accuracy
 from calib_pin.training import (
     Trained,
-    Unseen,
-    cross_validate,
     geometry_alone,
     train,
 )
+from calib_pin.unseen import Unseen
 
 __all__ = ["calibrate", "identify"]
 
@@ -103,7 +103,7 @@ def calibrate(
     setup = setup or Setup()
     if validation is not None:
         validation = validation.among(measurements.model)
-    training, unseen, method = _split(measurements, setup, validation, holdout, seed)
+    training, unseen, method = split(measurements, setup, validation, holdout, seed)
     _require_ends(
         setup, (measurements,) if validation is None else (measurements, validation)
     )
@@ -120,35 +120,29 @@ def calibrate(
         if progress is not None:
             progress(stage, share + (1.0 - share) * part)
 
-    checks: tuple[Unseen, ...] = ()
-    spoiled: tuple[str, ...] = ()
-    if not validate:
-        method = "none"
-    elif unseen is not None:
-        checks = (trained.unseen(unseen),)
-    else:
-        masks = folds(training, trained.fit, seed)
-        if climbed is not None:
-            checks = climbed.unseen
-        elif masks:
-            checks = tuple(
-                cross_validate(chain, training, setup, masks, seed, checking)
-            )
-        method = validation_name(training, setup, masks[: len(checks)])
-        # A part without which nothing fits tells nothing of the robot.
-        spoiled = tuple(check.reason for check in checks if check.reason)
-        checks = tuple(check for check in checks if not check.reason)
-        method = method if checks else "none"
+    checked = check(
+        chain,
+        training,
+        setup,
+        trained,
+        seed,
+        unseen=unseen,
+        method=method,
+        validate=validate,
+        parts=None if climbed is None else climbed.unseen,
+        progress=checking,
+    )
+    checks = checked.parts
     fitted = trained.fit
-    known = trained.unseen(training)
-    errors = tuple(_quantity_errors(trained, known, checks))
+    known = trained.unseen(training, predict=False)
+    errors = _quantity_errors(trained, known, checked)
     advice = CHECK
     if unexplained(fitted, errors):
         tell = named(progress, "joint readings")
         if suggestion := suggest_readings(chain, training, setup, tell):
             advice = suggestion.text(chain.joints, setup.joints)
     status, reason = verdict(fitted, errors, advice)
-    urdf = _urdf(chain, training, trained, unseen if validate else None, seed)
+    urdf = _urdf(chain, training, trained, unseen, seed, validate)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
     return CalibrationResult(
         model=CalibratedModel.create(trained.problem, trained.theta),
@@ -159,9 +153,9 @@ def calibrate(
         groups=groups,
         identifiability=fitted_ranks(fitted),
         errors=errors,
-        validation=method,
+        validation=checked.method,
         training=len(training),
-        validated=sum(len(check.before) for check in checks),
+        validated=sum(len(part.before) for part in checked.counted),
         chi2=2.0 * fitted.result.cost,
         dof=fitted.dof,
         sigma0=fitted.sigma0,
@@ -181,9 +175,7 @@ def calibrate(
         seed=seed,
         covariance=fitted.covariance,
         fitted=_row_errors(trained, training, [known]),
-        unseen=_row_errors(trained, training if unseen is None else unseen, checks)
-        if checks
-        else None,
+        unseen=_row_errors(trained, checked.rows, checks) if checks else None,
         tip=tip_accuracy(fitted, trained.problem, trained.theta, seed),
         files=tuple(
             name
@@ -196,9 +188,11 @@ def calibrate(
         urdf=urdf,
         silent=trained.silent,
         distances=trained.distances
-        + tuple(distance for check in checks for distance in check.distances),
-        placed=tuple(dict.fromkeys(name for check in checks for name in check.placed)),
-        spoiled=spoiled,
+        + tuple(distance for part in checks for distance in part.distances),
+        placed=tuple(dict.fromkeys(name for part in checks for name in part.placed)),
+        spoiled=checked.skipped,
+        gains=checked.gains,
+        findings=checked.findings,
     )
 
 
@@ -257,51 +251,13 @@ def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
                 )
 
 
-def _split(
-    measurements: Measurements,
-    setup: Setup,
-    validation: Measurements | None,
-    holdout: float | None,
-    seed: int,
-) -> tuple[Measurements, Measurements | None, str]:
-    """Training rows, unseen rows if there are any, and how they were chosen."""
-    if validation is not None and holdout is not None:
-        raise OptionError("give validation rows or a holdout, not both")
-    training, unseen = measurements.split()
-    if len(training) == 0:
-        raise InputError("no row is left to fit: all are marked for validation")
-    if validation is not None:
-        if len(validation) == 0:
-            raise InputError("there are no rows to validate with")
-        if validation.model != measurements.model:
-            raise InputError(
-                f"cannot check '{measurements.model}' measurements with "
-                f"'{validation.model}' ones"
-            )
-        return training, validation, "file"
-    if holdout is not None:
-        if not 0.0 < holdout < 1.0:
-            raise OptionError(
-                "holdout is out of range", value=holdout, allowed="between 0 and 1"
-            )
-        labels, order = shuffled_groups(training, setup, seed)
-        count = max(1, round(holdout * len(training)))
-        size = np.cumsum(np.bincount(labels)[order])
-        chosen = np.zeros(len(order), bool)
-        chosen[order[: int(np.searchsorted(size, count)) + 1]] = True
-        mask = chosen[labels]
-        if mask.all():
-            raise OptionError("holdout leaves no row to fit", value=holdout)
-        return training.rows(~mask), training.rows(mask), "holdout"
-    return training, unseen if len(unseen) else None, "set"
-
-
 def _urdf(
     chain: Chain,
     rows: Measurements,
     trained: Trained,
     unseen: Measurements | None,
     seed: int,
+    validate: bool,
 ) -> UrdfResult | None:
     """The geometry alone, judged like a calibration of its own.
 
@@ -317,12 +273,10 @@ def _urdf(
         geometry = Trained(fitted, *fitted.problem.at(fitted.theta))
     else:
         geometry = train(chain, rows, setup, seed)
-    if unseen is not None:
-        checks = [geometry.unseen(unseen)]
-    else:
-        masks = folds(rows, geometry.fit, seed)
-        checks = list(cross_validate(chain, rows, setup, masks, seed))
-    errors = tuple(_quantity_errors(geometry, geometry.unseen(rows), checks))
+    checked = check(
+        chain, rows, setup, geometry, seed, unseen=unseen, validate=validate
+    )
+    errors = _quantity_errors(geometry, geometry.unseen(rows, predict=False), checked)
     _, reason = verdict(geometry.fit, errors)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta), errors, reason
@@ -345,21 +299,25 @@ def _row_errors(
 
 
 def _quantity_errors(
-    trained: Trained, known: Unseen, unseen: Sequence[Unseen]
-) -> Iterator[QuantityErrors]:
+    trained: Trained, known: Unseen, checked: Checked
+) -> tuple[QuantityErrors, ...]:
     """Accuracy before and after, on the fitted and on the unseen rows."""
-    stages = known.before, known.after
-    parts = []
-    if unseen:
-        parts = [
-            np.concatenate([check.before for check in unseen]),
-            np.concatenate([check.after for check in unseen]),
-        ]
+    known = known.counted(trained.fit.problem.data.weight)
+    parts = checked.counted
+    found = []
     for quantity in trained.problem.measurement.quantities:
-        before, after = (Accuracy.of(quantity.errors(errors)) for errors in stages)
-        sizes = [quantity.errors(errors) for errors in parts]
-        # Of mixed rows, those that are unseen may all be of another model.
-        accuracies = [Accuracy.of(size) for size in sizes if len(size)]
-        yield QuantityErrors(
-            quantity.name, quantity.unit, before, after, *(accuracies or (None, None))
+        sizes = [quantity.errors(errors) for errors in (known.before, known.after)]
+        if parts:
+            # Of mixed rows, those that are unseen may all be of another model.
+            for stage in ("before", "after"):
+                errors = np.concatenate([getattr(part, stage) for part in parts])
+                sizes.append(quantity.errors(errors))
+        accuracies = [Accuracy.of(size) if len(size) else None for size in sizes]
+        before, after, *unseen = accuracies
+        assert before is not None and after is not None
+        found.append(
+            QuantityErrors(
+                quantity.name, quantity.unit, before, after, *(unseen or (None, None))
+            )
         )
+    return tuple(found)

@@ -17,7 +17,7 @@ from calib_pin.result import Accuracy, CalibratedModel, Evaluation
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
-from calib_pin.training import placed
+from calib_pin.unseen import placed
 
 __all__ = ["Prepared", "evaluate", "prepared"]
 

@@ -17,6 +17,7 @@ import numpy as np
 
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.held_out import counting
 from calib_pin.measurements import Measurements
 from calib_pin.parameters import matching
 from calib_pin.problem import Problem
@@ -25,17 +26,17 @@ from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.result import Ladder, Rung
 from calib_pin.setup import Setup
 from calib_pin.spatial import Floats
-from calib_pin.splits import FOLDS, folds
+from calib_pin.splits import FOLDS, clusters, folds
 from calib_pin.threads import serial_blas
 from calib_pin.training import (
     BEYOND,
     Trained,
-    Unseen,
     cross_validate,
     parameter_names,
     train,
     with_parameters,
 )
+from calib_pin.unseen import Unseen
 
 __all__ = ["Climbed", "climb"]
 
@@ -191,6 +192,7 @@ class _Rungs:
         share = 1.0 / (1 + FOLDS)
         tell = portion(progress, 0.0, share)
         trained = train(self._chain, rows, setup, self._seed, tell)
+        rows = counting(rows, trained.fit)
         masks = folds(rows, trained.fit, self._seed)
         if not masks:
             raise OptionError(
@@ -205,8 +207,12 @@ class _Rungs:
         judged = replace(
             rung,
             rank=trained.fit.rank,
-            errors=tuple(_mean_errors(trained.problem, unseen)),
-            score=float(sizes.mean()),
+            errors=tuple(
+                _mean_errors(
+                    trained.problem, [part.counted(rows.weight) for part in unseen]
+                )
+            ),
+            score=float(np.nanmean(sizes)),
             deviation=_standard_error(sizes),
         )
         return _Tried(judged, setup, trained, unseen, sizes)
@@ -242,23 +248,28 @@ def _helps(sizes: Floats, before: Floats | None) -> bool:
     if before is None:
         return True
     gain = before - sizes
-    return float(gain.mean()) > _standard_error(gain)
+    return float(np.nanmean(gain)) > _standard_error(gain)
 
 
 def _standard_error(values: Floats) -> float:
+    values = values[~np.isnan(values)]
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
 def _sizes(rows: Measurements, problem: Problem, unseen: Sequence[Unseen]) -> Floats:
-    """Mean size of the whitened errors of every configuration, shape (G,)."""
-    sigma = problem.sigma
-    order = np.argsort(
-        np.concatenate([part.positions for part in unseen]), kind="stable"
-    )
+    """Mean size of the whitened errors of every cluster of rows, shape (G,).
+
+    NaN where all of a cluster is set aside.
+    """
+    positions = np.concatenate([part.positions for part in unseen])
+    order = np.argsort(positions, kind="stable")
     after = np.concatenate([part.after for part in unseen])[order]
+    sigma = replace(problem, data=rows).given_sigma[positions[order]]
     size = np.sqrt(np.nanmean((after / sigma) ** 2, axis=1))
-    labels = rows.groups()
-    return np.asarray(np.bincount(labels, size) / np.bincount(labels))
+    labels, kept = clusters(rows, problem.setup), rows.weight > 0.0
+    counts = np.bincount(labels, kept)
+    totals = np.bincount(labels, np.where(kept, size, 0.0))
+    return np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
 
 
 def _mean_errors(

@@ -367,7 +367,7 @@ class CalibrationResult(Identification):
         verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
         reason: Why, in one sentence with numbers.
         errors: Accuracy by quantity.
-        validation: `set`, `file`, `holdout`, `5-fold`, or `none`.
+        validation: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
         training: Number of fitted rows.
         validated: Number of rows of the validation.
         chi2: Sum of squared whitened residuals.

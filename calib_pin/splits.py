@@ -11,8 +11,17 @@ from numpy.typing import NDArray
 from calib_pin.fit import Fit
 from calib_pin.measurements import AT, PART, Measurements
 from calib_pin.setup import Setup
+from calib_pin.stretches import stretches
 
-__all__ = ["FOLDS", "folds", "places", "shuffled_groups", "validation_name"]
+__all__ = [
+    "FOLDS",
+    "clusters",
+    "folds",
+    "groups",
+    "places",
+    "shuffled_groups",
+    "validation_name",
+]
 
 FOLDS = 5
 """Parts of a cross-validation."""
@@ -23,13 +32,18 @@ FEWEST = 4
 FEWEST_PLACES = 3
 """Places without which rows are set aside one by one, and not place by place."""
 
+TELLING_PLACES = 5
+"""Places from which the scatter among them says more than that among configurations:
+Student's t of fewer has tails so wide that no gain shows."""
+
 
 def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
     """Masks of the parts of a cross-validation; none where the rows do not suffice.
 
-    Repetitions of a configuration stay together, and so do all sockets of one place if
-    there are places enough: those that are left out are at their own. What is fitted
-    without a part must still determine the robot and every plane.
+    Repetitions of a configuration stay together, and so do stretches of a path, and
+    all sockets of one place if there are places enough: those that are left out are at
+    their own. What is fitted without a part must still determine the robot and every
+    plane.
 
     Args:
         rows: The N rows.
@@ -79,7 +93,8 @@ def validation_name(
         return "none"
     place = places(rows, setup)
     if (place < 0).all():
-        return f"{len(masks)}-fold"
+        by = "" if (stretches(rows) < 0).all() else " by stretch"
+        return f"{len(masks)}-fold{by}"
     if (place >= 0).all() and len(masks) == len(set(place)):
         return "leave-one-place-out"
     return f"{len(masks)}-fold by place"
@@ -88,16 +103,40 @@ def validation_name(
 def shuffled_groups(
     rows: Measurements, setup: Setup, seed: int
 ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Label of what each row must stay together with, and the labels in random order.
-
-    Rows of one configuration are repetitions. All rows of a place are one measurement
-    of it, where there are several places.
-    """
-    place = places(rows, setup)
-    labels = np.where(place >= 0, place, place.max(initial=-1) + 1 + rows.groups())
-    labels = np.unique(labels, return_inverse=True)[1].reshape(-1)
+    """Labels as of `groups`, and the labels in random order."""
+    labels = groups(rows, setup)
     order = np.random.default_rng(seed).permutation(int(labels.max(initial=-1)) + 1)
     return labels, order
+
+
+def groups(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
+    """Label of what each row must stay together with when rows are split, shape (N,).
+
+    All rows of a place are one measurement of it, where there are several places.
+    Successive configurations of a path are one stretch. Otherwise rows of one
+    configuration are repetitions.
+    """
+    return _merged(places(rows, setup), rows)
+
+
+def clusters(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
+    """Label of rows whose errors belong together in a test, shape (N,).
+
+    They are the groups of a split, but for rows at so few places that these would test
+    nothing: there every configuration counts.
+    """
+    place = places(rows, setup)
+    if len(set(place[place >= 0].tolist())) < TELLING_PLACES:
+        place = np.full(len(rows), -1)
+    return _merged(place, rows)
+
+
+def _merged(place: NDArray[np.int64], rows: Measurements) -> NDArray[np.int64]:
+    """Labels of places, and of stretches or configurations elsewhere."""
+    other = stretches(rows)
+    other = rows.groups() if (other < 0).all() else other
+    labels = np.where(place >= 0, place, place.max(initial=-1) + 1 + other)
+    return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
 def places(rows: Measurements, setup: Setup) -> NDArray[np.int64]:

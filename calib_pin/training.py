@@ -6,7 +6,7 @@ what they leave. A cross-validation does both anew without each part of the rows
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
-from calib_pin.errors import InputError, OptionError, require_known
+from calib_pin.errors import OptionError, require_known
 from calib_pin.fit import Fit, fit
 from calib_pin.formulation import make_problem, restricted
-from calib_pin.known_distances import KnownDistances
 from calib_pin.measurements import Measurements
+from calib_pin.predicted import predicted_variance
 from calib_pin.problem import Problem
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import (
@@ -31,14 +31,13 @@ from calib_pin.residual_models import (
 )
 from calib_pin.result import FoundDistance
 from calib_pin.setup import Setup
-from calib_pin.solve import least_squares
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
+from calib_pin.unseen import Unseen, found_distances, placed
 
 __all__ = [
     "BEYOND",
     "Trained",
-    "Unseen",
     "cross_validate",
     "geometry_alone",
     "parameter_names",
@@ -73,7 +72,11 @@ class Trained:
 
     @serial_blas
     def unseen(
-        self, rows: Measurements, positions: NDArray[np.intp] | None = None
+        self,
+        rows: Measurements,
+        positions: NDArray[np.intp] | None = None,
+        *,
+        predict: bool = True,
     ) -> Unseen:
         """Errors of rows, and the distances that the model finds between new places.
 
@@ -82,16 +85,48 @@ class Trained:
         Args:
             rows: The N rows.
             positions: Where they stand among all rows, shape (N,).
+            predict: Whether to predict the variances of the errors.
         """
-        before, at = placed(self.fit.problem, self.fit.before, rows)
-        after, theta = placed(self.problem, self.theta, rows)
+        nominal = placed(self.fit.problem, self.fit.before, rows)
+        found = placed(self.problem, self.theta, rows)
+        return self.seen(nominal, found, positions, predict=predict)
+
+    def seen(
+        self,
+        before: tuple[Problem, Floats],
+        after: tuple[Problem, Floats],
+        positions: NDArray[np.intp] | None = None,
+        registered: Sequence[int] = (),
+        *,
+        predict: bool = True,
+    ) -> Unseen:
+        """Errors of rows by problems of these rows.
+
+        Args:
+            before: The problem of the nominal robot, and its parameter values.
+            after: That of the calibrated robot.
+            positions: Where the rows stand among all rows, shape (N,).
+            registered: Positions of parameters, beside those of new places, that were
+                estimated from these rows.
+            predict: Whether to predict the variances of the errors.
+        """
+        rows = after[0].data
         known = {feature.name for feature in self.problem.measurement.features}
+        names = set(self.problem.parameters.names)
+        own = [k for k, n in enumerate(after[0].parameters.names) if n not in names]
+        variance = np.full(after[0].sigma.shape, np.nan)
+        if predict:
+            there = replace(self.fit.problem, data=rows), self.fit.theta
+            if own or registered:
+                there = after
+            variance = predicted_variance(self.fit, *there, [*registered, *own])
         return Unseen(
             np.arange(len(rows)) if positions is None else positions,
-            before.shown(at),
-            after.shown(theta),
-            found_distances((before, at), (after, theta), known),
-            tuple(f.name for f in after.measurement.features if f.name not in known),
+            before[0].shown(before[1]),
+            after[0].shown(after[1]),
+            variance,
+            found_distances(before, after, known),
+            tuple(f.name for f in after[0].measurement.features if f.name not in known),
             self._reason,
         )
 
@@ -106,114 +141,6 @@ class Trained:
         """The known distances that were fitted."""
         fitted = self.fit.problem, self.fit.before
         return found_distances(fitted, (self.problem, self.theta), None)
-
-
-@dataclass(frozen=True)
-class Unseen:
-    """Errors of rows in the units of the residual.
-
-    Attributes:
-        positions: Where they stand among all rows, shape (N,).
-        before: Errors of the nominal robot, base, tool and instrument fitted, shape
-            (N, d); NaN for what a row of mixed measurements does not have.
-        after: Errors of the trained model, shape (N, d).
-        distances: Known distances between places that were not fitted.
-        placed: Names of these places, which stand where the rows put them.
-        reason: Why the fit that they check says little of the robot; empty where it
-            is a good one.
-    """
-
-    positions: NDArray[np.intp]
-    before: Floats
-    after: Floats
-    distances: tuple[FoundDistance, ...] = ()
-    placed: tuple[str, ...] = ()
-    reason: str = ""
-
-
-def found_distances(
-    before: tuple[Problem, Floats],
-    after: tuple[Problem, Floats],
-    known: Collection[str] | None,
-) -> tuple[FoundDistance, ...]:
-    """Known distances beside those that the nominal and the calibrated robot find.
-
-    Args:
-        before: The problem of the nominal robot, and its parameter values.
-        after: That of the calibrated robot.
-        known: Names of what was fitted, where this is about what was not.
-    """
-    stated = [
-        distance
-        for distance in after[0].setup.distances
-        if known is None or not set(known).intersection(distance.between)
-    ]
-    (first, nominal), (second, found) = (
-        (distances, distances.lengths(problem.split(theta)[1]))
-        for problem, theta in (before, after)
-        for distances in [KnownDistances.of(stated, problem.measurement.features)]
-    )
-    assert first.stated == second.stated
-    return tuple(
-        FoundDistance(d.between, d.value, d.sigma, float(n), float(f), known is None)
-        for d, n, f in zip(first.stated, nominal, found, strict=True)
-    )
-
-
-def placed(
-    problem: Problem, theta: Floats, rows: Measurements
-) -> tuple[Problem, Floats]:
-    """A fitted problem at other rows, with a place for what only these name.
-
-    Nothing but the new places is fitted, and known distances between them do not
-    count: they are there to be found.
-
-    Args:
-        problem: The problem.
-        theta: Parameter values, shape (P,).
-        rows: The other rows.
-
-    Returns:
-        The problem of these rows, and its parameter values.
-
-    Raises:
-        InputError: If a new place uses up all that its rows say.
-    """
-    known = set(problem.parameters.names)
-    problem, theta = problem.extended(theta, rows)
-    new = [k for k, name in enumerate(problem.parameters.names) if name not in known]
-    if not new:
-        return problem, theta
-    plain = replace(problem, setup=replace(problem.setup, distances=()))
-    _require_check(plain, theta, new)
-    basis = np.diag(problem.parameters.scales)[:, new]
-    return problem, least_squares(plain, theta, basis).x
-
-
-def _require_check(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
-    """Refuse rows that have nothing left to say once their place is found.
-
-    Raises:
-        InputError: If there are such; their errors would all be zero.
-    """
-    count, size = len(problem.data), problem.components
-    _, J = problem.linearize_rows(theta)
-    J = J[: count * size].reshape(count, size, -1)
-    owners: dict[str, list[int]] = {}
-    for k in new:
-        owners.setdefault(problem.parameters.names[k].rsplit(".", 2)[0], []).append(k)
-    for name, columns in owners.items():
-        rows = np.flatnonzero(J[:, :, columns].any(axis=(1, 2)))
-        A = J[rows][:, :, columns].reshape(-1, len(columns))
-        values = replace(problem, data=problem.data.rows(rows)).distinct_values
-        if values <= np.linalg.matrix_rank(A):
-            data = problem.data
-            error = partial(data.error, int(rows[0])) if len(rows) else InputError
-            raise error(
-                f"the rows of '{name}', which was not fitted, say no more than where "
-                "it is; measure it in more configurations",
-                column="target",
-            )
 
 
 @serial_blas

@@ -14,6 +14,7 @@ LAYERS = (
     (
         *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
         *("restricted_likelihood", "spatial", "units"),
+        *("spatial", "student", "units"),
     ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
@@ -23,6 +24,7 @@ LAYERS = (
             "measurements",
             "registration",
             "row_kernels",
+            "stretches",
             "threads",
         ),
     ),
@@ -37,11 +39,12 @@ LAYERS = (
     ),
     (
         *("assessment", "calibration", "calibration_record", "comparison"),
-        *("compensation", "evaluation", "expected_accuracy", "fit"),
-        *("inverse_kinematics", "joint_readings", "ladder", "parameter_changes"),
-        *("planning", "plausibility", "posterior", "remedies", "repetitions", "result"),
-        *("row_errors", "shrinkage", "simulation", "solve", "splits", "systematic"),
-        *("tip_accuracy", "tip_drift", "training", "trajectory", "variance_components"),
+        *("compensation", "evaluation", "expected_accuracy", "fit", "gains"),
+        *("held_out", "inverse_kinematics", "joint_readings", "ladder"),
+        *("moved_instrument", "parameter_changes", "planning", "plausibility"),
+        *("posterior", "predicted", "remedies", "repetitions", "result", "row_errors"),
+        *("shrinkage", "simulation", "solve", "splits", "systematic", "tip_accuracy"),
+        *("tip_drift", "training", "trajectory", "unseen", "variance_components"),
     ),
     ("io", "report", "viewer"),
     ("cli",),

@@ -1,0 +1,170 @@
+"""Is the calibrated robot better than the nominal one? A paired test decides.
+
+Two numbers always differ. The difference of both errors at one held-out configuration
+has far less scatter than either, and its mean over independent configurations a
+standard error.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.directions import visible_nuisances
+from calib_pin.evidence import Gain
+from calib_pin.fit import Fit
+from calib_pin.measurements import Measurements
+from calib_pin.predicted import normal_factor, press
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+from calib_pin.student import student_tail
+from calib_pin.unseen import Unseen
+
+__all__ = ["ALL", "PRESS", "gains", "press_check"]
+
+ALL = "all"
+"""Name of the quantity that stands for all of them, whitened."""
+
+PRESS = "press"
+"""Name of the check by the hat matrix."""
+
+
+def gains(
+    method: str,
+    problem: Problem,
+    rows: Measurements,
+    checks: Sequence[Unseen],
+    labels: NDArray[np.int64],
+) -> tuple[Gain, ...]:
+    """Test held-out errors before and after, of all quantities and of each.
+
+    Rows that are set aside do not count.
+
+    Args:
+        method: How they were held out.
+        problem: The fit of all rows, whose standard deviations whiten.
+        rows: The rows that the positions of the parts belong to, with their weights.
+        checks: Errors of held-out rows, part by part.
+        labels: What each row stands for in the test, shape (N,): rows with one label
+            are one observation.
+    """
+    checks = [check.counted(rows.weight) for check in checks]
+    checks = [check for check in checks if (rows.weight[check.positions] > 0.0).all()]
+    if not checks:
+        return ()
+    positions = np.concatenate([check.positions for check in checks])
+    before, after, variance = (
+        np.concatenate([getattr(check, name) for check in checks])
+        for name in ("before", "after", "variance")
+    )
+    sigma = replace(problem, data=rows.rows(positions)).sigma
+    label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
+    present = np.isfinite(sigma)
+    unit = np.where(present, sigma, 1.0)
+    whitened = before / unit, after / unit, variance / unit**2
+    return tuple(_gains(method, problem, (before, after), whitened, present, label))
+
+
+def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> Unseen:
+    """Errors of every group of rows by a fit of the others; see `predicted.press`.
+
+    Args:
+        fitted: The fit of all rows.
+        rows: These rows.
+        labels: Group of each row, shape (N,).
+    """
+    problem, positions = fitted.problem, np.arange(len(rows))
+    if problem.many:
+        # Among so many, no group has a say.
+        before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
+        return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
+    jac = problem.factorize(fitted.before)[1]
+    frames = visible_nuisances(jac, problem.parameters)
+    scales = problem.parameters.scales[:, None]
+    before, _ = press(
+        problem, fitted.before, normal_factor(jac, scales * frames), labels
+    )
+    jac, moved = fitted.result.jac, fitted.directions.basis
+    if fitted.evidence is not None and fitted.evidence.matters:
+        # The errors of expected size are known like further measurements.
+        expected = fitted.evidence.expected
+        further = expected.rows(np.diag(1.0 / problem.parameters.scales)).T
+        jac = np.concatenate([jac, fitted.unit * further])
+        moved = fitted.directions.every
+    after, variance = press(
+        problem, fitted.theta, normal_factor(jac, scales * moved), labels
+    )
+    return Unseen(positions, before, after, fitted.unit**2 * variance)
+
+
+def _gains(
+    method: str,
+    problem: Problem,
+    parts: tuple[Floats, Floats],
+    whitened: tuple[Floats, Floats, Floats],
+    present: NDArray[np.bool_],
+    label: NDArray[np.int64],
+) -> Iterator[Gain]:
+    """The test of all quantities, then of each that any row has."""
+    every = slice(0, problem.components)
+    # Root mean square over the components that a row has: one for noise alone.
+    count = np.maximum(present.sum(axis=1), 1)
+    before, after = (
+        _size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]
+    )
+    ratio = _ratio(whitened[1], whitened[2], present)
+    yield _gain(method, ALL, before, after, label, ratio)
+    for quantity in problem.measurement.quantities:
+        columns = quantity.columns
+        here = present[:, columns]
+        rows = here.any(axis=1)
+        if rows.any():
+            before, after = (_size(errors, columns, present)[rows] for errors in parts)
+            ratio = _ratio(whitened[1][:, columns], whitened[2][:, columns], here)
+            yield _gain(method, quantity.name, before, after, label[rows], ratio)
+
+
+def _size(errors: Floats, columns: slice, present: NDArray[np.bool_]) -> Floats:
+    """Lengths of errors in some columns, shape (N,)."""
+    part = np.where(present, errors, 0.0)[:, columns]
+    return np.asarray(np.linalg.norm(part, axis=1))
+
+
+def _ratio(after: Floats, variance: Floats, present: NDArray[np.bool_]) -> float:
+    """Found by predicted root mean square of whitened errors."""
+    if not present.any():
+        return float("nan")
+    return float(np.sqrt(np.sum(after[present] ** 2) / np.sum(variance[present])))
+
+
+def _gain(
+    method: str,
+    quantity: str,
+    before: Floats,
+    after: Floats,
+    label: NDArray[np.int64],
+    ratio: float,
+) -> Gain:
+    """Student's t of the mean over the labels.
+
+    Where neither robot predicts a row, nothing is gained there; where only one does,
+    the mean is infinite and settles it.
+    """
+    rows = np.bincount(label)
+    with np.errstate(invalid="ignore"):
+        gain = np.nan_to_num(before - after, posinf=np.inf, neginf=-np.inf)
+        means = (np.bincount(label, gain) / np.maximum(rows, 1))[rows > 0]
+        mean, count = float(means.mean()), len(means)
+        deviation = float("nan")
+        if count > 1 and np.isfinite(mean):
+            deviation = float(means.std(ddof=1) / np.sqrt(count))
+    better = worse = 0.5
+    if not np.isfinite(mean):
+        better, worse = (0.0, 1.0) if mean > 0.0 else (1.0, 0.0)
+    elif count > 1 and mean != 0.0:
+        t = mean / deviation if deviation > 0.0 else float(np.copysign(np.inf, mean))
+        better, worse = student_tail(t, count - 1), student_tail(-t, count - 1)
+    return Gain(method, quantity, count, mean, deviation, better, worse, ratio)

@@ -1,0 +1,197 @@
+"""Was the instrument moved between the measurements that were fitted and others?
+
+Then both robots seem to err by as much as it moved, the calibrated one and the nominal
+one alike, and nothing is checked. Registered on the other measurements they compare.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.evidence import Finding
+from calib_pin.problem import SAMPLE, Problem
+from calib_pin.solve import least_squares
+from calib_pin.spatial import Floats
+from calib_pin.training import Trained
+from calib_pin.unseen import Unseen, placed
+
+__all__ = ["Stand", "as_it_stands"]
+
+MOVED = 4.0
+"""Errors with the stand of the fit, by those with a stand of their own, of an
+instrument that was moved. UR10 Series B by the stand of Series A has 6 500; the second
+day of TIAGo, which counts as it is, 1.14, other rows of one stand 1.0 to 1.1."""
+
+ALIKE = 0.5
+"""Largest difference of the moves that nominal and calibrated robot see, by the move.
+
+A robot that errs in another corner of its workspace looks displaced as well, with
+ratios of 2 to 8 between corners of 0.4 rad, but each robot in its own way.
+"""
+
+FEWEST = 5
+"""Distinct configurations without which a registration on itself checks nothing."""
+
+
+@dataclass(frozen=True)
+class Stand:
+    """Errors of validation rows, from where the instrument stood for them.
+
+    Attributes:
+        unseen: The errors; None where the rows say no more than where it stood.
+        finding: What was found of the stand; None where it is that of the fit.
+    """
+
+    unseen: Unseen | None
+    finding: Finding | None = None
+
+
+def as_it_stands(trained: Trained, unseen: Unseen, problem: Problem) -> Stand:
+    """Errors of validation rows, registered on themselves if the instrument moved.
+
+    With S the sum of squared errors as it is and S' registered, of M values and k
+    unknowns of the stand, it has moved if `S / M > MOVED^2 S' / (M - k)` for the
+    calibrated robot and the nominal one sees about the same move. The F test of the
+    same hypothesis, `(S - S') / k` against `S' / (M - k)`, then is far beyond chance.
+
+    Args:
+        trained: What was fitted.
+        unseen: The errors as they are.
+        problem: Problem of these rows, for their standard deviations.
+    """
+    rows = problem.data
+    before = _registered(trained.fit.problem, trained.fit.before, problem)
+    after = _registered(trained.problem, trained.theta, problem)
+    if after is None or before is None:
+        return Stand(unseen)
+    own = trained.seen(
+        (before.problem, before.theta),
+        (after.problem, after.theta),
+        unseen.positions,
+        after.estimated,
+    )
+    values, unknowns = problem.values, len(after.estimated)
+    left = max(values - unknowns, 1)
+    as_is, on_itself = (_square(part.after, problem) for part in (unseen, own))
+    if not as_is * left > MOVED**2 * on_itself * values or not _alike(
+        unseen, own, problem
+    ):
+        return Stand(unseen)
+    numbers = {
+        "chi-square as it is": as_is,
+        "chi-square registered": on_itself,
+        "values": float(values),
+        "unknowns": float(unknowns),
+    }
+    seen = "the instrument stood elsewhere for the validation measurements"
+    rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
+    if problem.distinct_values <= unknowns or rows.configurations < FEWEST:
+        return Stand(
+            None,
+            Finding(
+                "moved-instrument",
+                "warning",
+                f"{seen}, which are too few to check anything from there: "
+                f"{problem.distinct_values} distinct values, {unknowns} unknowns",
+                numbers,
+                "measure more validation configurations from one stand",
+            ),
+        )
+    return Stand(
+        own,
+        Finding(
+            "moved-instrument",
+            "warning",
+            f"{seen}: by the stand of the fit they miss by {rms[0]:.3g} standard "
+            f"deviations, by their own by {rms[1]:.3g}; both robots are registered on "
+            "them",
+            numbers,
+        ),
+    )
+
+
+@dataclass(frozen=True)
+class _Registered:
+    """A problem registered on its rows.
+
+    Attributes:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        estimated: Positions of the parameters of the stand.
+    """
+
+    problem: Problem
+    theta: Floats
+    estimated: tuple[int, ...]
+
+
+def _registered(problem: Problem, theta: Floats, of: Problem) -> _Registered | None:
+    """A fitted problem with a stand by other rows; None where that is known.
+
+    The base and the instrument's references beside it are estimated; tool and robot
+    stay.
+
+    Args:
+        problem: The fitted problem.
+        theta: Parameter values, shape (P,).
+        of: Problem of the other rows.
+    """
+    moved, values = placed(problem, theta, of.data)
+    moved, values = moved.at(values)
+    parameters = moved.parameters
+    outer = np.array([p.outer for p in parameters], bool)
+    # The base comes first; what stands on the tool stays with the robot.
+    outer[:6] |= parameters.nuisance[:6]
+    _, J = moved.linearize(values)
+    free = np.flatnonzero(outer & parameters.nuisance & parameters.free & J.any(axis=0))
+    if len(free) == 0:
+        return None
+    basis = np.diag(parameters.scales)[:, free]
+    plain = replace(moved, setup=replace(moved.setup, distances=()))
+    starts = [plain]
+    if parameters.free[:6].all() and not moved.data.start.size:
+        starts.append(_from_afar(plain, values))
+    found = [(least_squares(start, values, basis), start) for start in starts]
+    result, start = min(found, key=lambda pair: _finite(pair[0].cost))
+    # Known distances count again; they are found, not fitted.
+    start = replace(start, setup=moved.setup)
+    return _Registered(start, result.x, tuple(free.tolist()))
+
+
+def _from_afar(problem: Problem, theta: Floats) -> Problem:
+    """The problem about a closed-form base, the tool where it is."""
+    few = problem.data.sample(SAMPLE)
+    F = problem.error.tip_poses(few.q, problem.split(theta)[0], few.payload)
+    tool = problem.error.tool
+    measurement, base, tool = problem.measurement.register(F, few, None, tool)
+    return replace(
+        problem,
+        error=problem.error.with_frames(base, tool),
+        measurement=measurement,
+    )
+
+
+def _alike(unseen: Unseen, own: Unseen, problem: Problem) -> bool:
+    """Whether both robots see about the same move, in the median row."""
+    unit = np.where(np.isfinite(problem.sigma), problem.sigma, np.inf)
+    with np.errstate(invalid="ignore"):
+        nominal, calibrated = (
+            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
+            for a, b in ((unseen.before, own.before), (unseen.after, own.after))
+        )
+    moves = np.linalg.norm(calibrated, axis=1)
+    apart = np.linalg.norm(nominal - calibrated, axis=1)
+    return bool(np.median(apart) < ALIKE * np.median(moves))
+
+
+def _square(errors: Floats, problem: Problem) -> float:
+    """Sum of squared errors in standard deviations."""
+    present = np.isfinite(problem.sigma)
+    whitened = errors[present] / problem.sigma[present]
+    return float(whitened @ whitened)
+
+
+def _finite(cost: float) -> float:
+    return cost if np.isfinite(cost) else np.inf

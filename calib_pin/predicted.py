@@ -1,0 +1,159 @@
+"""Errors of rows that were not fitted: their predicted variances, and PRESS."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.fit import Fit
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+from calib_pin.threads import serial_blas
+
+__all__ = ["normal_factor", "predicted_variance", "press"]
+
+ENTRIES = 4_000_000
+"""Entries of a Jacobian that are looked at together."""
+
+UNDETERMINED = 1e-9
+"""Part of a group's rows that the others predict, below which they do not: rounding."""
+
+
+@serial_blas
+def predicted_variance(
+    fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
+) -> Floats:
+    """Variance of the errors of rows that were not fitted, in their units.
+
+    The noise of the rows and what the fit leaves uncertain, `sigma^2 + J C J^T`. What
+    was estimated from these rows themselves, K, takes its part of both away: the
+    variance of `(I - K K^+)(e + J d)`.
+
+    Args:
+        fitted: The fit that predicts.
+        problem: The problem of the N rows.
+        theta: Parameter values, shape (P,).
+        estimated: Positions of parameters that were estimated from these rows.
+
+    Returns:
+        Variances, shape (N, d); infinite for what a row lacks, NaN where the fit knows
+        no covariance.
+    """
+    sigma = problem.sigma
+    if not np.isfinite(fitted.covariance).all():
+        return np.full(sigma.shape, np.nan)
+    names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
+    # What is new there has no covariance: it was estimated from the rows.
+    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
+    of_fit = [names[problem.parameters.names[k]] for k in own]
+    factor = np.zeros((len(theta), len(names)))
+    factor[own] = _root(fitted.covariance)[of_fit]
+    factor[list(estimated)] = 0.0
+    size, unit = problem.components, fitted.unit
+    whitened = np.empty(sigma.shape)
+    for part in _parts(np.arange(len(sigma)), problem, bool(len(estimated))):
+        some = replace(problem, data=problem.data.rows(part))
+        J = some.linearize_rows(theta)[1][: len(part) * size]
+        uncertain, noise = J @ factor, np.full(len(J), unit**2)
+        if len(estimated):
+            K = _range(J[:, list(estimated)])
+            uncertain = uncertain - K @ (K.T @ uncertain)
+            noise = noise * (1.0 - np.sum(K**2, axis=1))
+        total = noise + np.sum(uncertain**2, axis=1)
+        whitened[part] = total.reshape(len(part), size)
+    return np.asarray(whitened * sigma**2)
+
+
+@serial_blas
+def press(
+    problem: Problem, theta: Floats, factor: Floats, labels: NDArray[np.int64]
+) -> tuple[Floats, Floats]:
+    """Errors of each group of rows by a fit of the others, without fitting anew.
+
+    With the whitened residual r, its Jacobian J and the normal matrix N of all that is
+    known (rows, known distances, priors), the errors of a group g are
+    `(I - H_gg)^-1 r_g`, where `H_gg = J_g N^-1 J_g^T`, with the covariance
+    `(I - H_gg)^-1` (Allen 1974; Cook and Weisberg 1982, section 2.2). That is exact
+    where the problem is linear. What only the group's own rows tell, as the place of a
+    socket of theirs, is where they put it.
+
+    Args:
+        problem: The fitted problem.
+        theta: Its solution, shape (P,).
+        factor: F of `N^-1 = F F^T`, shape (P, k).
+        labels: Group of each row, shape (N,).
+
+    Returns:
+        Errors and, for noise of unit weight, their variances, shape (N, d) each. Rows
+        that are set aside keep their error, with an infinite variance.
+    """
+    sigma, size = problem.sigma, problem.components
+    whitened, variance = np.empty(sigma.shape), np.empty(sigma.shape)
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels)
+    for count in np.unique(counts[counts > 0]).tolist():
+        rows = order[counts[labels[order]] == count]
+        for part in _parts(rows, problem, False, count):
+            some = replace(problem, data=problem.data.rows(part))
+            r, J = some.linearize_rows(theta)
+            r = r[: len(part) * size].reshape(-1, count * size)
+            J = (J[: len(part) * size] @ factor).reshape(*r.shape, -1)
+            U, s, _ = np.linalg.svd(J, full_matrices=False)
+            left = 1.0 - s**2
+            known = left > UNDETERMINED
+            gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
+            along = gain * np.einsum("gms,gm->gs", U, r)
+            whitened[part] = (r + np.einsum("gms,gs->gm", U, along)).reshape(-1, size)
+            total = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
+            variance[part] = total.reshape(-1, size)
+    with np.errstate(invalid="ignore"):
+        errors = whitened * sigma
+    aside = ~np.isfinite(sigma)
+    errors[aside] = problem.shown(theta)[aside]
+    return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
+
+
+def normal_factor(jac: Floats, basis: Floats) -> Floats:
+    """F with `F F^T` the inverse of the normal matrix in some directions, (P, k).
+
+    Args:
+        jac: Whitened Jacobian, shape (M, P).
+        basis: The directions, shape (P, k).
+    """
+    if basis.shape[1] == 0:
+        return basis
+    triangle = np.linalg.qr(jac @ basis, mode="r")
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    kept = s > 1e-12 * s.max(initial=0.0)
+    return np.asarray(basis @ (Vt[kept].T / s[kept]))
+
+
+def _root(covariance: Floats) -> Floats:
+    """F with F F^T the covariance, shape (P, P)."""
+    # Of parameters of one size, or the small ones would drown in rounding.
+    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
+    scale = np.where(scale > 0.0, scale, 1.0)
+    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
+    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
+
+
+def _range(A: Floats) -> Floats:
+    """Orthonormal basis of columns, rounding left out."""
+    lengths = np.linalg.norm(A, axis=0)
+    U, s, _ = np.linalg.svd(A / np.where(lengths > 0.0, lengths, 1.0), False)
+    return np.asarray(U[:, s > 1e-10 * s.max(initial=0.0)])
+
+
+def _parts(
+    rows: NDArray[np.intp], problem: Problem, together: bool, count: int = 1
+) -> Iterator[NDArray[np.intp]]:
+    """Rows in parts of whole groups that are handy."""
+    size = problem.components * len(problem.parameters)
+    step = max(1, ENTRIES // (size * count)) * count
+    if together:
+        step = max(len(rows), 1)
+    for start in range(0, len(rows), step):
+        yield rows[start : start + step]

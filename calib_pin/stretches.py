@@ -1,0 +1,131 @@
+"""Stretches of a file in which one configuration follows closely on the other.
+
+Jogged and path data hold neighbors that differ by little. With one of them fitted the
+next is no longer unseen, so that they must stay together when data are split.
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.measurements import Measurements
+from calib_pin.spatial import Floats
+
+__all__ = ["stretches"]
+
+CLOSE = 0.5
+"""Mean square of successive distances, by that of random pairs, of a path.
+
+Random order has 1. Whatever is measured along a path, in clusters, or line by line on a
+grid has less than 0.4 (UR10 Series A 0.39 and 0.19, the grid of the UR5 0.25, Pandas
+0.29 and 0.20); poses that somebody chose and ordered at will have more than 0.5 (TALOS
+0.56, TIAGo 0.95 and 0.76, UR10 Series B 0.81).
+"""
+
+CHANCE = 3.0
+"""Standard deviations by which it must fall short of 1 (von Neumann's ratio)."""
+
+UNLIKE = 0.63
+"""The same ratio at the distance in the file from which rows count as unlike: 1 - 1/e,
+where an exponential correlation has decayed to 1/e."""
+
+BLOCKS = 20
+"""Blocks that a file is cut into where its correlation allows it."""
+
+FEWEST_BLOCKS = 5
+"""Blocks that a file is cut into in any case: as many as there are folds."""
+
+JUMP = 2.0
+"""Length of a step that is a jump, by that of the step at hand."""
+
+FEWEST = 10
+"""Configurations whose order can tell anything: chance must not look like a path."""
+
+
+def stretches(rows: Measurements) -> NDArray[np.int64]:
+    """Label of the stretch of the file in which each row stands, shape (N,).
+
+    It is a path if successive configurations z (joint positions in units of their
+    scatter) are closer than chance would have them: the variogram
+
+        g(h) = mean |z_(i+h) - z_i|^2 / mean |z_j - z_i|^2
+
+    is 1 for every h in random order; g(1) is half of von Neumann's ratio (1941), with a
+    standard deviation of at most 1 / sqrt(N). Then the file is cut into blocks as long
+    as the correlation of its configurations: the first h with g(h) > 1 - 1/e. A
+    repetition belongs to the block where its configuration first stands.
+
+    Returns:
+        The labels, from 0; all -1 where the order tells nothing.
+    """
+    none = np.full(len(rows), -1)
+    if len(rows) < FEWEST:
+        return none
+    configuration = rows.groups()
+    _, first = np.unique(configuration, return_index=True)
+    order = np.sort(first)
+    z, file = _standardized(rows.q[order]), _numbers(rows, order)
+    count = len(order)
+    if count < FEWEST or not z.any():
+        return none
+    near = _variogram(z, file, 1)
+    if near > min(CLOSE, 1.0 - CHANCE / np.sqrt(count)):
+        return none
+    longest = count // FEWEST_BLOCKS
+    # Every lag of the short ones; of the long ones a tenth apart.
+    lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
+    length = next(
+        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > UNLIKE), longest
+    )
+    length = max(length, min(count // BLOCKS, 2 * length), 1)
+    block = _blocks(z, file, length)
+    of = np.empty(count, np.int64)
+    of[configuration[order]] = block
+    return of[configuration]
+
+
+def _standardized(q: Floats) -> Floats:
+    """Joint positions in units of their scatter; zero for joints that stand still."""
+    scatter = q.std(axis=0)
+    moves = scatter > 1e-9
+    return np.asarray((q - q.mean(axis=0))[:, moves] / scatter[moves])
+
+
+def _numbers(rows: Measurements, order: NDArray[np.intp]) -> NDArray[np.int64]:
+    """Number of the file of some rows."""
+    number = {name: k for k, name in enumerate(dict.fromkeys(rows.files))}
+    return np.array([number[rows.files[k]] for k in order.tolist()], np.int64)
+
+
+def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
+    """Mean square distance at a distance in the file, by that of random pairs."""
+    inside = file[lag:] == file[:-lag]
+    if not inside.any():
+        return 1.0
+    squares = np.sum((z[lag:] - z[:-lag])[inside] ** 2, axis=1)
+    # Of two independent configurations: twice the variance, which is 1 per joint.
+    return float(squares.mean() / (2.0 * z.shape[1]))
+
+
+def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64]:
+    """Label of blocks of about equal length that end with their file.
+
+    A jump near the nominal end, between two clusters or lines, is where the next block
+    begins.
+    """
+    begins = np.zeros(len(file), bool)
+    begins[0] = True
+    begins[1:] = np.diff(file) != 0
+    step = np.zeros(len(file))
+    step[1:] = np.sum(np.diff(z, axis=0) ** 2, axis=1)
+    starts = np.flatnonzero(begins)
+    for start, stop in zip(starts, [*starts[1:], len(file)], strict=True):
+        count = max(1, round((stop - start) / length))
+        ends = start + np.arange(1, count) * (stop - start) // count
+        for end in ends.tolist():
+            low = end - (length - 1) // 2
+            high = min(end + length // 2 + 1, stop)
+            jump = low + int(np.argmax(step[low:high]))
+            begins[jump if step[jump] > JUMP**2 * step[end] else end] = True
+    return np.asarray(np.cumsum(begins) - 1)

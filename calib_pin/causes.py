@@ -133,12 +133,14 @@ def _exchanged(
     i, j = i[alike], j[alike]
     sizes = []
     own = found.sizes(scale)
+    T, instrument = problem.poses(theta), problem.split(theta)[1]
+    units = problem.units if len(problem.units) else 1.0
     for a, b in ((i, j), (j, i)):
-        there = replace(data.rows(a), values=data.values[b], weight=np.ones(len(a)))
-        other = replace(problem, data=there)
+        there = replace(data.rows(a), values=data.values[b])
+        sigma = problem.given_sigma[a] * units * scale[found.columns]
         with np.errstate(invalid="ignore", over="ignore"):
-            r = other.errors(theta) / other.sigma / scale[found.columns]
-            size = np.sqrt(np.where(np.isfinite(other.sigma), r**2, 0.0).sum(axis=1))
+            r = problem.measurement.residual(T[a], instrument, there) / sigma
+            size = np.sqrt(np.where(np.isfinite(sigma), r**2, 0.0).sum(axis=1))
         sizes.append(size < FITS * own[a])
     for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():
         a, b = int(i[k]), int(j[k])

@@ -3,14 +3,14 @@
 A closed-form registration of all rows is as wrong as the worst of them. Here it is made
 from small random subsets of the configurations, each is improved by its better half
 (concentration steps of least trimmed squares: Rousseeuw and Van Driessen, Computing LTS
-regression for large data sets, 2006, section 3), and the one whose better half fits
-best is taken. The errors of the nominal robot, millimeters, are noise to it.
+regression for large data sets, 2006, section 3), until two of them agree; the one whose
+better half fits best is taken. The errors of the nominal robot, millimeters, are noise to it.
 """
 
 from __future__ import annotations
 
 from dataclasses import replace
-from math import ceil, log
+from math import ceil
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,20 +22,17 @@ from calib_pin.spatial import Floats
 __all__ = ["consensus"]
 
 TRIALS = 30
-"""Most subsets; with four of ten configurations spoiled, concentration leads most
-subsets to the right half, and 30 miss it once in many thousand times."""
+"""Most subsets; one in ten is free of spoiled configurations if four of ten are."""
 
-MISSED = 1e-3
-"""Probability to have met no subset without a spoiled configuration."""
+SAME = 0.5
+"""Relative difference in squares of two that agree: a nominal robot's errors make many
+minima close to the right one, and the wrong ones are far off."""
 
-ROWS = 300
+ROWS = 200
 """Rows that are looked at; more do not make a better start."""
 
-CONCENTRATIONS = 2
-"""Steps from a subset to its better half; they gain little after the second."""
-
-INLIER = 9.0
-"""Squares, in medians, up to which a row agrees with a registration."""
+CONCENTRATIONS = 1
+"""Steps from a subset to its better half: the weights that follow do the rest."""
 
 
 def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
@@ -48,38 +45,55 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         rng: Random generator of the subsets.
     """
     few = replace(problem, data=problem.data.sample(ROWS))
-    theta = np.zeros(len(problem.parameters))
     targets = _targets(few)
     size = _subset(few, len(targets))
     best, least = problem, np.inf
-    trials, tried = float(TRIALS), 0
-    while tried < min(trials, TRIALS):
-        tried += 1
-        rows = _drawn(few, targets, size, rng)
-        squares = np.full(len(few.data), np.inf)
-        about = None
-        for _ in range(1 + CONCENTRATIONS):
-            try:
-                about = replace(few, data=few.data.rows(rows)).register(theta)
-            except (CalibPinError, np.linalg.LinAlgError):
-                # Such a subset does not say where everything is.
-                break
-            squares = _squares(replace(about, data=few.data), theta)
-            rows = np.sort(
-                np.concatenate(
-                    [own[np.argsort(squares[own], kind="stable")[: _half(own)]]
-                     for own in targets]
-                )
-            )
+    for _ in range(TRIALS):
+        about, total = _concentrated(few, _drawn(few, targets, size, rng), targets)
         if about is None:
             continue
-        total = float(squares[rows].sum())
+        agree = abs(total - least) <= SAME * least < np.inf
         if total < least:
-            best, least = replace(about, data=problem.data), total
-            agree = squares <= INLIER * np.median(squares)
-            clean = float(agree.mean()) ** (size * len(targets))
-            trials = log(MISSED) / log(1.0 - clean) if 0.0 < clean < 1.0 else TRIALS
-    return best
+            best, least = about, total
+        if agree:
+            break
+    return replace(best, data=problem.data)
+
+
+def _concentrated(
+    problem: Problem, rows: NDArray[np.intp], targets: list[NDArray[np.intp]]
+) -> tuple[Problem | None, float]:
+    """Register by some rows, then by the better half of each target, until it stands.
+
+    Args:
+        problem: The problem, with the robot at nominal.
+        rows: The rows to begin with.
+        targets: The rows of each target.
+
+    Returns:
+        The problem about its references, and the squares of its better half; None
+        where the rows do not say where everything is.
+    """
+    theta = np.zeros(len(problem.parameters))
+    about, total = None, np.inf
+    for _ in range(1 + CONCENTRATIONS):
+        try:
+            found = replace(problem, data=problem.data.rows(rows)).register(theta)
+        except (CalibPinError, np.linalg.LinAlgError):
+            break
+        about, before = replace(found, data=problem.data), rows
+        squares = _squares(about, theta)
+        rows = np.sort(np.concatenate([_better(squares, own) for own in targets]))
+        total = float(squares[rows].sum())
+        if np.array_equal(rows, before):
+            break
+    return about, total
+
+
+def _better(squares: Floats, rows: NDArray[np.intp]) -> NDArray[np.intp]:
+    """The half of some rows that has the smaller squares, and at least three."""
+    count = max(ceil(0.5 * len(rows)), min(len(rows), 3))
+    return rows[np.argsort(squares[rows], kind="stable")[:count]]
 
 
 def _targets(problem: Problem) -> list[NDArray[np.intp]]:
@@ -109,11 +123,6 @@ def _drawn(
         _, first = np.unique(labels[order], return_index=True)
         chosen.append(order[np.sort(first)][:size])
     return np.sort(np.concatenate(chosen))
-
-
-def _half(rows: NDArray[np.intp]) -> int:
-    """How many rows are the better half."""
-    return max(ceil(0.5 * len(rows)), min(len(rows), 3))
 
 
 def _squares(problem: Problem, theta: Floats) -> Floats:

@@ -14,9 +14,10 @@ sequence of weighted least squares with the weights of Geman and McClure (equati
 
 from a convex cost at large mu to the redescending one at mu = 1. The scale of z is
 estimated anew at every step, from the millimeters of the nominal robot down to the
-noise, and the first step starts from a registration by consensus. What comes out decides
-which configurations are accepted; the final fit is the ordinary least squares of these,
-so all that is said of it holds, and the decision is repeated about it until it stands.
+noise, and the first step starts from a registration by consensus. What comes out
+decides which configurations are accepted; the final fit is the ordinary least squares
+of these, so all that is said of it holds, and the decision is repeated about it until
+it stands.
 """
 
 from __future__ import annotations
@@ -34,7 +35,6 @@ from calib_pin.errors import require_known
 from calib_pin.evidence import Outlier
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.problem import SAMPLE, Expected, Problem
-from calib_pin.solve import least_squares
 from calib_pin.spatial import Floats
 from calib_pin.studentized import Studentized, squared_or_infinite, studentized
 
@@ -84,6 +84,9 @@ STEPS = 40
 STILL = 0.01
 """Largest change of a weight after which they stand."""
 
+POLISH = 2
+"""Steps to the solution of accepted configurations, a redescending one away."""
+
 ROUNDS = 8
 """Most decisions about which configurations are accepted; two are usual."""
 
@@ -112,27 +115,30 @@ def robustly(
         return squared
     found = _judged(squared, np.ones(problem.data.configurations, bool))
     scale = found.robust_scale()
-    plain = replace(squared, outliers=_outliers(squared, found, scale))
+
+    def plain() -> Fit:
+        return replace(squared, outliers=_outliers(squared, found, scale))
+
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
-        return plain
+        return plain()
     about, theta, weight = _sought(problem, loss, rng)
     if loss == "huber":
-        return _bent(problem, plain, weight, fit_once)
+        return _bent(problem, squared, weight, fit_once)
     accepted = _selected(about, theta, weight)
-    fitted = plain
     for _ in range(ROUNDS):
         if not _enough(squared, accepted):
-            return replace(plain, disagreement=float(1.0 - accepted.mean()))
+            return replace(plain(), disagreement=float(1.0 - accepted.mean()))
         if accepted.all():
-            return plain
+            return plain()
         fitted = fit_once(_weighted(problem, accepted))
-        found = _judged(fitted, accepted)
-        scale = found.scale(accepted)
-        passed = _passed(found, scale)
+        about_it = _judged(fitted, accepted)
+        its_scale = about_it.scale(accepted)
+        passed = _passed(about_it, its_scale)
         if np.array_equal(passed, accepted):
             break
         accepted = passed
-    return replace(fitted, outliers=_outliers(fitted, found, scale), squared=plain)
+    outliers = _outliers(fitted, about_it, its_scale)
+    return replace(fitted, outliers=outliers, squared=squared)
 
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
@@ -275,9 +281,10 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
     for _ in range(ROUNDS):
         if accepted.mean() < 1.0 - BREAKDOWN:
             break
-        held = _weighted(problem, accepted)
-        theta = least_squares(held, theta, basis).x
         rows = accepted[problem.data.groups()]
+        weight = np.tile(rows[:, None], problem.components) / 1.0
+        for _ in range(POLISH):
+            theta = theta + _step(problem, *problem.linearize_rows(theta), weight)
         found = studentized(problem, theta, basis, rows)
         scale = found.scale(accepted)
         passed = _passed(found, scale)
@@ -303,9 +310,7 @@ def _bent(
     return replace(fitted, outliers=outliers, squared=squared)
 
 
-def _outliers(
-    fitted: Fit, found: Studentized, scale: Floats
-) -> tuple[Outlier, ...]:
+def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
     """The measurements of the configurations that do not fit, worst first.
 
     Args:

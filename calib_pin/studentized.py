@@ -105,7 +105,7 @@ class Studentized:
         squares, counts = self.squares[accepted], self.counts[accepted]
         with np.errstate(invalid="ignore", divide="ignore"):
             scale = np.sqrt(squares.sum(axis=0) / counts.sum(axis=0))
-        return np.fmax(scale, self.least)
+        return np.asarray(np.fmax(scale, self.least))
 
     def statistic(self, scale: Floats) -> Floats:
         """z^2 of each configuration at a scale by quantity, shape (G,)."""
@@ -113,7 +113,7 @@ class Studentized:
             return np.asarray((self.squares / scale**2).sum(axis=1))
 
     def sizes(self, scale: Floats) -> Floats:
-        """z of each row by itself at a scale by quantity, shape (N,)."""
+        """Size z of each row by itself at a scale by quantity, shape (N,)."""
         return np.asarray(
             np.sqrt((self.components / scale[self.columns] ** 2).sum(axis=1))
         )
@@ -144,7 +144,9 @@ def studentized(
     fun, jac = problem.linearize_rows(theta)
     count, size = finite.shape
     r, A = fun[: finite.size].reshape(count, size), jac @ basis
-    bad = ~(np.isfinite(r) & np.isfinite(jac[: finite.size]).all(axis=1).reshape(r.shape))
+    bad = ~(
+        np.isfinite(r) & np.isfinite(jac[: finite.size]).all(axis=1).reshape(r.shape)
+    )
     own = A[: finite.size].reshape(count, size, -1)
     own[bad] = 0.0
     fitted = (own[accepted].reshape(-1, A.shape[1]), A[finite.size :])

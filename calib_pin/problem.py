@@ -362,7 +362,7 @@ class Problem:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         count = len(self.error.screws)
-        few = self.data.sample(SAMPLE)
+        few = self.data.trusted().sample(SAMPLE)
         # A frame of the chain has six parameters at either end.
         start = (
             self._given(self.setup.base_frame, slice(0, 6)),

@@ -10,12 +10,12 @@ many minima; the right one is found by graduated non-convexity (Yang, Antonante,
 Tzoumas and Carlone, Graduated non-convexity for robust spatial perception, 2020): a
 sequence of weighted least squares with the weights of Geman and McClure (equation 12),
 
-    w_g = (mu c^2 / (z_g^2 + mu c^2))^2,
+    w_g = (c^2 / (z_g^2 + c^2))^2,
 
-from a convex cost at large mu to the redescending one at mu = 1. The scale of z is
-estimated anew at every step, from the millimeters of the nominal robot down to the
-noise, and the first step starts from a registration by consensus. What comes out
-decides which configurations are accepted; the final fit is the ordinary least squares
+from a cost that is nearly convex to one that redescends. What is graduated is the scale
+of z, their mu: it is estimated anew at every step, from the millimeters of the nominal
+robot down to the noise, and the first step starts from a registration by consensus.
+What comes out decides which configurations are accepted; the final fit is the ordinary least squares
 of these, so all that is said of it holds, and the decision is repeated about it until
 it stands.
 """
@@ -54,7 +54,10 @@ beyond four or five deviations: with 0.01 TIAGo loses a good configuration of 37
 gains 16 % of error on others. Of one component in a hundred this is 5.3 deviations."""
 
 DOUBT = 0.01
-"""The same where nothing follows but a closer look."""
+"""The same where noise is all there is, as rows state it, or for a closer look."""
+
+HELD = 1.3
+"""Scale, in stated deviations, up to which there is no more than noise."""
 
 CUT = 0.01
 """Probability of a good configuration beyond c while the solution is sought."""
@@ -71,10 +74,8 @@ SIZE = 5.0
 """Expected errors of the robot while the solution is sought, in scales: it holds what
 the rows do not tell, and hardly anything else."""
 
-FIRST, FACTOR = 16.0, 2.0
-"""Where mu starts, and what it is divided by at each step.
-
-The consensus is no convex start's debtor: it is in the basin, a robot's errors away."""
+MOST = 0.8
+"""Largest share of configurations that a scale is taken from while it is sought."""
 
 LONGEST = 0.5
 """Longest step of a frame or an instrument [m, rad], for steps are not damped."""
@@ -128,7 +129,7 @@ def robustly(
 
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
         return plain()
-    about, theta, weight = _sought(problem, loss, rng)
+    about, theta, weight = _sought(problem, loss, squared.rank, rng)
     if loss == "huber":
         return _bent(problem, squared, weight, fit_once)
     accepted = _selected(about, theta, weight)
@@ -172,7 +173,16 @@ def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
 def _passed(
     found: Studentized, scale: Floats, chance: float = CHANCE
 ) -> NDArray[np.bool_]:
-    """The configurations whose residuals may be chance, shape (G,)."""
+    """The configurations whose residuals may be chance, shape (G,).
+
+    Args:
+        found: Residuals about a fit.
+        scale: Their scale by quantity, shape (Q,).
+        chance: Probability that a good one is not among them, where the scale is not
+            the one that the rows state.
+    """
+    if (scale <= HELD * found.least).all():
+        chance = DOUBT
     tail = chance / max(len(found.squares), 1)
     return np.asarray(found.statistic(scale) <= found.limit(tail))
 
@@ -201,13 +211,14 @@ def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
 
 
 def _sought(
-    problem: Problem, loss: str, rng: np.random.Generator
+    problem: Problem, loss: str, rank: int, rng: np.random.Generator
 ) -> tuple[Problem, Floats, Floats]:
     """The solution of a robust loss over the whole model, by consensus and steps.
 
     Args:
         problem: The problem, not registered.
         loss: `huber` or a redescending one.
+        rank: Number of directions that the rows determine.
         rng: Random generator of the consensus.
 
     Returns:
@@ -223,29 +234,30 @@ def _sought(
     )
     few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
-    mu = FIRST if loss != "huber" else 1.0
+    # A model of p parameters meets p values exactly, so more than half must count
+    # (Rousseeuw and Leroy, Robust regression, 1987, theorem 6 of chapter 3).
+    share = min(0.5 * (1.0 + (rank + 1) / few.values), MOST)
     for _ in range(STEPS):
         r, J = few.linearize_rows(theta)
         found = _unfitted(few, r)
-        scale = found.robust_scale()
-        before, weight = weight, _weights(found, scale, loss, mu)
-        if mu == 1.0 and len(before) and np.abs(weight - before).max() < STILL:
+        scale = found.robust_scale(share)
+        before, weight = weight, _weights(found, scale, loss)
+        if len(before) and np.abs(weight - before).max() < STILL:
             break
         rows = np.sqrt(weight)[found.labels][:, None] / scale[found.columns]
         theta = theta + _step(few, r, J, rows)
-        mu = max(mu / FACTOR, 1.0)
     if few is not every:
-        weight = _weights(_unfitted(every, every.residual(theta)), scale, loss, mu)
+        weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
     return replace(every, units=scale[found.columns]), theta, weight
 
 
-def _weights(found: Studentized, scale: Floats, loss: str, mu: float) -> Floats:
+def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
     """Weights of configurations for their residuals, shape (G,)."""
     squares = found.statistic(scale)
     if loss == "huber":
         with np.errstate(divide="ignore"):
             return np.minimum(1.0, np.sqrt(found.limit(BENT) / squares))
-    cut = mu * found.limit(CUT)
+    cut = found.limit(CUT)
     return np.asarray((cut / (squares + cut)) ** 2)
 
 

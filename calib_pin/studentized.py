@@ -84,11 +84,14 @@ class Studentized:
             least[columns] = 1.0 / (problem.units if len(problem.units) else 1.0)
         return cls(labels, components, squares, total, columns, least)
 
-    def robust_scale(self) -> Floats:
+    def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
 
         Consistent with normal noise whatever the number of components, and right to a
         factor as long as half of the configurations are.
+
+        Args:
+            share: Part of the configurations that counts, where that is not one half.
         """
         result = self.least.copy()
         for k, (squares, counts) in enumerate(
@@ -96,8 +99,8 @@ class Studentized:
         ):
             told = counts >= COUNTED
             if told.any():
-                median = _quantiles(counts[told], 0.5)
-                result[k] = np.sqrt(np.median(squares[told] / median))
+                ratios = np.sort(squares[told] / _quantiles(counts[told], 1.0 - share))
+                result[k] = np.sqrt(ratios[int(share * (len(ratios) - 1))])
         return np.maximum(result, self.least)
 
     def scale(self, accepted: NDArray[np.bool_]) -> Floats:

@@ -112,8 +112,7 @@ def _configurations(
     for label in np.unique(found.labels[out]).tolist():
         if sizes[label] > 1:
             rows = np.flatnonzero(found.labels == label).tolist()
-            places = [_lines(problem, [row]).split(" to ")[0] for row in rows[:1]]
-            yield rows, f"configuration of {places[0].replace('lines', 'line')}"
+            yield rows, f"configuration of {problem.data.place(rows[0])}"
 
 
 def _exchanged(
@@ -129,17 +128,19 @@ def _exchanged(
         return
     i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
     names = np.array(data.target)
-    alike = names[i] == names[j]
+    alike = (names[i] == names[j]) & (found.labels[i] != found.labels[j])
     i, j = i[alike], j[alike]
     sizes = []
     own = found.sizes(scale)
-    T, instrument = problem.poses(theta), problem.split(theta)[1]
+    instrument = problem.split(theta)[1]
     units = problem.units if len(problem.units) else 1.0
+    poses = replace(problem, data=data.rows(rows)).poses(theta)
     for a, b in ((i, j), (j, i)):
+        T = poses[np.searchsorted(rows, a)]
         there = replace(data.rows(a), values=data.values[b])
         sigma = problem.given_sigma[a] * units * scale[found.columns]
         with np.errstate(invalid="ignore", over="ignore"):
-            r = problem.measurement.residual(T[a], instrument, there) / sigma
+            r = problem.measurement.residual(T, instrument, there) / sigma
             size = np.sqrt(np.where(np.isfinite(sigma), r**2, 0.0).sum(axis=1))
         sizes.append(size < FITS * own[a])
     for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():

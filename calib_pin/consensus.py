@@ -4,7 +4,8 @@ A closed-form registration of all rows is as wrong as the worst of them. Here it
 from small random subsets of the configurations, each is improved by its better half
 (concentration steps of least trimmed squares: Rousseeuw and Van Driessen, Computing LTS
 regression for large data sets, 2006, section 3), until two of them agree; the one whose
-better half fits best is taken. The errors of the nominal robot, millimeters, are noise to it.
+better half fits best is taken. The errors of the nominal robot, millimeters, are noise
+to it.
 """
 
 from __future__ import annotations

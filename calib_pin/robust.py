@@ -15,9 +15,9 @@ sequence of weighted least squares with the weights of Geman and McClure (equati
 from a cost that is nearly convex to one that redescends. What is graduated is the scale
 of z, their mu: it is estimated anew at every step, from the millimeters of the nominal
 robot down to the noise, and the first step starts from a registration by consensus.
-What comes out decides which configurations are accepted; the final fit is the ordinary least squares
-of these, so all that is said of it holds, and the decision is repeated about it until
-it stands.
+What comes out decides which configurations are accepted; the final fit is the ordinary
+least squares of these, so all that is said of it holds, and the decision is repeated
+about it until it stands.
 """
 
 from __future__ import annotations
@@ -303,9 +303,12 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         if accepted.mean() < 1.0 - BREAKDOWN:
             break
         rows = accepted[problem.data.groups()]
-        weight = np.tile(rows[:, None], problem.components) / 1.0
+        held = _weighted(problem, accepted)
+        if held.many:
+            held = replace(held, data=held.data.sample(SAMPLE))
+        alike = np.ones((len(held.data), held.components))
         for _ in range(POLISH):
-            theta = theta + _step(problem, *problem.linearize_rows(theta), weight)
+            theta = theta + _step(held, *held.linearize_rows(theta), alike)
         found = studentized(problem, theta, basis, rows)
         scale = found.scale(accepted)
         passed = _passed(found, scale)

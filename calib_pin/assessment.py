@@ -19,7 +19,6 @@ from calib_pin.problem import Problem
 from calib_pin.result import (
     CoupledGroup,
     Identifiability,
-    Outlier,
     ParameterEstimate,
     QuantityErrors,
 )
@@ -32,7 +31,6 @@ __all__ = [
     "chi2_interval",
     "estimates",
     "fitted_ranks",
-    "outliers",
     "registration_reason",
     "structural_ranks",
     "unexplained",
@@ -336,39 +334,6 @@ def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
         for j in range(i):
             if abs(correlation[i, j]) > CORRELATED:
                 yield names[j], names[i], float(correlation[i, j])
-
-
-def outliers(fitted: Fit, errors: Floats) -> tuple[Outlier, ...]:
-    """Rows beyond the chi-square quantile that one row in a hundred sets exceeds.
-
-    Args:
-        fitted: The fit.
-        errors: Errors of its rows, with what was learned on top, shape (N, d).
-    """
-    if not fitted.sigma0 > EXACT:
-        return ()
-    data = fitted.problem.data
-    whitened = errors / fitted.problem.sigma
-    # What was learned explains a part of the scatter.
-    before = fitted.problem.errors(fitted.theta) / fitted.problem.sigma
-    sizes = [float(np.linalg.norm(rows)) for rows in (whitened, before)]
-    unit = fitted.sigma0 * min(sizes[0] / max(sizes[1], 1e-300), 1.0)
-    if data.stated:
-        # A row that spoils the fit must not make outliers of all the others.
-        unit = max(1.0, unit)
-    squares = np.sum((whitened / unit) ** 2, axis=1)
-    # Mixed rows have only the components of their own model.
-    count = np.isfinite(fitted.problem.sigma).sum(axis=1)
-    limits = {
-        dof: chi_square_quantile(dof, 0.01 / len(data))
-        for dof in np.unique(count).tolist()
-    }
-    order = np.argsort(-squares, kind="stable")
-    return tuple(
-        Outlier(data.place(int(row)), int(row), float(np.sqrt(squares[row])))
-        for row in order
-        if squares[row] > limits[int(count[row])]
-    )
 
 
 def chi2_interval(dof: int) -> tuple[float, float]:

@@ -14,7 +14,6 @@ from calib_pin.assessment import (
     CHECK,
     estimates,
     fitted_ranks,
-    outliers,
     structural_ranks,
     unexplained,
     verdict,
@@ -160,7 +159,7 @@ def calibrate(
         dof=fitted.dof,
         sigma0=fitted.sigma0,
         stated_sigma=training.stated,
-        outliers=outliers(fitted, known.after),
+        outliers=fitted.outliers,
         solver=fitted.solver,
         evaluator=fitted.evaluator,
         history=tuple(

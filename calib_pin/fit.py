@@ -18,11 +18,13 @@ from calib_pin.directions import (
     rounding,
     visible_directions,
 )
+from calib_pin.evidence import Outlier
 from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.progress import Progress
+from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
 from calib_pin.shrinkage import Evidence, expected_errors, posterior
 from calib_pin.solve import Solved, Solver, descend, least_squares
@@ -70,6 +72,10 @@ class Fit:
         solver: Name of the solver.
         evaluator: What evaluated the rows, see `solve.Solved`.
         evolution: The last evolution, if there was one.
+        outliers: Measurements that do not fit, worst first, with their weights.
+        squared: The fit of all rows alike, where some have lost weight.
+        disagreement: Part of the configurations that would have to be set aside, where
+            that is so much that none was: no solution has a majority.
     """
 
     problem: Problem
@@ -87,6 +93,9 @@ class Fit:
     solver: str
     evaluator: str
     evolution: EvolutionResult | None
+    outliers: tuple[Outlier, ...] = ()
+    squared: Fit | None = None
+    disagreement: float = 0.0
 
     @property
     def theta(self) -> Floats:
@@ -125,8 +134,12 @@ def fit(
         OptionError: If the setup names a solver or an option that does not exist.
     """
     solver = Solver(problem, rng, progress)
-    problem, before = register(problem, np.zeros(len(problem.parameters)))
-    return _bounded(problem, lambda held: _fit(held, before, rng, solver))
+
+    def once(problem: Problem) -> Fit:
+        problem, before = register(problem, np.zeros(len(problem.parameters)))
+        return _bounded(problem, lambda held: _fit(held, before, rng, solver))
+
+    return robustly(problem, once, rng)
 
 
 def _fit(

@@ -235,6 +235,14 @@ class Measurements:
         ]
         return self.rows(np.sort(np.concatenate(chosen)))
 
+    def trusted(self) -> Measurements:
+        """The rows that have a weight; of a target that has none, all its rows."""
+        if self.weight.all():
+            return self
+        left = {self.target[row] for row in np.flatnonzero(self.weight)}
+        lost = np.array([name not in left for name in self.target], bool)
+        return self.rows((self.weight > 0.0) | lost)
+
     def split(self) -> tuple[Measurements, Measurements]:
         """The training rows and the validation rows, by the `set` column."""
         if not self.validate.any():

@@ -227,7 +227,7 @@ class Problem:
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (M,): rows, known distances, then the priors."""
-        rows = (self.errors(theta) / self.sigma).reshape(-1)
+        rows = (self._kept(self.errors(theta)) / self.sigma).reshape(-1)
         return _joined([rows, *self._further(theta)], axis=0)
 
     def further_rows(self, theta: Floats) -> Floats:
@@ -284,17 +284,28 @@ class Problem:
             T = T.copy()
             T[begun] = invert(start.T) @ T[begun]
         linear = self.measurement.linearize(T, own, self.data)
-        by_twist = linear.by_twist * weight
+        by_twist = self._kept(linear.by_twist) * weight
         blocks = [poses.derivative(by_twist)]
         if begun.any():
             # The twist of T_0^-1 T is that of T without that of T_0, carried there.
             carried = by_twist[begun] @ adjoint(invert(T[begun]))
             blocks[0][begun] -= start.derivative(carried)
         if len(own):
-            blocks.append(linear.by_own * weight)
+            blocks.append(self._kept(linear.by_own) * weight)
         J = _joined(blocks, axis=2).reshape(-1, len(theta))
-        r = (linear.residual / self.sigma).reshape(-1)
+        r = (self._kept(linear.residual) / self.sigma).reshape(-1)
         return self._with_further(theta, r, J)
+
+    def _kept(self, values: Floats) -> Floats:
+        """Values with zeros for rows that are set aside, shape (N, ...).
+
+        They may be so wrong that they cannot be predicted, and nothing times infinity
+        is not nothing.
+        """
+        if self.data.weight.all():
+            return values
+        aside = (self.data.weight == 0.0).reshape(-1, *[1] * (values.ndim - 1))
+        return np.where(aside, 0.0, values)
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` to full precision, for decisions about ranks."""
@@ -367,7 +378,7 @@ class Problem:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         count = len(self.error.screws)
-        few = self.data.sample(SAMPLE)
+        few = self.data.trusted().sample(SAMPLE)
         # A frame of the chain has six parameters at either end.
         start = (
             self._given(self.setup.base_frame, slice(0, 6)),

@@ -13,8 +13,7 @@ PACKAGE = Path(__file__).parents[1] / "calib_pin"
 LAYERS = (
     (
         *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
-        *("restricted_likelihood", "spatial", "units"),
-        *("spatial", "student", "units"),
+        *("restricted_likelihood", "spatial", "student", "units"),
     ),
     (
         *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
@@ -38,13 +37,14 @@ LAYERS = (
         *("residual_models", "scale", "solvers"),
     ),
     (
-        *("assessment", "calibration", "calibration_record", "comparison"),
-        *("compensation", "evaluation", "expected_accuracy", "fit", "gains"),
-        *("held_out", "inverse_kinematics", "joint_readings", "ladder"),
+        *("assessment", "calibration", "calibration_record", "causes", "comparison"),
+        *("compensation", "consensus", "evaluation", "expected_accuracy", "fit"),
+        *("gains", "held_out", "inverse_kinematics", "joint_readings", "ladder"),
         *("moved_instrument", "parameter_changes", "planning", "plausibility"),
-        *("posterior", "predicted", "remedies", "repetitions", "result", "row_errors"),
-        *("shrinkage", "simulation", "solve", "splits", "systematic", "tip_accuracy"),
-        *("tip_drift", "training", "trajectory", "unseen", "variance_components"),
+        *("posterior", "predicted", "remedies", "repetitions", "result", "robust"),
+        *("row_errors", "shrinkage", "simulation", "solve", "splits", "studentized"),
+        *("systematic", "tip_accuracy", "tip_drift", "training", "trajectory"),
+        *("unseen", "variance_components", "verdict"),
     ),
     ("io", "report", "viewer"),
     ("cli",),

@@ -83,6 +83,17 @@ def calibrate(
             rich_help_panel=FIT,
         ),
     ] = None,
+    loss: Annotated[
+        str | None,
+        typer.Option(
+            "--loss",
+            metavar="NAME",
+            help="auto (default) sets measurements aside that cannot be right, where "
+            "there are any; gnc looks for them in any case; huber gives them less "
+            "weight; squared takes all measurements as they are.",
+            rich_help_panel=FIT,
+        ),
+    ] = None,
     learned: Annotated[
         str | None,
         typer.Option(
@@ -154,6 +165,7 @@ def calibrate(
         model=model,
         parameters=parameters,
         solver=solver,
+        loss=loss,
         learned=learned,
     )
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):

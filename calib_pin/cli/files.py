@@ -37,6 +37,7 @@ def open_setup(
     model: str | None = None,
     parameters: str | None = None,
     solver: str | None = None,
+    loss: str | None = None,
     learned: str | None = None,
 ) -> Setup:
     """The setup file with the flags on top.
@@ -52,6 +53,7 @@ def open_setup(
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS
+    from calib_pin.robust import LOSSES
     from calib_pin.setup import Setup
     from calib_pin.solve import SOLVERS
 
@@ -69,6 +71,9 @@ def open_setup(
     if solver is not None:
         require_known("solver", solver, SOLVERS)
         setup = replace(setup, solver=replace(setup.solver, name=solver))
+    if loss is not None:
+        require_known("loss", loss, LOSSES)
+        setup = replace(setup, loss=loss)
     if learned is not None:
         require_known("residual model", learned, RESIDUAL_MODELS)
         setup = replace(setup, learned=learned)

@@ -130,6 +130,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "solver": {}
         if setup.solver == SolverSetup()
         else {"name": setup.solver.name, **setup.solver.evolution},
+        "loss": "" if setup.loss == Setup.loss else setup.loss,
         "obstacles": [_obstacle_document(obstacle) for obstacle in setup.obstacles],
         "region": {} if setup.region is None else _region_document(setup.region),
         "limits": dict(setup.limits),

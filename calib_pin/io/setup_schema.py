@@ -50,6 +50,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurements import PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
+from calib_pin.robust import LOSSES
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -111,6 +112,12 @@ def _gravity(value: object) -> tuple[float, float, float]:
 def _solver(value: object) -> str:
     if value not in SOLVERS:
         raise ValueError(", ".join(SOLVERS))
+    return str(value)
+
+
+def _loss(value: object) -> str:
+    if value not in LOSSES:
+        raise ValueError(", ".join(LOSSES))
     return str(value)
 
 
@@ -275,6 +282,7 @@ class SetupFile(Section):
     prior: dict[str, Positive] = Field(default_factory=dict)
     noise: NoiseSection = NoiseSection()
     solver: SolverSection = SolverSection()
+    loss: Annotated[str, PlainValidator(_loss)] = Setup.loss
     obstacles: list[ObstacleSection] = Field(default_factory=list)
     region: RegionSection | None = None
     limits: dict[str, Limits] = Field(default_factory=dict)
@@ -306,6 +314,7 @@ class SetupFile(Section):
             prior=self.prior,
             noise=self.noise.model_dump(exclude_none=True),
             solver=self.solver.setup(),
+            loss=self.loss,
             obstacles=tuple(section.setup() for section in self.obstacles),
             region=None if self.region is None else self.region.setup(),
             limits=self.limits,

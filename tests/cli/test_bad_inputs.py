@@ -150,6 +150,11 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
         {},
         dict(reason=("solver", "'lm'"), allowed="gauss-newton"),
     ),
+    "unknown loss": (
+        f"{CALIBRATE} --loss hubert",
+        {},
+        dict(reason=("loss", "'hubert'"), allowed="auto, squared, huber, gnc"),
+    ),
     "unknown parameterization": (
         f"{CALIBRATE} --parameters placements",
         {},

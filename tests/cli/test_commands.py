@@ -135,7 +135,7 @@ def test_help(run):
         (
             "calibrate",
             "ROBOT MEASUREMENTS...",
-            "-o --setup --model --base --tip --parameters --solver --validation "
+            "-o --setup --model --base --tip --parameters --solver --loss --validation "
             "--holdout --seed --force --quiet",
         ),
         (

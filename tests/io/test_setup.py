@@ -108,6 +108,7 @@ bounds: {"*.placement.x": 0.01, "*.dh.*": [-0.1, 0.2]}
 prior: {"*.placement.*": 0.002}
 noise: {position: 1e-4, orientation: .5e-3, distance: "2.0e-4",
   contact: 1e-5, pixel: 0.3}
+loss: gnc
 solver: {name: hybrid, strategy: best/1, population_size: 60, mutation: "0.7",
   recombination: 1, maxiter: 5e2, target: 1e-3, tol: 0, atol: 1e-9, init: random}
 obstacles:
@@ -180,6 +181,7 @@ def test_every_key(write):
             "contact": 1e-5,
             "pixel": 0.3,
         },
+        loss="gnc",
         solver=SolverSetup(
             "hybrid",
             {
@@ -968,6 +970,15 @@ KEYS = (
             ),
         ),
         ("learned: [network]", dict(line=1, value="[network]", reason="'learned'")),
+        (
+            "loss: hubert",
+            dict(
+                line=1,
+                value="hubert",
+                reason="'loss'",
+                allowed="auto, squared, huber, gnc",
+            ),
+        ),
         # The solver.
         *(
             (

@@ -1,0 +1,149 @@
+"""What measurements that do not fit have in common."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Iterator
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+from calib_pin.studentized import Studentized
+
+__all__ = ["causes"]
+
+MOST = 0.7
+"""Share of the rows of a target that must be out to blame the target."""
+
+FEW = 3
+"""Rows below which a share says nothing."""
+
+CHANCE = 0.01
+"""Probability that so long a stretch comes about by chance."""
+
+PAIRS = 100
+"""Rows among which exchanged pairs are sought; with more, that is not the trouble."""
+
+FITS = 0.2
+"""Part of its own size that the residual of an exchanged value may have."""
+
+
+def causes(
+    problem: Problem,
+    theta: Floats,
+    out: NDArray[np.bool_],
+    found: Studentized,
+    scale: Floats,
+) -> dict[int, str]:
+    """What rows that do not fit share with each other, by row; most telling first.
+
+    Args:
+        problem: The fitted problem.
+        theta: The solution, shape (P,).
+        out: The rows that do not fit, shape (N,).
+        found: Residuals about the solution.
+        scale: Their scale by quantity, shape (Q,).
+    """
+    result: dict[int, str] = {}
+    if not out.any():
+        return result
+    for rows, cause in (
+        *_targets(problem, out),
+        *_exchanged(problem, theta, out, found, scale),
+        *_stretches(problem, out),
+        *_configurations(problem, out, found),
+    ):
+        for row in rows:
+            result.setdefault(row, cause)
+    return result
+
+
+def _targets(
+    problem: Problem, out: NDArray[np.bool_]
+) -> Iterator[tuple[list[int], str]]:
+    """Targets most of whose rows are out, where those of others are not."""
+    target = problem.data.target
+    counts, lost = Counter(target), Counter(np.array(target)[out].tolist())
+    if len(counts) < 2:
+        return
+    for name, number in lost.items():
+        others = (int(out.sum()) - number) / max(len(target) - counts[name], 1)
+        if number >= max(FEW, MOST * counts[name]) and others < 0.5 * MOST:
+            rows = [k for k in np.flatnonzero(out).tolist() if target[k] == name]
+            yield rows, f"target {name}"
+
+
+def _stretches(
+    problem: Problem, out: NDArray[np.bool_]
+) -> Iterator[tuple[list[int], str]]:
+    """Runs of successive rows that are out, too long to be chance.
+
+    Of N rows of which a share p is out, runs of length L are to be expected N p^L
+    times.
+    """
+    data, share = problem.data, float(out.mean())
+    labels = data.groups()
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], out, [0]]).astype(int)))
+    for begin, end in edges.reshape(-1, 2).tolist():
+        rows = list(range(begin, end))
+        # Rows of one configuration are out together anyway.
+        length = len(np.unique(labels[rows]))
+        one_file = len({data.files[row] for row in rows}) == 1
+        if one_file and length >= FEW and len(out) * share**length < CHANCE:
+            yield rows, _lines(problem, rows)
+
+
+def _lines(problem: Problem, rows: list[int]) -> str:
+    """Where a stretch of rows stands."""
+    data = problem.data
+    if data.files[rows[0]]:
+        return f"lines {data.lines[rows[0]]} to {data.lines[rows[-1]]}"
+    return f"rows {rows[0]} to {rows[-1]}"
+
+
+def _configurations(
+    problem: Problem, out: NDArray[np.bool_], found: Studentized
+) -> Iterator[tuple[list[int], str]]:
+    """Configurations in which more than one measurement was taken."""
+    sizes = np.bincount(found.labels)
+    for label in np.unique(found.labels[out]).tolist():
+        if sizes[label] > 1:
+            rows = np.flatnonzero(found.labels == label).tolist()
+            yield rows, f"configuration of {problem.data.place(rows[0])}"
+
+
+def _exchanged(
+    problem: Problem,
+    theta: Floats,
+    out: NDArray[np.bool_],
+    found: Studentized,
+    scale: Floats,
+) -> Iterator[tuple[list[int], str]]:
+    """Pairs of rows each of which fits what was measured in the other."""
+    rows, data = np.flatnonzero(out), problem.data
+    if not 2 <= len(rows) <= PAIRS or problem.measurement.contact:
+        return
+    i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
+    names = np.array(data.target)
+    alike = (names[i] == names[j]) & (found.labels[i] != found.labels[j])
+    i, j = i[alike], j[alike]
+    sizes = []
+    own = found.sizes(scale)
+    instrument = problem.split(theta)[1]
+    units = problem.units if len(problem.units) else 1.0
+    poses = replace(problem, data=data.rows(rows)).poses(theta)
+    for a, b in ((i, j), (j, i)):
+        T = poses[np.searchsorted(rows, a)]
+        there = replace(data.rows(a), values=data.values[b])
+        sigma = problem.given_sigma[a] * units * scale[found.columns]
+        with np.errstate(invalid="ignore", over="ignore"):
+            r = problem.measurement.residual(T, instrument, there) / sigma
+            size = np.sqrt(np.where(np.isfinite(sigma), r**2, 0.0).sum(axis=1))
+        sizes.append(size < FITS * own[a])
+    for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():
+        a, b = int(i[k]), int(j[k])
+        yield [a], f"exchanged with {data.place(b)}"
+        yield [b], f"exchanged with {data.place(a)}"

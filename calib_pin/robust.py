@@ -1,0 +1,361 @@
+"""Fits that measurements which are wrong cannot spoil.
+
+Every configuration has a weight, for all that is measured in one fails together. The
+weights minimize a truncated cost,
+
+    sum_g min(z_g^2, c^2),
+
+where z_g is the size of the residuals of configuration g in standard deviations. It has
+many minima; the right one is found by graduated non-convexity (Yang, Antonante,
+Tzoumas and Carlone, Graduated non-convexity for robust spatial perception, 2020): a
+sequence of weighted least squares with the weights of Geman and McClure (equation 12),
+
+    w_g = (c^2 / (z_g^2 + c^2))^2,
+
+from a cost that is nearly convex to one that redescends. What is graduated is the scale
+of z, their mu: it is estimated anew at every step, from the millimeters of the nominal
+robot down to the noise, and the first step starts from a registration by consensus.
+What comes out decides which configurations are accepted; the final fit is the ordinary
+least squares of these, so all that is said of it holds, and the decision is repeated
+about it until it stands.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import replace
+from typing import TYPE_CHECKING
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.causes import causes
+from calib_pin.consensus import consensus
+from calib_pin.errors import require_known
+from calib_pin.evidence import Outlier
+from calib_pin.parameterizations.base import expected_size
+from calib_pin.problem import SAMPLE, Expected, Problem
+from calib_pin.spatial import Floats
+from calib_pin.studentized import Studentized, squared_or_infinite, studentized
+
+if TYPE_CHECKING:
+    from calib_pin.fit import Fit
+
+__all__ = ["LOSSES", "robustly"]
+
+LOSSES = ("auto", "squared", "huber", "gnc")
+"""Names of the losses."""
+
+CHANCE = 1e-5
+"""Probability, with normal noise, that one of all good configurations is set aside.
+
+What no parameter describes, gears and compliance, has more than a normal distribution
+beyond four or five deviations: with 0.01 TIAGo loses a good configuration of 37 and
+gains 16 % of error on others. Of one component in a hundred this is 5.3 deviations."""
+
+DOUBT = 0.01
+"""The same where noise is all there is, as rows state it, or for a closer look."""
+
+HELD = 1.3
+"""Scale, in stated deviations, up to which there is no more than noise."""
+
+CUT = 0.01
+"""Probability of a good configuration beyond c while the solution is sought."""
+
+BENT = 0.1
+"""Probability of a good configuration beyond where Huber's loss bends."""
+
+BREAKDOWN = 0.45
+"""Share of configurations beyond which those set aside may as well be the right ones.
+
+Medians hold up to one half; with four of ten spoiled a few good ones may go as well."""
+
+SIZE = 5.0
+"""Expected errors of the robot while the solution is sought, in scales: it holds what
+the rows do not tell, and hardly anything else."""
+
+MOST = 0.8
+"""Largest share of configurations that a scale is taken from while it is sought."""
+
+LONGEST = 0.5
+"""Longest step of a frame or an instrument [m, rad], for steps are not damped."""
+
+ROUNDING = 1e-13
+"""Part of the largest eigenvalue that rounding leaves."""
+
+EXACT = 1e-6
+"""Scatter, in standard deviations, below which rows differ by rounding alone."""
+
+STEPS = 40
+"""Most weighted steps; 12 are usual."""
+
+STILL = 0.01
+"""Largest change of a weight after which they stand."""
+
+POLISH = 2
+"""Steps to the solution of accepted configurations, a redescending one away."""
+
+ROUNDS = 8
+"""Most decisions about which configurations are accepted; two are usual."""
+
+
+def robustly(
+    problem: Problem, fit_once: Callable[[Problem], Fit], rng: np.random.Generator
+) -> Fit:
+    """Fit a problem with the loss of its setup.
+
+    Without anything to set aside it is the least-squares fit itself.
+
+    Args:
+        problem: The problem, not registered.
+        fit_once: Least squares of a problem by the weights of its rows, registration
+            and all.
+        rng: Random generator of the subsets of the registration.
+
+    Raises:
+        OptionError: If the setup names a loss that does not exist.
+    """
+    loss = problem.setup.loss
+    require_known("loss", loss, LOSSES)
+    squared = fit_once(problem)
+    if not squared.sigma0 > EXACT:
+        # Without redundancy, or without errors, every measurement is met.
+        return squared
+    found = _judged(squared, np.ones(problem.data.configurations, bool))
+    scale = found.robust_scale()
+
+    def plain() -> Fit:
+        return replace(squared, outliers=_outliers(squared, found, scale))
+
+    if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
+        return plain()
+    about, theta, weight = _sought(problem, loss, squared.rank, rng)
+    if loss == "huber":
+        return _bent(problem, squared, weight, fit_once)
+    accepted = _selected(about, theta, weight)
+    for _ in range(ROUNDS):
+        if not _enough(squared, accepted):
+            return replace(plain(), disagreement=float(1.0 - accepted.mean()))
+        if accepted.all():
+            return squared
+        fitted = fit_once(_weighted(problem, accepted))
+        about_it = _judged(fitted, accepted)
+        its_scale = about_it.scale(accepted)
+        passed = _passed(about_it, its_scale)
+        if np.array_equal(passed, accepted):
+            break
+        accepted = passed
+    outliers = _outliers(fitted, about_it, its_scale)
+    return replace(fitted, outliers=outliers, squared=squared)
+
+
+def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
+    """The problem with a weight for each configuration, shape (G,)."""
+    rows = weight.astype(float)[problem.data.groups()]
+    return replace(problem, data=replace(problem.data, weight=rows))
+
+
+def _plain(problem: Problem) -> Problem:
+    """The problem with all rows at full weight."""
+    return replace(
+        problem, data=replace(problem.data, weight=np.ones(len(problem.data)))
+    )
+
+
+def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
+    """All configurations about a fit of the accepted ones, shape (G,)."""
+    problem = _plain(fitted.problem)
+    basis = problem.parameters.scales[:, None] * fitted.directions.basis
+    rows = accepted[problem.data.groups()]
+    return studentized(problem, fitted.theta, basis, rows)
+
+
+def _passed(
+    found: Studentized, scale: Floats, chance: float = CHANCE
+) -> NDArray[np.bool_]:
+    """The configurations whose residuals may be chance, shape (G,).
+
+    Args:
+        found: Residuals about a fit.
+        scale: Their scale by quantity, shape (Q,).
+        chance: Probability that a good one is not among them, where the scale is not
+            the one that the rows state.
+    """
+    if (scale <= HELD * found.least).all():
+        chance = DOUBT
+    tail = chance / max(len(found.squares), 1)
+    return np.asarray(found.statistic(scale) <= found.limit(tail))
+
+
+def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
+    """Whether a least-squares fit may have been spoiled by some configurations.
+
+    A few stand out against the median, or so much is left that they may hide.
+    """
+    if not _passed(found, scale, DOUBT).all():
+        return True
+    problem = fitted.problem
+    for k, quantity in enumerate(problem.measurement.quantities):
+        sigma = problem.sigma[:, quantity.columns]
+        sigma = sigma[np.isfinite(sigma)]
+        if len(sigma) and scale[k] * np.median(sigma) > expected_size(quantity.unit):
+            return True
+    return False
+
+
+def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
+    """Whether the accepted configurations are a majority that determines the robot."""
+    if 1.0 - accepted.mean() > BREAKDOWN:
+        return False
+    return _weighted(squared.problem, accepted).distinct_values > squared.rank
+
+
+def _sought(
+    problem: Problem, loss: str, rank: int, rng: np.random.Generator
+) -> tuple[Problem, Floats, Floats]:
+    """The solution of a robust loss over the whole model, by consensus and steps.
+
+    Args:
+        problem: The problem, not registered.
+        loss: `huber` or a redescending one.
+        rank: Number of directions that the rows determine.
+        rng: Random generator of the consensus.
+
+    Returns:
+        The problem about the consensus, with the scales that were found in its units
+        and the robot held by its expected size; the solution, shape (P,); the weight
+        of each configuration, shape (G,).
+    """
+    parameters = problem.parameters
+    robot = parameters.free & ~parameters.nuisance
+    expected = Expected(np.eye(len(parameters))[:, robot], SIZE)
+    every = replace(
+        consensus(_plain(problem), rng), expected=expected, units=np.zeros(0)
+    )
+    few = replace(every, data=every.data.sample(SAMPLE)) if every.many else every
+    theta, weight = np.zeros(len(parameters)), np.zeros(0)
+    # A model of p parameters meets p values exactly, so more than half must count
+    # (Rousseeuw and Leroy, Robust regression, 1987, theorem 6 of chapter 3).
+    share = min(0.5 * (1.0 + (rank + 1) / few.values), MOST)
+    for _ in range(STEPS):
+        r, J = few.linearize_rows(theta)
+        found = _unfitted(few, r)
+        scale = found.robust_scale(share)
+        before, weight = weight, _weights(found, scale, loss)
+        if len(before) and np.abs(weight - before).max() < STILL:
+            break
+        rows = np.sqrt(weight)[found.labels][:, None] / scale[found.columns]
+        theta = theta + _step(few, r, J, rows)
+    if few is not every:
+        weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
+    return replace(every, units=scale[found.columns]), theta, weight
+
+
+def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
+    """Weights of configurations for their residuals, shape (G,)."""
+    squares = found.statistic(scale)
+    if loss == "huber":
+        with np.errstate(divide="ignore"):
+            return np.minimum(1.0, np.sqrt(found.limit(BENT) / squares))
+    cut = found.limit(CUT)
+    return np.asarray((cut / (squares + cut)) ** 2)
+
+
+def _unfitted(problem: Problem, r: Floats) -> Studentized:
+    """Residuals as they are, of a model that hardly follows single configurations."""
+    told = np.isfinite(problem.sigma)
+    rows = r[: told.size].reshape(told.shape)
+    return Studentized.of(problem, squared_or_infinite(rows), told.astype(float))
+
+
+def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
+    """A Gauss-Newton step with weights for the rows, shape (N, d) -> (P,).
+
+    By normal equations, for it only has to lead to the right configurations.
+    """
+    parameters = problem.parameters
+    count, weight = weight.size, weight.reshape(-1)
+    basis = np.diag(parameters.scales)[:, parameters.free]
+    used = np.flatnonzero((weight > 0.0) & np.isfinite(r[:count]))
+    A = np.concatenate([weight[used, None] * J[used], J[count:]]) @ basis
+    b = np.concatenate([weight[used] * r[used], r[count:]])
+    eigenvalues, V = np.linalg.eigh(A.T @ A)
+    kept = eigenvalues > ROUNDING * eigenvalues[-1]
+    along = V[:, kept].T @ (A.T @ b) / eigenvalues[kept]
+    step = -(basis @ (V[:, kept] @ along))
+    longest = np.abs(step[parameters.nuisance]).max(initial=0.0)
+    return np.asarray(step * min(1.0, LONGEST / max(longest, LONGEST)))
+
+
+def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.bool_]:
+    """The configurations that agree with a solution, judged without themselves, (G,).
+
+    Args:
+        problem: The problem with scales in its units.
+        theta: The solution, shape (P,).
+        weight: Weight of each configuration, shape (G,).
+    """
+    parameters = problem.parameters
+    basis = np.diag(parameters.scales)[:, parameters.free]
+    # There the weight of Geman and McClure is where z is c.
+    accepted = weight >= 0.25
+    for _ in range(ROUNDS):
+        if accepted.mean() < 1.0 - BREAKDOWN:
+            break
+        rows = accepted[problem.data.groups()]
+        held = _weighted(problem, accepted)
+        if held.many:
+            held = replace(held, data=held.data.sample(SAMPLE))
+        alike = np.ones((len(held.data), held.components))
+        for _ in range(POLISH):
+            theta = theta + _step(held, *held.linearize_rows(theta), alike)
+        found = studentized(problem, theta, basis, rows)
+        scale = found.scale(accepted)
+        passed = _passed(found, scale)
+        if np.array_equal(passed, accepted):
+            break
+        accepted = passed
+        problem = replace(problem, units=problem.units * scale[found.columns])
+    return accepted
+
+
+def _bent(
+    problem: Problem,
+    squared: Fit,
+    weight: Floats,
+    fit_once: Callable[[Problem], Fit],
+) -> Fit:
+    """The fit with the weights of Huber's loss, shape (G,)."""
+    if (weight == 1.0).all():
+        return squared
+    fitted = fit_once(_weighted(problem, weight))
+    found = _judged(fitted, weight > 0.0)
+    outliers = _outliers(fitted, found, found.robust_scale())
+    return replace(fitted, outliers=outliers, squared=squared)
+
+
+def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
+    """The measurements of the configurations that do not fit, worst first.
+
+    Args:
+        fitted: The fit; the weights are in its data.
+        found: Residuals about it.
+        scale: Their scale by quantity, shape (Q,).
+    """
+    problem = fitted.problem
+    data = problem.data
+    out = ~_passed(found, scale)[found.labels] | (data.weight == 0.0)
+    rows = np.flatnonzero(out)
+    sizes = found.sizes(scale)
+    shared = causes(problem, fitted.theta, out, found, scale)
+    order = rows[np.argsort(-sizes[rows], kind="stable")]
+    return tuple(
+        Outlier(
+            data.place(row),
+            row,
+            float(sizes[row]),
+            float(data.weight[row]),
+            shared.get(row, ""),
+        )
+        for row in order.tolist()
+    )

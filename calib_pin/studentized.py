@@ -1,0 +1,205 @@
+"""How far each configuration is from a fit, in standard deviations of just that.
+
+A residual of a fit is smaller than the error behind it, for the fit has followed it,
+and the more so the higher its leverage. With the hat matrix H of the accepted rows, the
+residuals `r_g` of configuration g have the covariance `I - H_gg`, and those of one that
+was not fitted `I + H_gg` (Huber and Ronchetti, Robust Statistics, 2009, 7.2). All
+targets and repetitions of a configuration fail together, so it is judged as a whole:
+
+    z_g^2 = r_g^T (I -+ H_gg)^-1 r_g
+
+is chi-square distributed, and says of an accepted one how far it would be from a fit
+without it.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.chi_square import chi_square_quantile
+from calib_pin.problem import Problem
+from calib_pin.spatial import Floats
+
+__all__ = ["Studentized", "squared_or_infinite", "studentized"]
+
+LEAST = 1e-6
+"""Smallest scale in stated or assumed deviations: below, there is only rounding."""
+
+ALONE = 1e-6
+"""Part of a residual's variance below which the fit meets it whatever it is."""
+
+COUNTED = 0.5
+"""Components from which a configuration says something of the noise."""
+
+
+@dataclass(frozen=True)
+class Studentized:
+    """Normalized residuals of N rows in G configurations and Q quantities.
+
+    Attributes:
+        labels: Configuration of each row, shape (N,).
+        components: Squares of the normalized residuals, independent with unit
+            variance if the deviations of the rows were right, shape (N, d).
+        squares: Their sums by configuration and quantity, shape (G, Q).
+        counts: How many independent ones there are, shape (G, Q).
+        columns: Quantity of each component, shape (d,).
+        least: Smallest scale that is believed, by quantity, shape (Q,).
+    """
+
+    labels: NDArray[np.int64]
+    components: Floats
+    squares: Floats
+    counts: Floats
+    columns: NDArray[np.int64]
+    least: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, components: Floats, counts: Floats) -> Studentized:
+        """From the squares of normalized residuals of a problem's rows.
+
+        Args:
+            problem: The problem.
+            components: The squares, shape (N, d); infinite where nothing is predicted.
+            counts: What each counts, 0 to 1, shape (N, d).
+        """
+        quantities = problem.measurement.quantities
+        columns = np.empty(problem.components, np.int64)
+        for k, quantity in enumerate(quantities):
+            columns[quantity.columns] = k
+        labels = problem.data.groups()
+        squares, total = (
+            np.zeros((int(labels.max(initial=-1)) + 1, len(quantities)))
+            for _ in range(2)
+        )
+        for k in range(len(quantities)):
+            own = columns == k
+            np.add.at(squares[:, k], labels, components[:, own].sum(axis=1))
+            np.add.at(total[:, k], labels, counts[:, own].sum(axis=1))
+        least = np.full(len(quantities), LEAST)
+        if problem.data.stated:
+            # What the rows state is not contradicted by residuals that are smaller.
+            least[columns] = 1.0 / (problem.units if len(problem.units) else 1.0)
+        return cls(labels, components, squares, total, columns, least)
+
+    def robust_scale(self, share: float = 0.5) -> Floats:
+        """Scale by the median over configurations, by quantity, shape (Q,).
+
+        Consistent with normal noise whatever the number of components, and right to a
+        factor as long as half of the configurations are.
+
+        Args:
+            share: Part of the configurations that counts, where that is not one half.
+        """
+        result = self.least.copy()
+        for k, (squares, counts) in enumerate(
+            zip(self.squares.T, self.counts.T, strict=True)
+        ):
+            told = counts >= COUNTED
+            if told.any():
+                ratios = np.sort(squares[told] / _quantiles(counts[told], 1.0 - share))
+                result[k] = np.sqrt(ratios[int(share * (len(ratios) - 1))])
+        return np.maximum(result, self.least)
+
+    def scale(self, accepted: NDArray[np.bool_]) -> Floats:
+        """Scale by the squares of accepted configurations, shape (G,) -> (Q,)."""
+        squares, counts = self.squares[accepted], self.counts[accepted]
+        with np.errstate(invalid="ignore", divide="ignore"):
+            scale = np.sqrt(squares.sum(axis=0) / counts.sum(axis=0))
+        return np.asarray(np.fmax(scale, self.least))
+
+    def statistic(self, scale: Floats) -> Floats:
+        """z^2 of each configuration at a scale by quantity, shape (G,)."""
+        with np.errstate(over="ignore"):
+            return np.asarray((self.squares / scale**2).sum(axis=1))
+
+    def sizes(self, scale: Floats) -> Floats:
+        """Size z of each row by itself at a scale by quantity, shape (N,)."""
+        return np.asarray(
+            np.sqrt((self.components / scale[self.columns] ** 2).sum(axis=1))
+        )
+
+    def limit(self, tail: float) -> Floats:
+        """What z^2 of each configuration exceeds with a probability, shape (G,)."""
+        return _quantiles(self.counts.sum(axis=1), tail)
+
+
+def studentized(
+    problem: Problem, theta: Floats, basis: Floats, accepted: NDArray[np.bool_]
+) -> Studentized:
+    """Normalized residuals of all rows about a fit of some of them.
+
+    Of very many rows none has a leverage worth mentioning, so they are not linearized.
+
+    Args:
+        problem: The problem with all its rows at full weight.
+        theta: Solution of the fit, shape (P,).
+        basis: Directions that were fitted, shape (P, k).
+        accepted: The rows that were fitted, shape (N,).
+    """
+    finite = np.isfinite(problem.sigma)
+    if problem.many:
+        with np.errstate(invalid="ignore"):
+            r = np.where(finite, problem.errors(theta) / problem.sigma, 0.0)
+        return Studentized.of(problem, squared_or_infinite(r), finite.astype(float))
+    fun, jac = problem.linearize_rows(theta)
+    count, size = finite.shape
+    r, A = fun[: finite.size].reshape(count, size), jac @ basis
+    bad = ~(
+        np.isfinite(r) & np.isfinite(jac[: finite.size]).all(axis=1).reshape(r.shape)
+    )
+    own = A[: finite.size].reshape(count, size, -1)
+    own[bad] = 0.0
+    fitted = (own[accepted].reshape(-1, A.shape[1]), A[finite.size :])
+    R = np.linalg.qr(np.concatenate(fitted), mode="r")
+    _, s, Vt = np.linalg.svd(R, full_matrices=False)
+    kept = s > 1e-12 * s.max(initial=0.0)
+    B = own @ (Vt[kept].T / s[kept])
+    r, counts = np.where(bad, 0.0, r), finite.astype(float)
+    labels = problem.data.groups()
+    order = np.argsort(labels, kind="stable")
+    sizes = np.bincount(labels)
+    begins = np.cumsum(sizes) - sizes
+    for rows_each in np.unique(sizes).tolist():
+        rows = order[begins[sizes == rows_each][:, None] + np.arange(rows_each)]
+        sign = np.where(accepted[rows[:, 0]], -1.0, 1.0)
+        shape = (len(rows), rows_each * size)
+        U, eigenvalues = _spectrum(B[rows].reshape(*shape, -1))
+        left = 1.0 + sign[:, None] * eigenvalues
+        alone = left < ALONE
+        factor = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, left)))
+        along = np.einsum("gmk,gm->gk", U, r[rows].reshape(shape))
+        change = np.einsum("gmk,gk->gm", U, (factor - 1.0) * along)
+        r[rows] += change.reshape(*rows.shape, size)
+        lost = np.einsum("gmk,gk->gm", U**2, alone.astype(float))
+        counts[rows] -= lost.reshape(*rows.shape, size)
+    squares = squared_or_infinite(r)
+    squares[bad & finite] = np.inf
+    return Studentized.of(problem, squares, counts)
+
+
+def _spectrum(B: Floats) -> tuple[Floats, Floats]:
+    """Eigenvectors and eigenvalues of B B^T that matter, (G, m, k) -> .., (G, l)."""
+    if B.shape[1] <= B.shape[2]:
+        eigenvalues, U = np.linalg.eigh(B @ np.swapaxes(B, 1, 2))
+        return U, eigenvalues
+    U, s, _ = np.linalg.svd(B, full_matrices=False)
+    return U, s**2
+
+
+def squared_or_infinite(r: Floats) -> Floats:
+    """Squares, infinite where a residual is not a number."""
+    with np.errstate(over="ignore"):
+        return np.where(np.isfinite(r), r**2, np.inf)
+
+
+def _quantiles(counts: Floats, tail: float) -> Floats:
+    """Chi-square quantiles by rounded degrees of freedom; infinite for none."""
+    rounded = np.round(counts).astype(np.int64)
+    table = {
+        dof: chi_square_quantile(dof, tail) if dof > 0 else np.inf
+        for dof in np.unique(rounded).tolist()
+    }
+    return np.array([table[dof] for dof in rounded.tolist()], float)

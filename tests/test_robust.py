@@ -1,0 +1,241 @@
+"""Robust fits: measurements that are wrong are named, and steer nothing.
+
+The jobs are those of `scripts/benchmark recovery`, with some configurations spoiled.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+import calib_pin
+from benchmarks.recovery import CASES, Study
+from calib_pin.errors import OptionError
+from calib_pin.fit import Fit, fit
+from calib_pin.measurements import Measurements
+from calib_pin.problem import Problem
+from calib_pin.robust import LOSSES
+from calib_pin.spatial import Floats
+
+GROSS = (5e-3, 1.0)
+"""Sizes of gross errors, equally often in every factor [m, rad, kpx]."""
+
+BENT = (5e-3, 0.3)
+"""The same of every joint where contacts have no values to spoil [rad]."""
+
+
+@dataclass(frozen=True)
+class Job:
+    """Simulated measurements of one robot, some of which are spoiled.
+
+    Attributes:
+        study: What was measured.
+        truth: True parameter values, shape (P,).
+        rows: The measurements.
+        bad: The spoiled rows, shape (N,).
+    """
+
+    study: Study
+    truth: Floats
+    rows: Measurements
+    bad: NDArray[np.bool_]
+
+    def fit(self, loss: str = "auto", rows: Measurements | None = None) -> Fit:
+        problem = self.study.problem
+        setup = replace(problem.setup, loss=loss)
+        data = self.rows if rows is None else rows
+        return fit(replace(problem, data=data, setup=setup), np.random.default_rng(0))
+
+    def of_good(self) -> Fit:
+        """The fit with the good rows alone."""
+        return self.fit("squared", self.rows.rows(~self.bad))
+
+    def ahead(self, fitted: Fit) -> float:
+        """Error on new configurations, root sum of whitened squares."""
+        return float(np.sqrt(self.study._ahead(self.truth, fitted)[0]))
+
+    def named(self, fitted: Fit) -> NDArray[np.bool_]:
+        """The rows that were set aside, which are those that are named."""
+        aside = fitted.problem.data.weight == 0.0
+        assert sorted(o.row for o in fitted.outliers) == np.flatnonzero(aside).tolist()
+        assert all(outlier.weight == 0.0 for outlier in fitted.outliers)
+        return aside
+
+
+def job(name: str, share: float, seed: int, size: float = 1.0, count: int = 0) -> Job:
+    """A job of a case with a share of its configurations spoiled."""
+    study, rng = Study(CASES[name]), np.random.default_rng(seed)
+    study.rng = rng
+    truth, case = study.truth(size), study.case
+    rows = calib_pin.simulate(
+        study.problem, truth, rng, count=count or case.rows, noise=case.noise
+    )
+    number = round(share * rows.configurations)
+    bad = np.isin(rows.groups(), rng.choice(rows.configurations, number, replace=False))
+    return Job(study, truth, spoiled(study.problem, rows, bad, rng), bad)
+
+
+def spoiled(
+    problem: Problem,
+    rows: Measurements,
+    bad: NDArray[np.bool_],
+    rng: np.random.Generator,
+) -> Measurements:
+    """Rows with gross errors in random directions in some of them, shape (N,)."""
+    if problem.measurement.contact:
+        sizes = np.exp(rng.uniform(*np.log(BENT), (len(rows), 1)))
+        signs = rng.choice([-1.0, 1.0], rows.q.shape)
+        return replace(rows, q=np.where(bad[:, None], rows.q + sizes * signs, rows.q))
+    assert rows.sigma is not None
+    errors = np.zeros(rows.sigma.shape)
+    for quantity in problem.measurement.quantities:
+        drawn = rng.normal(size=(len(rows), errors[:, quantity.columns].shape[1]))
+        drawn /= np.linalg.norm(drawn, axis=1)[:, None]
+        sizes = np.exp(rng.uniform(*np.log(GROSS), (len(rows), 1)))
+        sizes *= 1e3 if quantity.unit == "px" else 1.0
+        errors[:, quantity.columns] = drawn * sizes
+    errors[~bad | np.isinf(rows.sigma).any(axis=1)] = 0.0
+    return replace(rows, values=problem.measurement.disturb(rows.values, errors))
+
+
+@pytest.mark.parametrize("loss", ["auto", "gnc"])
+def test_clean_rows_give_the_least_squares_fit(loss: str) -> None:
+    clean = job("position", 0.0, 1)
+    found, squared = clean.fit(loss), clean.fit("squared")
+    np.testing.assert_array_equal(found.theta, squared.theta)
+    np.testing.assert_array_equal(found.covariance, squared.covariance)
+    assert (found.outliers, found.squared, found.disagreement) == ((), None, 0.0)
+
+
+@pytest.mark.parametrize(
+    ("name", "share", "size"),
+    [
+        ("position", 0.2, 1.0),
+        ("position", 0.4, 5.0),
+        ("pose", 0.4, 5.0),
+        pytest.param("plane-distance", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("fixed-point", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("plane-contact", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("point-distance", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("relative-distance", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("camera", 0.2, 1.0, marks=pytest.mark.slow),
+        pytest.param("named points", 0.2, 1.0, marks=pytest.mark.slow),
+    ],
+)
+def test_spoiled_configurations_steer_nothing(
+    name: str, share: float, size: float
+) -> None:
+    """As good as the fit with the good ones alone: issue 16, robustness."""
+    ratios = []
+    for seed in range(3):
+        found = job(name, share, seed, size)
+        fitted, good = found.fit(), found.of_good()
+        named = found.named(fitted)
+        ratios.append(found.ahead(fitted) / found.ahead(good))
+        assert not named[~found.bad].any()
+        about_good = replace(good.problem, data=found.rows)
+        z = about_good.errors(good.theta) / about_good.given_sigma
+        gross = found.bad & (np.linalg.norm(z, axis=1) > 10.0)
+        assert named[gross].all()
+    assert np.median(ratios) <= 1.15
+
+
+@pytest.mark.parametrize("millimeters", [5.0, 20.0, 60.0])
+@pytest.mark.parametrize("stated", [True, False])
+def test_one_wrong_measurement_of_sixty(millimeters: float, stated: bool) -> None:
+    """It steered the fit by 0.23 to 2.61 mm, and its sigma of 0.1 mm was believed."""
+    found = job("position", 0.0, 4)
+    values = found.rows.values.copy()
+    values[17] += 1e-3 * millimeters * np.array([0.6, 0.0, 0.8])
+    sigma = np.full(values.shape, 1e-4) if stated else None
+    rows = replace(found.rows, values=values, sigma=sigma)
+    fitted = found.fit(rows=rows)
+    assert [outlier.row for outlier in fitted.outliers] == [17]
+    # What it would be with it.
+    assert fitted.squared is not None
+    assert found.ahead(fitted.squared) > 3.0 * found.ahead(fitted)
+    without = found.fit("squared", rows.rows(np.arange(60) != 17))
+    assert found.ahead(fitted) == pytest.approx(found.ahead(without), rel=1e-6)
+    # Told to, it counts like the others, and is named all the same.
+    squared = found.fit("squared", rows)
+    assert (squared.problem.data.weight == 1.0).all()
+    assert squared.outliers[0].row == 17
+    assert squared.outliers[0].weight == 1.0
+
+
+def test_huber_gives_less_weight() -> None:
+    found = job("position", 0.1, 2)
+    fitted = found.fit("huber")
+    weight = fitted.problem.data.weight
+    assert (weight > 0.0).all()
+    assert (weight <= 1.0).all()
+    assert np.median(weight[found.bad]) < 0.1 < 0.9 < np.median(weight[~found.bad])
+    assert found.ahead(fitted) < 0.2 * found.ahead(found.fit("squared"))
+
+
+def test_what_has_no_majority_is_left_alone() -> None:
+    """A joint that turns the other way: no solution holds most of the rows."""
+    found = job("position", 0.0, 3)
+    q = found.rows.q * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]
+    fitted = found.fit(rows=replace(found.rows, q=q))
+    assert (fitted.problem.data.weight == 1.0).all()
+    assert fitted.squared is None
+
+
+def causes(found: Job, values: Floats) -> dict[int, str]:
+    rows = replace(found.rows, values=values)
+    return {o.row: o.cause for o in found.fit(rows=rows).outliers}
+
+
+def test_exchanged_rows_are_named() -> None:
+    found = job("position", 0.0, 5)
+    values = found.rows.values.copy()
+    values[[10, 20]] = values[[20, 10]]
+    told = {10: "exchanged with row 20", 20: "exchanged with row 10"}
+    assert causes(found, values) == told
+
+
+def test_a_stretch_of_the_file_is_named() -> None:
+    found = job("position", 0.0, 5)
+    values = found.rows.values.copy()
+    values[30:40] += [0.05, 0.02, -0.01]
+    assert causes(found, values) == dict.fromkeys(range(30, 40), "rows 30 to 39")
+
+
+def test_a_target_is_named() -> None:
+    found = job("named points", 0.0, 5)
+    rng = np.random.default_rng(0)
+    moved = np.array([name == "b" for name in found.rows.target])
+    values = found.rows.values + 0.01 * moved[:, None] * rng.normal(size=(60, 3))
+    told = causes(found, values)
+    assert set(told.values()) == {"target b"}
+    # When all others are gone, the last one says where the target is.
+    assert moved[list(told)].all()
+    assert len(told) >= moved.sum() - 1
+
+
+def test_a_configuration_fails_as_a_whole() -> None:
+    found = job("position", 0.0, 5, count=30)
+    found = replace(found, rows=found.rows.rows(np.repeat(np.arange(30), 3)))
+    values = found.rows.values.copy()
+    values[9] += [0.01, 0.0, 0.0]
+    assert causes(found, values) == dict.fromkeys(
+        range(9, 12), "configuration of row 9"
+    )
+
+
+def test_mixed_measurements_have_outliers() -> None:
+    """A comparison with NaN is false: they were never found."""
+    found = job("position and fixed-point", 0.0, 5)
+    values = found.rows.values.copy()
+    values[0] += 0.05
+    assert list(causes(found, values)) == [0]
+
+
+def test_unknown_loss() -> None:
+    with pytest.raises(OptionError, match="loss") as error:
+        job("position", 0.0, 1).fit("hubert")
+    assert error.value.allowed == ", ".join(LOSSES)

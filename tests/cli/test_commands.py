@@ -253,7 +253,15 @@ CONTRACT = {
             }
         ],
     },
-    "statistics": {"chi2": NUMBER, "dof": int, "sigma0": NUMBER, "outliers": list},
+    "findings": list,
+    "statistics": {
+        "chi2": NUMBER,
+        "dof": int,
+        "sigma0": NUMBER,
+        "noise": list,
+        "outliers": list,
+        "gains": list,
+    },
     "solver": {
         "name": str,
         "evaluator": str,
@@ -318,7 +326,7 @@ def test_what_is_written(command, quantities, here, run):
 
     found = document("out")
     check_form(found, CONTRACT)
-    assert list(found)[:5] == ["format", "version", "verdict", "robot", "measurements"]
+    assert list(found)[:5] == ["format", "version", "verdict", "findings", "robot"]
     assert found["format"] == "calib-pin/calibration"
     assert found["version"] == 1
     assert found["verdict"] == {"status": "good", "reason": ""}

@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from calib_pin.evidence import ExpectedAccuracy
 from calib_pin.fit import Fit
 from calib_pin.problem import Problem
-from calib_pin.shrinkage import posterior
 from calib_pin.spatial import Floats
 from calib_pin.tip_accuracy import without_frames
 
@@ -54,17 +53,24 @@ def expected_accuracy(
     count = len(problem.error.screws)
     scales = parameters.scales[:count]
     robot = (parameters.free & ~parameters.nuisance)[:count]
-    J = without_frames(problem.error.jacobian(q, theta[:count])[1]) * scales
-    J, mean = J[:, :, robot], (theta[:count] / scales)[robot]
-    C = _covariances(fitted, robot)
+    _, J = problem.error.jacobian(q, theta[:count])
+    own = without_frames(J * scales, J)[:, :, robot]
+    effects = np.zeros((*J.shape[:2], 0))
+    if fitted.effects is not None:
+        absorbed = fitted.deviations.by_effects[:count]
+        absorbed = np.where(parameters.nuisance[:count, None], 0.0, absorbed)
+        there = fitted.effects.twists(problem.error, q)
+        effects = without_frames(J @ absorbed - there, J)
+    mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
     by_position, by_orientation = (
-        _Expected(part, mean, C, rng) for part in (J[:, :3], J[:, 3:])
+        _Expected(own[:, part], effects[:, part], mean, C, rng)
+        for part in (slice(0, 3), slice(3, 6))
     )
     return ExpectedAccuracy(
         nominal=(by_position.nominal, by_orientation.nominal),
         calibrated=(by_position.calibrated, by_orientation.calibrated),
         bound=(by_position.bound, by_orientation.bound),
-        unmodeled=(0.0, 0.0),
+        unmodeled=(by_position.unmodeled, by_orientation.unmodeled),
         better=by_position.better,
         share=by_position.share,
     )
@@ -75,54 +81,74 @@ class _Expected:
 
     Args:
         J: Derivative by the scaled errors of the robot, shape (N, 3, p).
+        effects: What independent effects do that the model does not have, beyond what
+            the fit has absorbed of them, shape (N, 3, S).
         mean: The estimated errors, shape (p,).
         C: Their covariances for several sizes of errors, shape (S, p, p).
         rng: Random generator of the bound.
     """
 
     def __init__(
-        self, J: Floats, mean: Floats, C: Floats, rng: np.random.Generator
+        self,
+        J: Floats,
+        effects: Floats,
+        mean: Floats,
+        C: Floats,
+        rng: np.random.Generator,
     ) -> None:
         moved = J @ mean
         gain = np.sum(moved**2, axis=1)
         G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
         squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
         left = float(np.mean([s.sum() for s in squares]))
-        draws = [s @ rng.chisquare(1.0, (len(s), DRAWS)) for s in squares]
-        self.nominal = float(np.sqrt(gain.mean() + left))
-        self.calibrated = float(np.sqrt(left))
+        by_effects = np.einsum("ndi,ndj->ij", effects, effects) / len(J)
+        lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
+        draws = [
+            np.concatenate([s, lacking])
+            @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
+            for s in squares
+        ]
+        others = float(lacking.sum())
+        self.unmodeled = float(np.sqrt(others))
+        self.nominal = float(np.sqrt(gain.mean() + left + others))
+        self.calibrated = float(np.sqrt(left + others))
         self.bound = float(np.sqrt(np.quantile(np.concatenate(draws), SURE)))
         # The differences of single configurations, and of the whole, are normal along
         # one direction of the errors each.
         along = np.einsum("nd,ndi->ni", moved, J)
-        self.better = _chance(gain.mean()[None], along.mean(axis=0)[None], C)[0]
-        self.share = float(np.mean(_chance(gain, along, C) >= SURE))
+        beside = np.einsum("nd,ndi->ni", moved, effects)
+        self.better = _chance(
+            gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
+        )[0]
+        self.share = float(np.mean(_chance(gain, along, beside, C) >= SURE))
 
 
-def _chance(gain: Floats, along: Floats, C: Floats) -> Floats:
-    """Probability that `gain + 2 along^T z` is positive, `z ~ N(0, C)`.
+def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
+    """Probability that `gain + 2 (along^T z + beside^T g)` is positive.
+
+    With `z ~ N(0, C)` and effects `g ~ N(0, I)`.
 
     Args:
         gain: Shape (N,).
         along: Shape (N, p).
+        beside: Shape (N, S).
         C: Covariances that are equally likely, shape (S, p, p).
     """
     variances = np.einsum("ni,sij,nj->sn", along, C, along, optimize=True)
+    variances += np.sum(beside**2, axis=1)
     ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
     chances = np.array([[0.5 + 0.5 * erf(x) for x in row] for row in ratios])
     return np.asarray(chances.mean(axis=0))
 
 
 def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
-    """Of the robot's scaled errors, for each likely size of errors, (S, p, p)."""
-    size = len(robot)
-    scales = fitted.problem.parameters.scales[:size]
-    every = [fitted.covariance]
+    """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
+    scales = fitted.problem.parameters.scales[: len(robot)][robot]
+    every = [fitted.deviations]
     if fitted.evidence is not None:
-        triangle = np.asarray(np.linalg.qr(fitted.result.jac, mode="r"))
         every = [
-            posterior(fitted.problem, fitted.directions, triangle, tau, fitted.unit)
-            for tau in fitted.evidence.sizes.tolist()
+            fitted.posterior(fitted.problem, fitted.theta, size)
+            for size in fitted.evidence.sizes.tolist()
         ]
-    found = [(C[:size, :size] / np.outer(scales, scales)) for C in every]
-    return np.array(found)[:, robot][:, :, robot]
+    halves = [found.by_noise[: len(robot)][robot] / scales[:, None] for found in every]
+    return np.array([half @ half.T for half in halves])

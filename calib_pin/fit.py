@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 
@@ -18,19 +19,22 @@ from calib_pin.directions import (
     rounding,
     visible_directions,
 )
-from calib_pin.evidence import Outlier
+from calib_pin.evidence import Outlier, VarianceComponent
 from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameters import ParameterSet
+from calib_pin.posterior import Posterior, posterior
 from calib_pin.problem import Problem
 from calib_pin.progress import Progress
 from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
-from calib_pin.shrinkage import Evidence, expected_errors, posterior
+from calib_pin.shrinkage import Evidence, expected_errors
 from calib_pin.solve import Solved, Solver, descend, least_squares
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 from calib_pin.spatial import Floats
+from calib_pin.systematic import Systematic, systematic
 from calib_pin.threads import serial_blas
+from calib_pin.variance_components import balanced, variance_components
 
 __all__ = ["Fit", "analyze_structure", "fit", "register", "structure_at"]
 
@@ -60,11 +64,13 @@ class Fit:
         result: Outcome of the solver.
         rank: Practical rank: nuisance and robot directions that were estimated.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
-        covariance: Of the parameters, shape (P, P), with what the measurements leave
-            open and the prior holds.
+        noise: The noise of every quantity, as the measurements show it.
+        effects: What gears and compliance do that the model does not have; None where
+            nothing shows.
         evidence: What the rows say of the size of the robot's errors, and the prior
             that follows; None where they are exact.
-        unit: Standard deviation of unit weight that the covariance uses.
+        unit: Standard deviation of unit weight of the whitened rows; 1 where the noise
+            of the quantities is in the units of the problem.
         singular_values: Of the whitened, scaled Jacobian of the estimated robot
             directions at the solution with the nuisances projected out, descending.
         revealed: Robot directions that nominal geometry hides and that were moved all
@@ -87,12 +93,13 @@ class Fit:
     sigma0: float
     evidence: Evidence | None
     unit: float
-    covariance: Floats
     singular_values: Floats
     revealed: Floats
     solver: str
     evaluator: str
     evolution: EvolutionResult | None
+    noise: tuple[VarianceComponent, ...] = ()
+    effects: Systematic | None = None
     outliers: tuple[Outlier, ...] = ()
     squared: Fit | None = None
     disagreement: float = 0.0
@@ -106,6 +113,61 @@ class Fit:
     def dof(self) -> int:
         """Residual components minus the rank."""
         return self.problem.count - self.rank
+
+    @property
+    def size(self) -> float | None:
+        """Expected size of errors, in scales; None where the rows alone decide."""
+        return None if self.evidence is None else self.evidence.expected.size
+
+    @property
+    def held(self) -> tuple[LeastSquaresResult, Floats]:
+        """The solution with the rows of the prior, and what it moved, shape (P, k)."""
+        if self.evidence is None or not self.evidence.matters:
+            return self.result, self.directions.basis
+        expected, scales = self.evidence.expected, self.problem.parameters.scales
+        fun = self.unit * expected.rows(self.theta / scales)
+        jac = self.unit * expected.rows(np.diag(1.0 / scales)).T
+        result = replace(
+            self.result,
+            fun=np.concatenate([self.result.fun, fun]),
+            jac=np.concatenate([self.result.jac, jac]),
+        )
+        return result, self.directions.every
+
+    @cached_property
+    def covariance(self) -> Floats:
+        """Of the parameters about the references of the problem, shape (P, P).
+
+        With what the measurements leave open and the prior holds, and with what was
+        absorbed of effects that the model does not have; NaN without redundancy.
+        """
+        return self.deviations.covariance
+
+    @cached_property
+    def deviations(self) -> Posterior:
+        """How far it can be off, about the references of the problem."""
+        return self.posterior(self.problem, self.theta)
+
+    def posterior(
+        self, problem: Problem, theta: Floats, size: float | None = None
+    ) -> Posterior:
+        """How far the fit can be off, about any references.
+
+        Args:
+            problem: The problem about these.
+            theta: The solution about them, shape (P,).
+            size: Expected size of errors in place of the likeliest one.
+        """
+        found = posterior(
+            problem,
+            theta,
+            self.directions,
+            self.noise,
+            self.effects,
+            self.size if size is None else size,
+        )
+        # Without redundancy nobody knows.
+        return replace(found, by_noise=self.unit * found.by_noise)
 
 
 @serial_blas
@@ -135,11 +197,20 @@ def fit(
     """
     solver = Solver(problem, rng, progress)
 
-    def once(problem: Problem) -> Fit:
+    def solve(problem: Problem) -> Fit:
         problem, before = register(problem, np.zeros(len(problem.parameters)))
         return _bounded(problem, lambda held: _fit(held, before, rng, solver))
 
-    return robustly(problem, once, rng)
+    return robustly(problem, lambda some: _described(balanced(some, solve)), rng)
+
+
+def _described(fitted: Fit) -> Fit:
+    """A fit with its noise and with what gears and compliance left in residuals."""
+    if not fitted.dof > 0 or not fitted.unit > EXACT:
+        return fitted
+    components = variance_components(fitted.problem, *fitted.held)
+    effects = systematic(fitted.problem, fitted.theta, fitted.directions)
+    return replace(fitted, noise=components, effects=effects)
 
 
 def _fit(
@@ -175,9 +246,10 @@ def _fit(
 
     solutions = stages.solutions
     last = solutions[-1]
-    unit = 1.0 if problem.data.stated else last.sigma0
+    unit = last.sigma0
+    if len(problem.units) or (problem.data.stated and not np.isfinite(unit)):
+        unit = 1.0
     evidence, result = _shrunk(problem, last, unit)
-    size = None if evidence is None else evidence.expected.size
     found_by = [solution.found for solution in reversed(solutions)]
     searched = next((found for found in found_by if found.evolution), found_by[0])
     return Fit(
@@ -194,7 +266,6 @@ def _fit(
         ),
         rank=last.rank,
         sigma0=last.sigma0,
-        covariance=posterior(problem, last.directions, result.jac, size, unit),
         singular_values=robot_singular_values(
             last.directions, last.result.jac, parameters
         ),
@@ -410,7 +481,7 @@ def _shrunk(
         last.directions, problem.parameters, found.x, found.fun, found.jac, unit
     )
     if not evidence.matters or problem.many:
-        return evidence, found
+        return replace(evidence, matters=False), found
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = evidence.expected
     held = replace(problem, expected=replace(expected, size=expected.size / unit))

@@ -87,15 +87,9 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
     before, _ = press(
         problem, fitted.before, normal_factor(jac, scales * frames), labels
     )
-    jac, moved = fitted.result.jac, fitted.directions.basis
-    if fitted.evidence is not None and fitted.evidence.matters:
-        # The errors of expected size are known like further measurements.
-        expected = fitted.evidence.expected
-        further = expected.rows(np.diag(1.0 / problem.parameters.scales)).T
-        jac = np.concatenate([jac, fitted.unit * further])
-        moved = fitted.directions.every
+    held, moved = fitted.held
     after, variance = press(
-        problem, fitted.theta, normal_factor(jac, scales * moved), labels
+        problem, fitted.theta, normal_factor(held.jac, scales * moved), labels
     )
     return Unseen(positions, before, after, fitted.unit**2 * variance)
 

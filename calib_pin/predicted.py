@@ -28,7 +28,8 @@ def predicted_variance(
 ) -> Floats:
     """Variance of the errors of rows that were not fitted, in their units.
 
-    The noise of the rows and what the fit leaves uncertain, `sigma^2 + J C J^T`. What
+    The noise of the rows and what the fit leaves uncertain, `sigma^2 + J C J^T`, with
+    what gears and compliance do beyond what the fit has absorbed of them. What
     was estimated from these rows themselves, K, takes its part of both away: the
     variance of `(I - K K^+)(e + J d)`.
 
@@ -42,22 +43,30 @@ def predicted_variance(
         Variances, shape (N, d); infinite for what a row lacks, NaN where the fit knows
         no covariance.
     """
-    sigma = problem.sigma
-    if not np.isfinite(fitted.covariance).all():
+    sigma, deviations = problem.sigma, fitted.deviations
+    if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
     # What is new there has no covariance: it was estimated from the rows.
     own = [k for k, n in enumerate(problem.parameters.names) if n in names]
     of_fit = [names[problem.parameters.names[k]] for k in own]
-    factor = np.zeros((len(theta), len(names)))
-    factor[own] = _root(fitted.covariance)[of_fit]
+    moved = np.column_stack([deviations.by_noise, deviations.by_effects])
+    factor = np.zeros((len(theta), moved.shape[1]))
+    factor[own] = moved[of_fit]
     factor[list(estimated)] = 0.0
-    size, unit = problem.components, fitted.unit
+    size = problem.components
+    variances = np.empty(size)
+    for k, quantity in enumerate(problem.measurement.quantities):
+        variances[quantity.columns] = fitted.unit**2 * deviations.noise[k]
     whitened = np.empty(sigma.shape)
     for part in _parts(np.arange(len(sigma)), problem, bool(len(estimated))):
         some = replace(problem, data=problem.data.rows(part))
         J = some.linearize_rows(theta)[1][: len(part) * size]
-        uncertain, noise = J @ factor, np.full(len(J), unit**2)
+        uncertain, noise = J @ factor, np.tile(variances, len(part))
+        if deviations.systematic is not None:
+            # The fit has absorbed a part of what gears and compliance do there.
+            there = deviations.systematic.rows(some, theta)
+            uncertain[:, -there.shape[1] :] -= there
         if len(estimated):
             K = _range(J[:, list(estimated)])
             uncertain = uncertain - K @ (K.T @ uncertain)
@@ -129,15 +138,6 @@ def normal_factor(jac: Floats, basis: Floats) -> Floats:
     _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     kept = s > 1e-12 * s.max(initial=0.0)
     return np.asarray(basis @ (Vt[kept].T / s[kept]))
-
-
-def _root(covariance: Floats) -> Floats:
-    """F with F F^T the covariance, shape (P, P)."""
-    # Of parameters of one size, or the small ones would drown in rounding.
-    scale = np.sqrt(np.maximum(np.diag(covariance), 0.0))
-    scale = np.where(scale > 0.0, scale, 1.0)
-    values, vectors = np.linalg.eigh(covariance / np.outer(scale, scale))
-    return np.asarray(scale[:, None] * vectors * np.sqrt(np.maximum(values, 0.0)))
 
 
 def _range(A: Floats) -> Floats:

@@ -164,8 +164,10 @@ def _plain(problem: Problem) -> Problem:
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
     """All configurations about a fit of the accepted ones, shape (G,)."""
-    problem = _plain(fitted.problem)
-    basis = problem.parameters.scales[:, None] * fitted.directions.basis
+    problem, (_, moved) = _plain(fitted.problem), fitted.held
+    if fitted.evidence is not None and fitted.evidence.matters:
+        problem = replace(problem, expected=fitted.evidence.expected)
+    basis = problem.parameters.scales[:, None] * moved
     rows = accepted[problem.data.groups()]
     return studentized(problem, fitted.theta, basis, rows)
 

@@ -17,10 +17,10 @@ import numpy as np
 
 from calib_pin.directions import Directions, projected
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Expected, Problem
+from calib_pin.problem import Expected
 from calib_pin.spatial import Floats
 
-__all__ = ["Evidence", "expected_errors", "expected_size", "posterior"]
+__all__ = ["Evidence", "expected_errors", "expected_size"]
 
 STATED = 2.0
 """Directions that the stated size of errors is worth against those that are measured.
@@ -35,9 +35,6 @@ PARTS = 5
 
 NOTICED = 1e-3
 """Change of an estimate, in its own standard deviations, that nobody can notice."""
-
-ROUNDING = 1e-12
-"""Part of the largest singular value that rounding leaves."""
 
 VISIBLE = 1e-9
 """Part of the largest singular value below which the rows do not see a direction."""
@@ -131,42 +128,3 @@ def expected_errors(
         square=float(np.sum(values**2 / variances)),
         count=len(values),
     )
-
-
-def posterior(
-    problem: Problem,
-    directions: Directions,
-    jac: Floats,
-    size: float | None,
-    unit: float,
-) -> Floats:
-    """Covariance of the parameters, shape (P, P).
-
-    The prior holds all errors of the robot here, those too that nominal geometry
-    hides: away from it they show a little. What rows and prior leave open altogether,
-    as frames that nothing sees, is not in it.
-
-    Args:
-        problem: The problem; its parameters give the scales.
-        directions: What the fit moved.
-        jac: Whitened Jacobian, shape (M, P), about any reference of the frames: the
-            covariance is about the same.
-        size: Expected size of errors, in scales; None where the rows alone decide.
-        unit: Standard deviation of unit weight.
-    """
-    parameters = problem.parameters
-    moved = directions.basis
-    if size is not None:
-        moved = np.eye(len(parameters))[:, parameters.free]
-    basis = parameters.scales[:, None] * moved
-    if not np.isfinite(unit):
-        return np.full((len(basis), len(basis)), np.nan)
-    rows = [jac @ basis]
-    if size is not None:
-        alone = ~(parameters.nuisance | np.isfinite(parameters.priors))
-        rows.append(unit / size * moved[alone])
-    triangle = np.linalg.qr(np.concatenate(rows), mode="r")
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
-    rank = int((s > ROUNDING * s.max(initial=0.0)).sum())
-    half = unit * basis @ (Vt[:rank].T / s[:rank])
-    return np.asarray(half @ half.T)

@@ -11,7 +11,6 @@ import numpy as np
 from calib_pin.directions import visible_nuisances
 from calib_pin.fit import Fit
 from calib_pin.problem import Problem
-from calib_pin.shrinkage import posterior
 from calib_pin.spatial import Floats
 from calib_pin.threads import serial_blas
 
@@ -152,14 +151,14 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     # Parameters are deviations from references, and so is their covariance.
-    moved, at = fitted.problem.at(fitted.theta)
-    _, jac = moved.factorize(at)
-    evidence = fitted.evidence
-    size = None if evidence is None else evidence.expected.size
-    C = posterior(moved, fitted.directions, jac, size, fitted.unit)
-    C = C[:of_error, :of_error]
-    position, orientation = _deviations(J, C)
-    alone = _deviations(without_frames(J), C)
+    about = fitted.posterior(*fitted.problem.at(fitted.theta))
+    deviations = [J @ about.by_noise[:of_error]]
+    if about.systematic is not None:
+        there = about.systematic.twists(error, q)
+        deviations.append(J @ about.by_effects[:of_error] - there)
+    twists = np.concatenate(deviations, axis=2)
+    position, orientation = _deviations(twists)
+    alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)
     some = replace(problem, data=rows.rows(rng.permutation(len(rows))))
     to_base = error.base.inverse().homogeneous
@@ -180,30 +179,30 @@ def tip_accuracy(
     )
 
 
-def _deviations(J: Floats, C: Floats) -> tuple[Floats, Floats]:
-    """Of position and orientation, by the derivative of twists and the covariance."""
+def _deviations(twists: Floats) -> tuple[Floats, Floats]:
+    """Of position and orientation, by independent twists, shape (N, 6, k)."""
     position, orientation = (
-        np.sqrt(np.maximum(np.einsum("ndi,ij,ndj->n", part, C, part, optimize=True), 0))
-        for part in (J[:, :3], J[:, 3:])
+        np.sqrt(np.sum(part**2, axis=(1, 2))) for part in (twists[:, :3], twists[:, 3:])
     )
     return position, orientation
 
 
-def without_frames(J: Floats) -> Floats:
+def without_frames(twists: Floats, J: Floats) -> Floats:
     """Twists of the tool without what base and tool could absorb of each.
 
     Args:
-        J: Body twists by parameters, the first six of the base and the last six of the
-            tool, shape (N, 6, P).
+        twists: Body twists of the tool, shape (N, 6, k).
+        J: Those by the parameters of an error model, the first six of the base and the
+            last six of the tool, shape (N, 6, P).
     """
-    weighted = J * np.repeat([1.0, LEVER], 3)[:, None]
-    rows = weighted.reshape(-1, J.shape[2])
-    frames = np.r_[0:6, -6:0]
-    F = rows[:, frames]
+    lever = np.repeat([1.0, LEVER], 3)[:, None]
+    frames = J[:, :, np.r_[0:6, -6:0]]
+    rows = (twists * lever).reshape(-1, twists.shape[2])
+    F = (frames * lever).reshape(-1, 12)
     # Of thousands of rows the normal equations take a tenth of the time, and a lever of
     # 1e-4 leaves them digits enough.
     absorbed = np.linalg.pinv(F.T @ F, rcond=1e-13, hermitian=True) @ (F.T @ rows)
-    return np.asarray(J - J[:, :, frames] @ absorbed)
+    return np.asarray(twists - frames @ absorbed)
 
 
 def _rms(sizes: Floats) -> float:

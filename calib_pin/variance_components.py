@@ -25,7 +25,11 @@ from calib_pin.evidence import VarianceComponent
 from calib_pin.measurement_models.base import Quantity
 from calib_pin.problem import Problem
 from calib_pin.repetitions import PureError, pure_errors
-from calib_pin.restricted_likelihood import Groups, Variances, estimate_variances
+from calib_pin.restricted_likelihood import (
+    Groups,
+    Variances,
+    estimate_variances,
+)
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.spatial import Floats
 
@@ -47,6 +51,9 @@ REJECTED = 0.05
 FEW = 2.0
 """Redundancy below which a quantity keeps its given ratio to the others: a variance
 estimated from one value may be anything."""
+
+EXACT = 1e-6
+"""Scatter, in given standard deviations, below which rows differ by rounding alone."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
@@ -103,11 +110,9 @@ def balanced(problem: Problem, solve: Callable[[Problem], Fit]) -> Fit:
     """
     fitted = solve(problem)
     for _ in range(ROUNDS):
-        if not fitted.dof > 0:
-            break
-        components = variance_components(
-            fitted.problem, fitted.result, fitted.directions.basis
-        )
+        if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
+            return fitted
+        components = variance_components(fitted.problem, *fitted.held)
         current = _each(fitted.problem)
         change = units(components, problem) / current
         common = 1.0
@@ -315,8 +320,6 @@ def _component(
 
 def _converted(fitted: Fit, factor: float) -> Fit:
     """A fit in units that are all multiplied by one factor."""
-    if factor == 1.0:
-        return fitted
     result = fitted.result
     return replace(
         fitted,
@@ -329,6 +332,5 @@ def _converted(fitted: Fit, factor: float) -> Fit:
         ),
         sigma0=fitted.sigma0 / factor,
         unit=1.0,
-        covariance=(factor / fitted.unit) ** 2 * fitted.covariance,
         singular_values=fitted.singular_values / factor,
     )

@@ -14,13 +14,16 @@ from calib_pin.formulation import nominal_problem
 from calib_pin.measurements import PART
 from calib_pin.setup import AnchorSetup, Setup
 
-__all__ = ["CRITERION"]
+__all__ = ["CRITERION", "TRUTH"]
 
 EACH = 100
 """Measurements of each instrument."""
 
 WRONG = 5.0
 """By how much their standard deviations are stated wrong, either way."""
+
+TRUTH = Setup(base_frame=BASE, tool_frame=TOOL)
+"""Where a tracker stands and its target is."""
 
 WIRE = (1.5, 0.2, 0.4)
 """Where a draw wire leaves, in the measuring frame [m]."""
@@ -55,14 +58,14 @@ def run(number: int) -> Components:
     if number % 2:
         names, model, blocks = ("position", "orientation"), "pose", (3, 3)
         setup = Setup()
-        truth = Setup(base_frame=BASE, tool_frame=TOOL)
+        truth = TRUTH
         targets = [""] * EACH
     else:
         names, blocks = ("position", "distance"), (3, 1)
         model = "position+point-distance"
         wire = {"wire": AnchorSetup(WIRE, 0.01, estimate_bias=True)}
         setup = Setup(anchors=wire)
-        truth = replace(setup, base_frame=BASE, tool_frame=TOOL)
+        truth = replace(TRUTH, anchors=wire)
         targets = [f"position{PART}", f"point-distance{PART}wire"] * EACH
     noise = dict(zip(names, true.tolist(), strict=True))
     problem = nominal_problem(job.chain, model, replace(truth, noise=noise))

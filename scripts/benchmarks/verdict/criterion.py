@@ -8,7 +8,15 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-__all__ = ["Criterion", "Line", "at_most", "between", "missing", "named"]
+__all__ = [
+    "Criterion",
+    "Line",
+    "at_most",
+    "between",
+    "missing",
+    "named",
+    "square",
+]
 
 T = TypeVar("T")
 
@@ -101,6 +109,22 @@ def between(
     shown = f"{figure:.3f}" + (f" +- {chance:.3f}" if chance else "")
     limit = f"at most {high:g}" if low == -np.inf else f"{low:g} to {high:g}"
     return Line(text, shown, limit, passed)
+
+
+def square(
+    text: str, squares: Sequence[float], low: float = -np.inf, high: float = np.inf
+) -> Line:
+    """Mean of squared ratios of actual by predicted errors, which should be one.
+
+    Its chance is that of errors in two directions, chi-square with two degrees of
+    freedom by these: the mean of a prediction that is far off must not hide behind the
+    scatter that it causes itself.
+    """
+    ratios = np.array(squares)
+    ratios = ratios[np.isfinite(ratios)]
+    if not len(ratios):
+        return missing(text)
+    return between(text, float(ratios.mean()), low, high, 1.0 / len(ratios) ** 0.5)
 
 
 def missing(text: str) -> Line:

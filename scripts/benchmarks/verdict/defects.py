@@ -26,6 +26,8 @@ PIXELS_PER_METER = 1e3
 LEVER = 0.5
 """How far a joint moves the tool of a contact that was read wrong [m/rad]."""
 
+SIX_JOINTS = ("space6", "example:ur10_robot")
+
 NARROW = 0.2
 """Half the range of every joint where all configurations are close together [rad]."""
 
@@ -196,7 +198,8 @@ def _board(number: int) -> Case:
 
 def _repeated(number: int) -> Case:
     """Five configurations, each measured 30 times."""
-    job = draw(number, model=_among(number, ("position", "pose")))
+    # Five poses are as many values as a robot with six joints has unknowns.
+    job = draw(number, model="pose", robot=_among(number, SIX_JOINTS))
     rng = stream(number, 1)
     q = job.chain.random_configurations(5, rng)
     return Case(job, job.measured(rng, q=q, repeats=30), job.setup)

@@ -48,7 +48,7 @@ ROBOTS: Mapping[str, tuple[str | None, str | None]] = {
 """Robots by base and tip: six and seven joints, and a lift with seven joints."""
 
 SIZES = (0.3, 3.0)
-"""Smallest and largest standard deviation of true errors, in their scales."""
+"""Smallest and largest standard deviation of true errors [mm, mrad]."""
 
 OFFSETS = (0.01, 0.03)
 """Smallest and largest joint offset that a fifth of the robots have [rad]."""
@@ -123,7 +123,8 @@ class Job:
     def label(self) -> str:
         """The job in a few words."""
         name = self.robot.removeprefix("example:")
-        return f"{name} {self.model} {self.count} rows, noise {self.noise:.2g}"
+        shown = f"{name} {self.model} {self.count} configurations"
+        return f"{shown}, noise {self.noise:.2g}{', stated' if self.stated else ''}"
 
     def measured(
         self,
@@ -133,14 +134,18 @@ class Job:
         repeats: int = 1,
     ) -> Measurements:
         """Measurements of the true robot at random configurations, or at given ones."""
-        if q is None:
-            count = count or self.count
+        count, target = count or self.count, ()
+        if self.model == "camera":
+            # An image shows the whole board.
+            q = self.chain.random_configurations(count, rng) if q is None else q
+            q, target = np.repeat(q, len(BOARD), axis=0), tuple(BOARD) * len(q)
         rows = calib_pin.simulate(
             self.problem,
             self.theta,
             rng,
             q=q,
-            count=None if q is not None else count,
+            target=target,
+            count=count if q is None else None,
             repeats=repeats,
         )
         return rows if self.stated else replace(rows, sigma=None)
@@ -161,6 +166,7 @@ def draw(
     stated: bool | None = None,
     least: int = 0,
     size: float | None = None,
+    noise: float | None = None,
 ) -> Job:
     """The job of a number.
 
@@ -173,7 +179,9 @@ def draw(
         perfect: Whether the robot has no errors.
         stated: Whether rows state their standard deviation, instead of every other.
         least: Fewest configurations.
-        size: Standard deviation of the true errors in their scales, instead.
+        size: Standard deviation of the true errors in the scales of their parameters,
+            instead.
+        noise: Standard deviation of what is measured, instead [m, rad, px].
     """
     rng = stream(number)
     names, models = tuple(ROBOTS), tuple(MODELS)
@@ -189,20 +197,17 @@ def draw(
     offset, every_other = rng.uniform() < 0.2, bool(rng.uniform() < 0.5)
     chain = _chain(robot)
     equipment = MODELS[model](chain, rng)
-    noise = {"pixel": pixel}
-    if model != "camera":
-        keys = ("position", "orientation", "distance", "contact")
-        noise = dict.fromkeys(keys, length)
-    truth = replace(equipment.truth, noise=noise)
-    problem = nominal_problem(chain, model, truth)
+    keys: tuple[str, ...] = ("position", "orientation", "distance", "contact")
+    if model == "camera":
+        keys, length = ("pixel",), pixel
+    sigmas = dict.fromkeys(keys, length if noise is None else noise)
+    problem = nominal_problem(chain, model, replace(equipment.truth, noise=sigmas))
     parameters = problem.parameters
-    robotic = parameters.free & ~parameters.nuisance
-    drawn = rng.normal(size=len(parameters)) * parameters.scales
-    theta = np.where(robotic, (drawn_size if size is None else size) * drawn, 0.0)
-    if offset and size is None:
+    sizes = 1e-3 * drawn_size if size is None else size * parameters.scales
+    robotic = parameters.free & ~parameters.nuisance & (not perfect)
+    theta = np.where(robotic, sizes * rng.normal(size=len(parameters)), 0.0)
+    if offset and size is None and not perfect:
         theta[_offset(problem, rng)] += rng.choice([-1, 1]) * rng.uniform(*OFFSETS)
-    if perfect:
-        theta[:] = 0.0
     minimal = _minimal(problem, rng)
     return Job(
         number=number,
@@ -237,7 +242,9 @@ def _offset(problem: Problem, rng: np.random.Generator) -> int:
 def _minimal(problem: Problem, rng: np.random.Generator) -> int:
     """Fewest configurations that can determine everything."""
     found, _ = analyze_structure(problem, np.zeros(len(problem.parameters)), rng)
-    return -(-found.rank // problem.components)
+    # Of a board there is at most its pose to be seen.
+    values = 6 if problem.measurement.name == "camera" else problem.components
+    return -(-found.rank // values)
 
 
 def _tools(chain: calib_pin.Chain, rng: np.random.Generator, count: int) -> Floats:

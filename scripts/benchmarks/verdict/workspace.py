@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, at_most, between, missing
+from benchmarks.verdict.criterion import Criterion, Line, at_most, square
 from benchmarks.verdict.defects import ROWS, narrow, path, stuck
 from benchmarks.verdict.jobs import draw, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
@@ -52,9 +52,9 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
     worse = [o.number for o in found if o.worse]
     yield at_most("written, and worse than nominal", worse, len(found), 1.0)
     text = "mean square of actual by predicted, workspace"
-    yield _squares(text, [(o.actual, o.predicted) for o in found], (0.7, 1.3))
+    yield square(text, [(o.actual / o.predicted) ** 2 for o in found], 0.7, 1.3)
     text = "mean square of actual by predicted, where measured"
-    yield _squares(text, [(o.there, o.expected) for o in found], (0.7, 1.3))
+    yield square(text, [(o.there / o.expected) ** 2 for o in found], 0.7, 1.3)
     sure = [o for o in found if o.better >= 0.95]
     text = "better than nominal where the result says so with 95 %"
     right = [o.number for o in sure if o.actual < o.nominal]
@@ -62,28 +62,14 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
     for kind in KINDS:
         some = [o for o in found if o.kind == kind]
         written = [o for o in some if o.verdict == "good"]
-        square = _squares("", [(o.actual, o.predicted) for o in some]).figure
+        squares = square("", [(o.actual / o.predicted) ** 2 for o in some])
         gain = [o.actual / o.nominal for o in written]
         yield Line(
             kind,
             f"{len(written)} of {len(some)} written, {sum(o.worse for o in some)} "
-            f"worse; mean square {square}"
+            f"worse; mean square {squares.figure}"
             + (f"; {np.median(gain):.2f} of the nominal error" if gain else ""),
         )
-
-
-def _squares(
-    text: str,
-    pairs: Sequence[tuple[float, float]],
-    limits: tuple[float, float] = (-np.inf, np.inf),
-) -> Line:
-    """Mean of squared ratios; 1 if predictions are right on average."""
-    ratios = np.array([(a / b) ** 2 for a, b in pairs if b > 0.0])
-    ratios = ratios[np.isfinite(ratios)]
-    if not len(ratios):
-        return missing(text)
-    error = float(ratios.std() / np.sqrt(len(ratios)))
-    return between(text, float(ratios.mean()), *limits, chance=error)
 
 
 CRITERION = Criterion(4, "Over the workspace", 1000, run, judge, least=36)

@@ -309,7 +309,10 @@ def test_folds_keep_stretches_together() -> None:
 # 11: `good`, and the URDF is worse than the nominal one over the workspace.
 
 
-@pytest.mark.parametrize("number", [0, 4, 5, 16, 36, 49])
+@pytest.mark.parametrize(
+    "number",
+    [0, 4, 5, *(pytest.param(number, marks=pytest.mark.slow) for number in (16, 49))],
+)
 def test_never_worse_than_nominal(number: int) -> None:
     outcome = workspace.run(number)
     assert outcome.verdict not in ("crash", "refused"), outcome.reason

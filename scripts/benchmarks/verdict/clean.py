@@ -35,31 +35,41 @@ def judge(found: Sequence[Outcome]) -> Iterator[Line]:
     """Shares of wrong refusals, and verdicts by kind of job."""
     clean = [o for o in found if o.kind == "clean"]
     perfect = [o for o in found if o.kind == "perfect"]
-    wrongly = [
-        o.number
-        for o in clean
-        if o.verdict in ("crash", "refused")
-        or (
-            o.verdict == "untrusted"
-            and o.actual < o.nominal
-            and o.actual <= 2.0 * o.predicted
-        )
-    ]
+    wrongly = [o.number for o in clean if _refused_wrongly(o)]
     yield at_most("clean jobs refused wrongly", wrongly, len(clean), 1.0)
     false = [o.number for o in clean if o.false]
     yield at_most("clean jobs trusted, twice as far off", false, len(clean), 1.0)
     no_gain = [o.number for o in perfect if o.verdict == "no-gain"]
     text = "perfect robots with no gain"
     yield at_most(text, no_gain, len(perfect), 97.0, least=True)
-    untrusted = [o.number for o in perfect if o.verdict not in ("no-gain", "unchecked")]
-    bad = [o.number for o in perfect if o.number in untrusted and o.verdict != "good"]
-    yield at_most("perfect robots untrusted", bad, len(perfect), 0.0)
+    untrusted = [
+        o.number for o in perfect if o.verdict in ("untrusted", "refused", "crash")
+    ]
+    yield at_most("perfect robots untrusted", untrusted, len(perfect), 0.0)
     for kind, outcomes in (("clean", clean), ("perfect", perfect)):
         for position in range(3):
-            yield from verdicts(kind, outcomes, position)
+            yield from _verdicts(kind, outcomes, position)
 
 
-def verdicts(kind: str, outcomes: Sequence[Outcome], position: int) -> Iterator[Line]:
+def _refused_wrongly(outcome: Outcome) -> bool:
+    """Whether a good result was refused, or passed off as no gain.
+
+    With as few configurations as determine everything there is nothing to check with,
+    and `unchecked` is right; with twice as many it is a refusal.
+    """
+    if outcome.verdict in ("crash", "refused"):
+        return True
+    gain = outcome.actual / outcome.nominal
+    limit = {
+        "untrusted": 1.0,
+        "unchecked": 0.0 if outcome.group[0] == "x 1" else 1.0,
+        # That noise hides a part of the errors is no fault.
+        "no-gain": 0.5,
+    }.get(outcome.verdict, 0.0)
+    return gain < limit and outcome.actual <= 2.0 * outcome.predicted
+
+
+def _verdicts(kind: str, outcomes: Sequence[Outcome], position: int) -> Iterator[Line]:
     """Counts of verdicts by one of the groups."""
     for group in sorted({o.group[position] for o in outcomes}):
         counts = Counter(o.verdict for o in outcomes if o.group[position] == group)

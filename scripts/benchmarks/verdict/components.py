@@ -9,7 +9,7 @@ import numpy as np
 
 import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between, missing
-from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, stream
+from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, log_uniform, stream
 from calib_pin.formulation import nominal_problem
 from calib_pin.measurements import PART
 from calib_pin.setup import AnchorSetup, Setup
@@ -53,7 +53,7 @@ def run(number: int) -> Components:
     """A tracker and a draw wire, or the two quantities of a pose."""
     rng = stream(number, 1)
     job = draw(number, model="pose", stated=True)
-    true = np.exp(rng.uniform(*np.log(NOISE), 2))
+    true = log_uniform(rng, NOISE, 2)
     factors = rng.permutation([WRONG, 1.0 / WRONG])
     if number % 2:
         names, model, blocks = ("position", "orientation"), "pose", (3, 3)

@@ -4,11 +4,13 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
-from benchmarks.verdict.jobs import MODELS, Job, draw, stream
+from benchmarks.verdict.jobs import MODELS, Job, draw, log_uniform, stream
 from calib_pin.measurements import Measurements
 from calib_pin.setup import DistanceSetup, PointSetup, Setup
 from calib_pin.spatial import Floats, se3_exp
@@ -53,7 +55,7 @@ class Case:
 
 
 def spoil(
-    rows: Measurements, index: Floats, size: Floats, rng: np.random.Generator
+    rows: Measurements, index: NDArray[Any], size: Floats, rng: np.random.Generator
 ) -> Measurements:
     """Measurements with gross errors.
 
@@ -63,18 +65,17 @@ def spoil(
         size: Size of each error [m], shape (K,).
         rng: Random generator of their directions.
     """
-    index = np.asarray(index, int)
     values, q = rows.values.copy(), rows.q.copy()
     if rows.model == "fixed-point":
         # Contacts have no values: the robot stood somewhere else.
         turned = rng.normal(size=(len(index), q.shape[1]))
         turned /= np.linalg.norm(turned, axis=1)[:, None]
-        q[index] += turned * np.asarray(size)[:, None] / LEVER
+        q[index] += turned * size[:, None] / LEVER
         return replace(rows, q=q)
     width = 3 if rows.model == "pose" else values.shape[1]
     factor = PIXELS_PER_METER if rows.model == "camera" else 1.0
     off = rng.normal(size=(len(index), width))
-    off *= factor * (np.asarray(size) / np.linalg.norm(off, axis=1))[:, None]
+    off *= factor * (size / np.linalg.norm(off, axis=1))[:, None]
     values[index, :width] += off
     return replace(rows, values=values)
 
@@ -143,7 +144,7 @@ def _gross(number: int) -> Case:
     rows = job.measured(rng)
     count = round(len(rows) * rng.uniform(0.05, 0.4))
     index = rng.permutation(len(rows))[:count]
-    size = np.exp(rng.uniform(*np.log(GROSS), count))
+    size = log_uniform(rng, GROSS, count)
     return Case(job, spoil(rows, index, size, rng), job.setup)
 
 

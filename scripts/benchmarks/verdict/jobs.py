@@ -32,7 +32,16 @@ from calib_pin.setup import (
 )
 from calib_pin.spatial import Floats
 
-__all__ = ["MODELS", "ROBOTS", "SEED", "Equipment", "Job", "draw", "stream"]
+__all__ = [
+    "MODELS",
+    "ROBOTS",
+    "SEED",
+    "Equipment",
+    "Job",
+    "draw",
+    "log_uniform",
+    "stream",
+]
 
 SEED = 16
 """Seed of all jobs, beside their numbers."""
@@ -134,7 +143,8 @@ class Job:
         repeats: int = 1,
     ) -> Measurements:
         """Measurements of the true robot at random configurations, or at given ones."""
-        count, target = count or self.count, ()
+        count = count or self.count
+        target: tuple[str, ...] = ()
         if self.model == "camera":
             # An image shows the whole board.
             q = self.chain.random_configurations(count, rng) if q is None else q
@@ -154,6 +164,14 @@ class Job:
 def stream(number: int, purpose: int = 0) -> np.random.Generator:
     """Random generator of a job; other purposes do not disturb each other."""
     return np.random.default_rng([SEED, number, purpose])
+
+
+def log_uniform(
+    rng: np.random.Generator, limits: tuple[float, float], count: int
+) -> Floats:
+    """Sizes between limits, any order of magnitude as likely as another."""
+    low, high = np.log(limits)
+    return np.exp(rng.uniform(float(low), float(high), count))
 
 
 def draw(
@@ -192,7 +210,7 @@ def draw(
     model = model or models[turn // len(names) % len(models)]
     turns = 1.0 + turn // (len(names) * len(models))
     drawn_size, length, pixel = (
-        float(np.exp(rng.uniform(*np.log(limits)))) for limits in (SIZES, NOISE, PIXELS)
+        float(log_uniform(rng, limits, 1)[0]) for limits in (SIZES, NOISE, PIXELS)
     )
     offset, every_other = rng.uniform() < 0.2, bool(rng.uniform() < 0.5)
     chain = _chain(robot)

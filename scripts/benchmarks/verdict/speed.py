@@ -11,7 +11,7 @@ import numpy as np
 import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between
 from benchmarks.verdict.defects import GROSS, spoil
-from benchmarks.verdict.jobs import Job, draw, stream
+from benchmarks.verdict.jobs import Job, draw, log_uniform, stream
 from calib_pin.measurements import Measurements
 
 __all__ = ["CRITERION"]
@@ -29,7 +29,7 @@ def run(number: int) -> dict[str, float]:
     rng = stream(number, 1)
     rows = job.measured(rng, ROWS)
     index = rng.permutation(ROWS)[: ROWS // 5]
-    size = np.exp(rng.uniform(*np.log(GROSS), len(index)))
+    size = log_uniform(rng, GROSS, len(index))
     bad = spoil(rows, index, size, rng)
     jobs = {
         "squared": (rows, "squared"),

@@ -167,7 +167,7 @@ def test_an_instrument_that_has_moved_is_registered_anew() -> None:
     [
         ("lengths 1-5 % too large", 5, ("scale", "length")),
         ("socket distance", 6, ("distance", "scale")),
-        ("board", 7, ("board", "scale", "target")),
+        ("board", 82, ("board", "scale", "target")),
     ],
 )
 def test_wrong_lengths_are_not_trusted(

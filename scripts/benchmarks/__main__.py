@@ -1,4 +1,7 @@
-"""`scripts/benchmark [NAMES]`: run the benchmarks that are named, or all."""
+"""`scripts/benchmark [NAMES] [OPTIONS]`: run the benchmarks that are named, or all.
+
+Options belong to the benchmark that knows them, `guard` or `verdict`.
+"""
 
 from __future__ import annotations
 
@@ -16,6 +19,7 @@ from benchmarks import (
     report,
     rows,
     startup,
+    verdict,
 )
 
 BENCHMARKS = {
@@ -32,12 +36,15 @@ BENCHMARKS = {
     "recovery": recovery.main,
     "report": report.main,
     "guard": guard.main,
+    "verdict": verdict.main,
 }
 
 
 def main() -> None:
     """Run the benchmarks that are named, or all."""
-    named = [word for word in sys.argv[1:] if word != guard.RECORD]
+    words = sys.argv[1:]
+    first = next((k for k, word in enumerate(words) if word[:1] == "-"), len(words))
+    named = words[:first]
     chosen = named or list(BENCHMARKS)
     unknown = [name for name in chosen if name not in BENCHMARKS]
     if unknown:

@@ -1,0 +1,110 @@
+"""Variance components: two quantities whose standard deviations are stated wrong."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+import calib_pin
+from benchmarks.verdict.criterion import Criterion, Line, between, missing
+from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, log_uniform, stream
+from calib_pin.formulation import nominal_problem
+from calib_pin.measurements import PART
+from calib_pin.setup import AnchorSetup, Setup
+
+__all__ = ["CRITERION", "TRUTH"]
+
+EACH = 100
+"""Measurements of each instrument."""
+
+WRONG = 5.0
+"""By how much their standard deviations are stated wrong, either way."""
+
+TRUTH = Setup(base_frame=BASE, tool_frame=TOOL)
+"""Where a tracker stands and its target is."""
+
+WIRE = (1.5, 0.2, 0.4)
+"""Where a draw wire leaves, in the measuring frame [m]."""
+
+
+@dataclass(frozen=True)
+class Components:
+    """Estimates of one job by quantity.
+
+    Attributes:
+        number: Number of the job.
+        found: Name, estimated by true standard deviation, and whether its interval
+            holds the true one.
+        problem: What went wrong, if anything did.
+    """
+
+    number: int
+    found: tuple[tuple[str, float, bool], ...]
+    problem: str = ""
+
+    def __str__(self) -> str:
+        """The outcome in one line."""
+        return f"job {self.number}: {self.found} {self.problem}"
+
+
+def run(number: int) -> Components:
+    """A tracker and a draw wire, or the two quantities of a pose."""
+    rng = stream(number, 1)
+    job = draw(number, model="pose", stated=True)
+    true = log_uniform(rng, NOISE, 2)
+    factors = rng.permutation([WRONG, 1.0 / WRONG])
+    if number % 2:
+        names, model, blocks = ("position", "orientation"), "pose", (3, 3)
+        setup = Setup()
+        truth = TRUTH
+        targets = [""] * EACH
+    else:
+        names, blocks = ("position", "distance"), (3, 1)
+        model = "position+point-distance"
+        wire = {"wire": AnchorSetup(WIRE, 0.01, estimate_bias=True)}
+        setup = Setup(anchors=wire)
+        truth = replace(TRUTH, anchors=wire)
+        targets = [f"position{PART}", f"point-distance{PART}wire"] * EACH
+    noise = dict(zip(names, true.tolist(), strict=True))
+    problem = nominal_problem(job.chain, model, replace(truth, noise=noise))
+    drawn = rng.normal(size=len(problem.parameters)) * problem.parameters.scales
+    theta = np.where(problem.parameters.nuisance, 0.0, drawn)
+    q = job.chain.random_configurations(len(targets), rng)
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=targets)
+    assert rows.sigma is not None
+    rows = replace(rows, sigma=rows.sigma * np.repeat(factors, blocks))
+    try:
+        noise_found = calib_pin.calibrate(job.chain, rows, setup, validate=False).noise
+    except Exception as error:
+        return Components(number, (), f"{type(error).__name__}: {error}")
+    return Components(
+        number,
+        tuple(
+            (c.quantity, c.estimate / noise[c.quantity], bool(low <= t <= high))
+            for c in noise_found
+            for t, (low, high) in [(noise[c.quantity], c.interval)]
+        ),
+    )
+
+
+def judge(found: Sequence[Components]) -> Iterator[Line]:
+    """How far estimates are off, and how often intervals hold the truth."""
+    for name in ("position", "orientation", "distance"):
+        some = [entry for o in found for entry in o.found if entry[0] == name]
+        if not some:
+            yield missing(f"{name}, found by true standard deviation")
+            continue
+        off = float(np.median([abs(ratio - 1.0) for _, ratio, _ in some]))
+        yield between(f"{name}, median deviation of {len(some)}", off, -np.inf, 0.1)
+    held = np.array([holds for o in found for _, _, holds in o.found])
+    if len(held):
+        chance = float(np.sqrt(0.05 * 0.95 / len(held)))
+        yield between("intervals that hold the truth", held.mean(), 0.94, 0.96, chance)
+    if problems := [o for o in found if o.problem]:
+        shown = f"{len(problems)}, such as {problems[0].number}: {problems[0].problem}"
+        yield Line("ended in an error", shown, "none", False)
+
+
+CRITERION = Criterion(5, "Variance components", 1000, run, judge, least=40)

@@ -1,4 +1,4 @@
-r"""How far a fit can be off: by noise, and by what gears and compliance did to it.
+"""How far a fit can be off: by noise, and by what gears and compliance did to it.
 
 About any references, the covariance follows from the rows linearized there. A fit
 moves by `theta - theta_true = A^+ (X g + e)` where g are the random effects of joints

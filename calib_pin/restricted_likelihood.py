@@ -1,4 +1,4 @@
-r"""Variances of groups of observations by restricted maximum likelihood.
+"""Variances of groups of observations by restricted maximum likelihood.
 
 Observations `r = -A x + e` come in groups; the errors of group k are independent and
 have one unknown variance s_k, in units of what they were divided by; those of a last

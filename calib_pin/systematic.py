@@ -1,4 +1,4 @@
-r"""What gears and compliance do that the model does not have.
+"""What gears and compliance do that the model does not have.
 
 Real residuals are not noise: an eccentric gear or a joint that gives under load moves
 the tool in the same way whenever the joint stands there again, and a fit bends its

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import replace
 from typing import Protocol
 
@@ -13,18 +13,15 @@ from calib_pin.chi_square import chi_square_quantile
 from calib_pin.directions import Directions
 from calib_pin.fit import Fit
 from calib_pin.identifiability import Structure, everett_count, observability
-from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 from calib_pin.problem import Problem
 from calib_pin.result import (
     CoupledGroup,
     Identifiability,
     ParameterEstimate,
-    QuantityErrors,
 )
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.spatial import Floats
-from calib_pin.units import DISPLAY
 
 __all__ = [
     "Estimated",
@@ -33,8 +30,6 @@ __all__ = [
     "fitted_ranks",
     "registration_reason",
     "structural_ranks",
-    "unexplained",
-    "verdict",
 ]
 
 CORRELATED = 0.95
@@ -42,96 +37,6 @@ CORRELATED = 0.95
 
 WEAK_PART = 0.1
 """Part of a parameter in directions left at nominal from which it counts as weak."""
-
-SCALE = (
-    "the scale is unobservable: with all lengths longer by one factor the robot fits "
-    "these rows as well"
-)
-"""Why a robot of unknown size must not be trusted."""
-
-MISSING = (
-    "state a known distance, between two sockets say ('distances' in the setup file), "
-    "or hold a length that is known ('fixed')"
-)
-"""What to do about it where no distance is stated."""
-
-STATED = (
-    "the known distances that are stated are too uncertain, or not between what these "
-    "rows name, some of which may be set aside"
-)
-"""What to do about it where there are distances."""
-
-CHECK = (
-    "check the base and tip links, the joint columns with their signs and offsets, and "
-    "units"
-)
-"""What to do about rows that nothing explains."""
-
-EXACT = 1e-6
-"""Scatter, in standard deviations, below which rows differ by rounding alone."""
-
-UNEXPLAINED = 20.0
-"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
-
-
-def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
-    """What no calibration of a robot can explain; empty where there is nothing.
-
-    Args:
-        fitted: The fit.
-        errors: Accuracy by quantity.
-    """
-    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
-    if free.any() and fitted.directions.robot.shape[1] == 0:
-        return "the errors are so large that the rows tell nothing of the robot"
-    for quantity in errors:
-        if quantity.after.rms > UNEXPLAINED * expected_size(quantity.unit):
-            shown, factor = DISPLAY[quantity.unit]
-            return (
-                f"{quantity.name} errors of {factor * quantity.after.rms:.3g} {shown} "
-                "rms remain, far more than a robot's geometry explains"
-            )
-    return ""
-
-
-def verdict(
-    fitted: Fit, errors: Sequence[QuantityErrors], advice: str = CHECK
-) -> tuple[str, str]:
-    """`good` or `untrusted`, and the reason where it is not good.
-
-    Args:
-        fitted: The fit.
-        errors: Accuracy by quantity.
-        advice: What to do about rows that nothing explains.
-    """
-    rows, rank = fitted.problem.distinct_values, fitted.structure.rank
-    if rows < rank:
-        return "untrusted", (
-            f"{rows} measured values cannot determine {rank} identifiable parameters; "
-            "measure more configurations or estimate fewer parameters"
-        )
-    if fitted.dof <= 0:
-        return "untrusted", (
-            f"{rows} measured values for {fitted.rank} estimated parameters leave "
-            "nothing to check the fit with; measure more configurations"
-        )
-    if not fitted.structure.scaled:
-        stated = bool(fitted.problem.setup.distances)
-        return "untrusted", f"{SCALE}; {STATED if stated else MISSING}"
-    if not fitted.result.status.success:
-        return "untrusted", fitted.result.status.advice
-    if reason := unexplained(fitted, errors):
-        return "untrusted", f"{reason}; {advice}"
-    for quantity in errors:
-        before, after = quantity.validation_before, quantity.validation_after
-        # Compared by rms: it is what least squares minimizes. Rounding aside.
-        if before and after and after.rms > before.rms * (1.0 + 1e-6) + 1e-12:
-            return "untrusted", (
-                f"on rows it has not seen the calibrated robot is worse than the "
-                f"nominal one: {quantity.name} rms {after.rms:.3g} {quantity.unit} "
-                f"instead of {before.rms:.3g} {quantity.unit}"
-            )
-    return "good", ""
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:

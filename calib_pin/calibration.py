@@ -7,26 +7,23 @@ what of the robot can be known. `identify` looks at the structure without measur
 from __future__ import annotations
 
 from collections.abc import Sequence
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.assessment import (
-    CHECK,
-    estimates,
-    fitted_ranks,
-    structural_ranks,
-    unexplained,
-    verdict,
-)
+from calib_pin.assessment import estimates, fitted_ranks, structural_ranks
 from calib_pin.chain import Chain
 from calib_pin.errors import OptionError, nearest
+from calib_pin.evidence import ExpectedAccuracy, Finding
+from calib_pin.expected_accuracy import expected_accuracy
 from calib_pin.fit import analyze_structure
 from calib_pin.formulation import nominal_problem
 from calib_pin.held_out import Checked, check, split
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
-from calib_pin.progress import Stages, named, portion
+from calib_pin.plausibility import plausibility
+from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.result import (
     Accuracy,
     CalibratedModel,
@@ -40,14 +37,19 @@ from calib_pin.setup import Setup
 from calib_pin.splits import FOLDS
 from calib_pin.threads import serial_blas
 from calib_pin.tip_accuracy import tip_accuracy
+from calib_pin.tip_drift import tip_drift
 from calib_pin.training import (
     Trained,
     geometry_alone,
     train,
 )
 from calib_pin.unseen import Unseen
+from calib_pin.verdict import CHECK, Grounds, unexplained, verdict
 
 __all__ = ["calibrate", "identify"]
+
+SAMPLES = 300
+"""Configurations at which the tool is predicted."""
 
 
 @serial_blas
@@ -134,30 +136,28 @@ def calibrate(
     checks = checked.parts
     fitted = trained.fit
     known = trained.unseen(training, predict=False)
-    errors = _quantity_errors(trained, known, checked)
-    advice = CHECK
-    if unexplained(fitted, errors):
-        tell = named(progress, "joint readings")
-        if suggestion := suggest_readings(chain, training, setup, tell):
-            advice = suggestion.text(chain.joints, setup.joints)
-    status, reason = verdict(fitted, errors, advice)
+    judged = _judged(
+        chain, trained, known, checked, seed, named(progress, "joint readings")
+    )
     urdf = _urdf(chain, training, trained, unseen, seed, validate)
     found, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
+    # Against what the rows state, or what was assumed.
+    chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     return CalibrationResult(
         model=CalibratedModel.create(trained.problem, trained.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
-        verdict=status,
-        reason=reason,
+        verdict=judged.status,
+        reason=judged.reason,
         parameters=found,
         groups=groups,
         identifiability=fitted_ranks(fitted),
-        errors=errors,
+        errors=judged.errors,
         validation=checked.method,
         training=len(training),
         validated=sum(len(part.before) for part in checked.counted),
-        chi2=2.0 * fitted.result.cost,
+        chi2=chi2,
         dof=fitted.dof,
-        sigma0=fitted.sigma0,
+        sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
         stated_sigma=training.stated,
         outliers=fitted.outliers,
         solver=fitted.solver,
@@ -191,7 +191,11 @@ def calibrate(
         placed=tuple(dict.fromkeys(name for part in checks for name in part.placed)),
         spoiled=checked.skipped,
         gains=checked.gains,
-        findings=checked.findings,
+        findings=judged.findings,
+        noise=fitted.noise,
+        measured=judged.measured,
+        workspace=judged.workspace,
+        displaced=_displaced(trained, seed),
     )
 
 
@@ -275,11 +279,86 @@ def _urdf(
     checked = check(
         chain, rows, setup, geometry, seed, unseen=unseen, validate=validate
     )
-    errors = _quantity_errors(geometry, geometry.unseen(rows, predict=False), checked)
-    _, reason = verdict(geometry.fit, errors)
+    known = geometry.unseen(rows, predict=False)
+    judged = _judged(chain, geometry, known, checked, seed)
     return UrdfResult(
-        CalibratedModel.create(geometry.problem, geometry.theta), errors, reason
+        CalibratedModel.create(geometry.problem, geometry.theta),
+        judged.errors,
+        "" if judged.status == "good" else judged.reason,
     )
+
+
+@dataclass(frozen=True)
+class _Judged:
+    """A verdict with what it is based on; see `CalibrationResult`."""
+
+    status: str
+    reason: str
+    errors: tuple[QuantityErrors, ...]
+    findings: tuple[Finding, ...]
+    measured: ExpectedAccuracy | None
+    workspace: ExpectedAccuracy | None
+
+
+def _judged(
+    chain: Chain,
+    trained: Trained,
+    known: Unseen,
+    checked: Checked,
+    seed: int,
+    progress: Progress | None = None,
+) -> _Judged:
+    """Judge what was trained.
+
+    Args:
+        chain: The nominal chain.
+        trained: It.
+        known: Errors of its own rows.
+        checked: What held-out rows say of it.
+        seed: Seed of configurations.
+        progress: Told how far the search for other joint readings is.
+    """
+    fitted, data = trained.fit, trained.fit.problem.data
+    errors = _quantity_errors(trained, known, checked)
+    advice = CHECK
+    if unexplained(fitted, errors):
+        setup = fitted.problem.setup
+        if suggestion := suggest_readings(chain, data, setup, progress):
+            advice = suggestion.text(chain.joints, setup.joints)
+    findings = checked.findings + plausibility(fitted)
+    measured = workspace = None
+    if fitted.noise:
+        rng = np.random.default_rng(seed)
+        kept = data.rows(data.weight > 0.0).sample(SAMPLES)
+        spread = chain.random_configurations(SAMPLES, rng)
+        measured, workspace = (
+            expected_accuracy(fitted, trained.problem, trained.theta, q, rng)
+            for q in (kept.q, spread)
+        )
+    groups = data.groups()
+    aside = 1.0 - len(np.unique(groups[data.weight > 0.0])) / max(groups.max() + 1, 1)
+    status, reason = verdict(
+        Grounds(
+            fitted,
+            errors,
+            checked.gains,
+            findings,
+            workspace,
+            max(aside, fitted.disagreement),
+            advice,
+        )
+    )
+    return _Judged(status, reason, errors, findings, measured, workspace)
+
+
+def _displaced(trained: Trained, seed: int) -> float | None:
+    """How far the tool would be off with what was set aside [m]; None without it."""
+    squared = trained.fit.squared
+    if squared is None:
+        return None
+    first = CalibratedModel.create(trained.fit.problem, trained.fit.theta)
+    second = CalibratedModel.create(squared.problem, squared.theta)
+    return tip_drift(first, second, base=True, tool=True, seed=seed).position.rms
 
 
 def _row_errors(

@@ -36,7 +36,14 @@ from calib_pin.systematic import Systematic, systematic
 from calib_pin.threads import serial_blas
 from calib_pin.variance_components import balanced, variance_components
 
-__all__ = ["Fit", "analyze_structure", "fit", "register", "structure_at"]
+__all__ = [
+    "Fit",
+    "analyze_structure",
+    "fit",
+    "register",
+    "structure_at",
+    "with_effects",
+]
 
 EXPLAINED = 1e-18
 """Part of the cost of the nominal robot below which everything is explained."""
@@ -66,7 +73,7 @@ class Fit:
         sigma0: Standard deviation of unit weight; NaN without redundancy.
         noise: The noise of every quantity, as the measurements show it.
         effects: What gears and compliance do that the model does not have; None where
-            nothing shows.
+            nothing shows or nobody has looked, see `with_effects`.
         evidence: What the rows say of the size of the robot's errors, and the prior
             that follows; None where they are exact.
         unit: Standard deviation of unit weight of the whitened rows; 1 where the noise
@@ -205,12 +212,19 @@ def fit(
 
 
 def _described(fitted: Fit) -> Fit:
-    """A fit with its noise and with what gears and compliance left in residuals."""
+    """A fit with the noise of its quantities."""
     if not fitted.dof > 0 or not fitted.unit > EXACT:
         return fitted
-    components = variance_components(fitted.problem, *fitted.held)
+    return replace(fitted, noise=variance_components(fitted.problem, *fitted.held))
+
+
+@serial_blas
+def with_effects(fitted: Fit) -> Fit:
+    """A fit that knows what gears and compliance left in its residuals."""
+    if not fitted.noise:
+        return fitted
     effects = systematic(fitted.problem, fitted.theta, fitted.directions)
-    return replace(fitted, noise=components, effects=effects)
+    return replace(fitted, effects=effects)
 
 
 def _fit(

@@ -7,13 +7,12 @@ aside count neither before nor after. Where too little is left there is no check
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.assessment import CHECK, UNEXPLAINED
 from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError
 from calib_pin.evidence import Finding, Gain
@@ -21,13 +20,10 @@ from calib_pin.fit import Fit
 from calib_pin.gains import PRESS, gains, press_check
 from calib_pin.measurements import Measurements
 from calib_pin.moved_instrument import FEWEST, as_it_stands
-from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 from calib_pin.splits import clusters, folds, groups, shuffled_groups, validation_name
 from calib_pin.training import Trained, cross_validate
-from calib_pin.units import DISPLAY
 from calib_pin.unseen import Unseen
 
 __all__ = ["Checked", "check", "counting", "split"]
@@ -94,7 +90,7 @@ def check(
         return _checked_on(trained, rows, unseen, method)
     masks = folds(rows, fitted, seed)
     if parts is None:
-        parts = tuple(cross_validate(chain, rows, setup, masks, seed, progress))
+        parts = tuple(cross_validate(chain, rows, setup, masks, seed, fitted, progress))
     # A part without which nothing fits tells nothing of the robot.
     kept = tuple(part for part in parts if not part.reason)
     labels = clusters(rows, setup)
@@ -220,25 +216,7 @@ def _checked_on(
     parts = (stand.unseen,)
     labels = clusters(unseen, fitted.problem.setup)
     found = gains(method, fitted.problem, unseen, parts, labels)
-    findings += _unexplained(trained, parts[0].after)
     return Checked(unseen, parts, method, found + pressed, tuple(findings))
-
-
-def _unexplained(trained: Trained, after: Floats) -> Iterator[Finding]:
-    """Errors so large that the rows are not of this robot, whatever is better."""
-    for quantity in trained.problem.measurement.quantities:
-        sizes = quantity.errors(after)
-        rms = float(np.sqrt(np.mean(sizes**2))) if len(sizes) else 0.0
-        if rms > UNEXPLAINED * expected_size(quantity.unit):
-            shown, factor = DISPLAY[quantity.unit]
-            yield Finding(
-                "validation-unexplained",
-                "error",
-                f"{quantity.name} errors of {factor * rms:.3g} {shown} rms on the "
-                "validation measurements are far more than a robot's geometry explains",
-                {quantity.name: rms},
-                CHECK,
-            )
 
 
 def _repeated(training: Measurements, unseen: Measurements) -> NDArray[np.bool_]:

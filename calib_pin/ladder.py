@@ -201,7 +201,9 @@ class _Rungs:
         parts = portion(progress, share, 1.0 - share)
         stages = None if parts is None else (lambda stage, part: parts(part))
         unseen = tuple(
-            cross_validate(self._chain, rows, setup, masks, self._seed, stages)
+            cross_validate(
+                self._chain, rows, setup, masks, self._seed, trained.fit, stages
+            )
         )
         sizes = _sizes(rows, trained.problem, unseen)
         judged = replace(

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
 from calib_pin.errors import OptionError, require_known
-from calib_pin.fit import Fit, fit
+from calib_pin.fit import Fit, fit, with_effects
 from calib_pin.formulation import make_problem, restricted
 from calib_pin.measurements import Measurements
 from calib_pin.predicted import predicted_variance
@@ -150,6 +150,8 @@ def train(
     setup: Setup,
     seed: int,
     progress: Progress | None = None,
+    *,
+    alike: Fit | None = None,
 ) -> Trained:
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
@@ -159,6 +161,8 @@ def train(
         setup: What is estimated, what is known, what is learned.
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
+        alike: A fit of more rows of the same robot, which knows what gears and
+            compliance do to it; default this fit tells.
 
     Raises:
         OptionError: If a name in the setup does not exist.
@@ -178,6 +182,10 @@ def train(
     rng = np.random.default_rng(seed)
     tell = portion(progress, 0.0, part)
     fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
+    if alike is None:
+        fitted = with_effects(fitted)
+    else:
+        fitted = replace(fitted, effects=alike.effects)
     problem, theta = fitted.problem.at(fitted.theta)
     if setup.learned is None:
         return Trained(fitted, problem, theta)
@@ -310,6 +318,7 @@ def cross_validate(
     setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
+    alike: Fit,
     progress: Stages | None = None,
 ) -> Iterator[Unseen]:
     """Train without each part of the rows and look at the errors of that part.
@@ -320,10 +329,13 @@ def cross_validate(
         setup: As for `train`.
         masks: The parts, each of shape (N,).
         seed: As for `train`.
+        alike: The fit of all rows.
         progress: Told the stage and how much of all is done.
     """
     for k, mask in enumerate(masks):
         stage = f"check {k + 1} of {len(masks)}"
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
-        trained = train(chain, rows.rows(~mask), setup, seed, tell)
+        # What the fit of all rows has set aside stays there.
+        kept = rows.rows(~mask & (rows.weight > 0.0))
+        trained = train(chain, kept, setup, seed, tell, alike=alike)
         yield trained.unseen(rows.rows(mask), np.flatnonzero(mask))

@@ -20,7 +20,6 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.strokes import Marks
-from calib_pin.report.tables import number
 from calib_pin.result import CalibrationResult
 from calib_pin.spatial import Floats
 
@@ -59,21 +58,20 @@ def residuals(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "residuals",
         "Distribution of the residuals",
-        f"Residuals of the fitted rows in units of sigma0 = {number(result.sigma0)} "
-        f"times sigma: {100.0 * outside:.2f} % lie outside ±3, of normal ones 0.27 % "
-        "would. Points away from the line at its ends are heavy tails or outliers; a "
-        "slope of one quantity other than 1 is a sigma that does not suit the others.",
+        "Residuals of the fitted rows in standard deviations, as they are estimated: "
+        f"{100.0 * outside:.2f} % lie outside ±3, of normal ones 0.27 % would. Points "
+        "away from the line at its ends are heavy tails or outliers.",
         figure,
     )
 
 
 def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
-    """Residuals in units of sigma0 times sigma by quantity, ascending, (N,) each.
+    """Residuals in their standard deviations by quantity, ascending, (N,) each.
 
-    Nothing where there is no such unit.
+    Nothing where these are not known.
     """
-    sigma0, rows = result.sigma0, result.fitted
-    if not (np.isfinite(sigma0) and sigma0 > 0.0):
+    rows = result.fitted
+    if not result.noise:
         return {}
     found = {}
     for quantity in rows.quantities:
@@ -81,7 +79,7 @@ def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
         parts = (rows.after, rows.sigma)
         after, sigma = (part[:, quantity.columns].ravel() for part in parts)
         usable = np.isfinite(after) & np.isfinite(sigma)
-        values = np.sort(after[usable] / (sigma[usable] * sigma0))
+        values = np.sort(after[usable] / sigma[usable])
         if len(values):
             found[quantity.name] = values
     return found
@@ -105,7 +103,7 @@ def _histogram(axes: Axes, values: Mapping[str, Floats]) -> None:
         axes.axvline(end, color=MUTED, linewidth=0.9, linestyle=":")
     axes.set_xlim(-EDGE, EDGE)
     axes.set_ylim(0.0, 1.1 * highest)
-    axes.set_xlabel("residual / (sigma0 · sigma)")
+    axes.set_xlabel("residual / sigma")
     axes.set_ylabel("density")
 
 

@@ -1,0 +1,245 @@
+"""The verdict: what a user may do with a calibration, in one word and one sentence.
+
+It reads what the other modules have found and finds nothing by itself.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+
+from calib_pin.chi_square import f_tail
+from calib_pin.evidence import ExpectedAccuracy, Finding, Gain
+from calib_pin.fit import Fit
+from calib_pin.gains import PRESS
+from calib_pin.parameterizations.base import expected_size
+from calib_pin.result import QuantityErrors
+from calib_pin.units import DISPLAY
+
+__all__ = ["CHECK", "Grounds", "unexplained", "verdict"]
+
+SCALE = (
+    "the scale is unobservable: with all lengths longer by one factor the robot fits "
+    "these rows as well"
+)
+"""Why a robot of unknown size must not be trusted."""
+
+MISSING = (
+    "state a known distance, between two sockets say ('distances' in the setup file), "
+    "or hold a length that is known ('fixed')"
+)
+"""What to do about it where no distance is stated."""
+
+STATED = (
+    "the known distances that are stated are too uncertain, or not between what these "
+    "rows name, some of which may be set aside"
+)
+"""What to do about it where there are distances."""
+
+CHECK = (
+    "check the base and tip links, the joint columns with their signs and offsets, and "
+    "units"
+)
+"""What to do about rows that nothing explains."""
+
+UNEXPLAINED = 20.0
+"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
+
+BREAKDOWN = 0.4
+"""Part of the configurations beyond which what is set aside may be the better part."""
+
+CLUSTERS = 5
+"""Held-out configurations without which a fit counts as unchecked."""
+
+SHOWN = 0.01
+"""Probability by chance below which a gain counts as shown."""
+
+HARM = 1e-3
+"""Probability by chance below which a loss on held-out measurements takes the trust.
+
+Of a thousand perfect robots one is refused."""
+
+MISJUDGED = 2.0
+"""Found by predicted held-out error from which a fit misjudges itself."""
+
+SURE = 0.99
+"""Probability that the corrected robot is better over the workspace for `good`."""
+
+
+@dataclass(frozen=True)
+class Grounds:
+    """What a verdict is based on.
+
+    Attributes:
+        fitted: The fit.
+        errors: Accuracy by quantity.
+        gains: Paired tests on held-out configurations, the first of all quantities.
+        findings: What is wrong with the data or the result.
+        workspace: Accuracy to expect over the workspace; None where nothing is known.
+        aside: Part of the configurations that was set aside, or would have to be.
+        advice: What to do about rows that nothing explains.
+    """
+
+    fitted: Fit
+    errors: Sequence[QuantityErrors]
+    gains: Sequence[Gain]
+    findings: Sequence[Finding]
+    workspace: ExpectedAccuracy | None
+    aside: float = 0.0
+    advice: str = CHECK
+
+
+def verdict(grounds: Grounds) -> tuple[str, str]:
+    """`good`, `no-gain`, `unchecked` or `untrusted`, and the reason."""
+    if reason := _distrust(grounds):
+        return "untrusted", reason
+    if reason := _unchecked(grounds):
+        return "unchecked", reason
+    if reason := _disproved(grounds.gains):
+        return "untrusted", reason
+    return _gain(grounds)
+
+
+def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
+    """What no calibration of a robot can explain; empty where there is nothing.
+
+    Args:
+        fitted: The fit.
+        errors: Accuracy by quantity.
+    """
+    free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
+    if free.any() and fitted.directions.robot.shape[1] == 0:
+        return "the errors are so large that the rows tell nothing of the robot"
+    for quantity in errors:
+        for accuracy in (quantity.after, quantity.validation_after):
+            if accuracy and accuracy.rms > UNEXPLAINED * expected_size(quantity.unit):
+                size = _shown(accuracy.rms, quantity.unit)
+                return (
+                    f"{quantity.name} errors of {size} rms remain, far more than a "
+                    "robot's geometry explains"
+                )
+    return ""
+
+
+def _distrust(grounds: Grounds) -> str:
+    """What takes the trust whatever a check says."""
+    fitted = grounds.fitted
+    if not fitted.structure.scaled:
+        stated = bool(fitted.problem.setup.distances)
+        return f"{SCALE}; {STATED if stated else MISSING}"
+    if not fitted.result.status.success:
+        return fitted.result.status.advice
+    if grounds.aside > BREAKDOWN:
+        return (
+            f"{100.0 * grounds.aside:.0f} % of the configurations do not fit the "
+            f"others; beyond {100.0 * BREAKDOWN:.0f} % nobody knows which are wrong; "
+            f"{grounds.advice}"
+        )
+    if reason := unexplained(fitted, grounds.errors):
+        return f"{reason}; {grounds.advice}"
+    for finding in grounds.findings:
+        if finding.severity == "error":
+            remedy = f"; {finding.remedy}" if finding.remedy else ""
+            return finding.message + remedy
+    return ""
+
+
+def _unchecked(grounds: Grounds) -> str:
+    """Why there is no check; empty where there is one."""
+    fitted = grounds.fitted
+    values, rank = fitted.problem.distinct_values, fitted.structure.rank
+    if values < rank:
+        return (
+            f"{values} measured values cannot determine {rank} identifiable "
+            "parameters; measure more configurations or estimate fewer parameters"
+        )
+    if values <= fitted.rank:
+        return (
+            f"{values} measured values for {fitted.rank} estimated parameters leave "
+            "nothing to check the fit with; measure more configurations"
+        )
+    held = grounds.gains[0].configurations if grounds.gains else 0
+    if held < CLUSTERS:
+        return (
+            f"{held} held-out configurations are too few to check the fit with; "
+            "measure more configurations"
+        )
+    return ""
+
+
+def _disproved(gains: Sequence[Gain]) -> str:
+    """What held-out measurements say against the fit; empty where nothing."""
+    for gain in gains:
+        if gain.worse < HARM:
+            return (
+                "on measurements it has not seen the corrected robot is worse than the "
+                f"nominal one: {gain.quantity} errors larger by {-gain.mean:.3g} +- "
+                f"{gain.deviation:.1g}"
+            )
+    first = gains[0]
+    # Of few configurations the ratio itself is uncertain.
+    limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
+    if first.ratio > limit:
+        return (
+            f"errors on measurements it has not seen are {first.ratio:.1f} times as "
+            "large as the fit predicts"
+        )
+    return ""
+
+
+def _gain(grounds: Grounds) -> tuple[str, str]:
+    """`good` where a gain is shown, here and over the workspace; else why not."""
+    gain, workspace = grounds.gains[0], grounds.workspace
+    shown, better = gain.better < SHOWN, 1.0 if workspace is None else workspace.better
+    before, after = _errors(grounds)
+    held = f"{gain.configurations} held-out configurations"
+    if shown and better >= SURE:
+        return "good", f"{after} on {held} instead of {before}"
+    if _chance(grounds.fitted) > SHOWN or (not shown and better < SURE):
+        return "no-gain", (
+            f"the measurements show no error of the robot: {before} on {held} as it is "
+            f"and {after} corrected"
+        )
+    if not shown:
+        return "unchecked", (
+            f"{held} are too few to confirm the correction: {after} instead of "
+            f"{before}; measure more configurations"
+        )
+    assert workspace is not None
+    nominal, calibrated = (
+        _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
+    )
+    return "untrusted", (
+        f"it is better where it was measured, but over the workspace it may be off by "
+        f"{calibrated} corrected and {nominal} as it is, better with a probability of "
+        f"{100.0 * better:.0f} % only; measure configurations that differ more"
+    )
+
+
+def _chance(fitted: Fit) -> float:
+    """Probability of so large errors by chance if the robot were as nominal."""
+    evidence = fitted.evidence
+    if evidence is None or evidence.count == 0:
+        # Exact rows leave no doubt.
+        return 0.0
+    return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
+
+
+def _errors(grounds: Grounds) -> tuple[str, str]:
+    """Errors before and after of the first quantity that was held out."""
+    method = grounds.gains[0].method
+    for quantity in grounds.errors:
+        pair = quantity.validation_before, quantity.validation_after
+        if method == PRESS or not all(pair):
+            # Without rows of its own the test leaves out one configuration each.
+            pair = quantity.before, quantity.after
+        before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
+        return f"{before} rms", f"{quantity.name} error {after}"
+    return "", ""
+
+
+def _shown(size: float, unit: str) -> str:
+    shown, factor = DISPLAY[unit]
+    return f"{factor * size:.3g} {shown}"

@@ -85,6 +85,7 @@ class VarianceComponent:
             is no redundancy.
         interval: What holds it in 95 of 100 cases [unit].
         redundancy: Share of the measured values that is left over to estimate it.
+        values: Number of measured values.
         contradicted: Whether the test at 5 % rejects the given one.
         pure: Standard deviation among repetitions of a configuration [unit]; None
             where too few are repeated.
@@ -104,6 +105,7 @@ class VarianceComponent:
     estimate: float
     interval: tuple[float, float]
     redundancy: float
+    values: float
     contradicted: bool
     pure: float | None = None
     unmodeled: float | None = None

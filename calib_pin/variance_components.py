@@ -310,6 +310,7 @@ def _component(
         estimate=size * variance**0.5 if known else np.nan,
         interval=(size * low**0.5, size * high**0.5) if known else (np.nan, np.nan),
         redundancy=redundancy / max(float(counts[k]), 1.0),
+        values=float(counts[k]),
         contradicted=known and stated and factor != 1.0,
         pure=None if pure is None else size * pure.variance**0.5,
         unmodeled=None if unmodeled is None else size * unmodeled**0.5,

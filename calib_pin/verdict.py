@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.chi_square import f_tail
-from calib_pin.evidence import ExpectedAccuracy, Finding, Gain
+from calib_pin.evidence import ExpectedAccuracy, Finding, Gain, VarianceComponent
 from calib_pin.fit import Fit
 from calib_pin.gains import PRESS
 from calib_pin.parameterizations.base import expected_size
@@ -52,6 +52,11 @@ BREAKDOWN = 0.4
 
 CLUSTERS = 5
 """Held-out configurations without which a fit counts as unchecked."""
+
+REDUNDANT = 10.0
+"""Redundant values by which noise that nobody has stated is known to a factor of two.
+
+By fewer it comes out less than half as large in one of a hundred cases."""
 
 SHOWN = 0.01
 """Probability by chance below which a gain counts as shown."""
@@ -97,6 +102,8 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
         return "untrusted", reason
     if reason := _unchecked(grounds):
         return "unchecked", reason
+    if _chance(grounds.fitted) > SHOWN:
+        return "no-gain", _nothing(grounds)
     if reason := _disproved(grounds.gains):
         return "untrusted", reason
     return _gain(grounds)
@@ -160,6 +167,12 @@ def _unchecked(grounds: Grounds) -> str:
             f"{values} measured values for {fitted.rank} estimated parameters leave "
             "nothing to check the fit with; measure more configurations"
         )
+    left = sum(v.redundancy * v.values for v in fitted.noise)
+    if fitted.noise and left < REDUNDANT and not all(map(_stands, fitted.noise)):
+        return (
+            f"{left:.1f} redundant values are too few to tell the noise by; measure "
+            "more configurations, or state the standard deviations"
+        )
     held = grounds.gains[0].configurations if grounds.gains else 0
     if held < CLUSTERS:
         return (
@@ -167,6 +180,11 @@ def _unchecked(grounds: Grounds) -> str:
             "measure more configurations"
         )
     return ""
+
+
+def _stands(noise: VarianceComponent) -> bool:
+    """Whether a stated standard deviation is not contradicted."""
+    return noise.stated and not noise.contradicted
 
 
 def _disproved(gains: Sequence[Gain]) -> str:
@@ -192,16 +210,21 @@ def _disproved(gains: Sequence[Gain]) -> str:
 def _gain(grounds: Grounds) -> tuple[str, str]:
     """`good` where a gain is shown, here and over the workspace; else why not."""
     gain, workspace = grounds.gains[0], grounds.workspace
-    shown, better = gain.better < SHOWN, 1.0 if workspace is None else workspace.better
+    # Where parts are left out little may be left; the hat matrix leaves out one each.
+    shown = (
+        gain.mean > 0.0
+        and min(
+            other.better for other in grounds.gains if other.quantity == gain.quantity
+        )
+        < SHOWN
+    )
+    better = 1.0 if workspace is None else workspace.better
     before, after = _errors(grounds)
     held = f"{gain.configurations} held-out configurations"
     if shown and better >= SURE:
         return "good", f"{after} on {held} instead of {before}"
-    if _chance(grounds.fitted) > SHOWN or (not shown and better < SURE):
-        return "no-gain", (
-            f"the measurements show no error of the robot: {before} on {held} as it is "
-            f"and {after} corrected"
-        )
+    if not shown and better < SURE:
+        return "no-gain", _nothing(grounds)
     if not shown:
         return "unchecked", (
             f"{held} are too few to confirm the correction: {after} instead of "
@@ -215,6 +238,16 @@ def _gain(grounds: Grounds) -> tuple[str, str]:
         f"it is better where it was measured, but over the workspace it may be off by "
         f"{calibrated} corrected and {nominal} as it is, better with a probability of "
         f"{100.0 * better:.0f} % only; measure configurations that differ more"
+    )
+
+
+def _nothing(grounds: Grounds) -> str:
+    """Why nothing is to be corrected."""
+    before, after = _errors(grounds)
+    held = f"{grounds.gains[0].configurations} held-out configurations"
+    return (
+        f"the measurements show no error of the robot: {before} on {held} as it is, "
+        f"{after} corrected"
     )
 
 

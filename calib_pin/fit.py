@@ -511,7 +511,6 @@ def _shrunk(
         cost=0.5 * float(fun @ fun),
         nit=found.nit + shrunk.nit,
         nfev=found.nfev + shrunk.nfev,
-        status=found.status if shrunk.status.success else shrunk.status,
     )
 
 

@@ -228,6 +228,8 @@ def _tested(
         standard deviations to use, shape (K,): one where what is stated stands.
     """
     found = estimate_variances(groups, start)
+    # Where two quantities cannot be told apart the information is rounding.
+    found = replace(found, dof=np.minimum(found.dof, groups.counts))
     few = found.redundancies < FEW
     if few.all():
         return found, np.sqrt(start)

@@ -6,11 +6,11 @@ It reads what the other modules have found and finds nothing by itself.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.chi_square import f_tail
+from calib_pin.chi_square import chi_square_quantile, f_tail
 from calib_pin.evidence import ExpectedAccuracy, Finding, Gain, VarianceComponent
 from calib_pin.fit import Fit
 from calib_pin.gains import PRESS
@@ -100,13 +100,17 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
     """`good`, `no-gain`, `unchecked` or `untrusted`, and the reason."""
     if reason := _distrust(grounds):
         return "untrusted", reason
+    nothing = _chance(grounds.fitted) > SHOWN
     if reason := _unchecked(grounds):
+        if nothing and _as_nominal(grounds.fitted):
+            return "no-gain", _nothing(grounds)
         return "unchecked", reason
-    if _chance(grounds.fitted) > SHOWN:
+    shown = _shown_by(grounds.gains)
+    if nothing and not shown:
         return "no-gain", _nothing(grounds)
     if reason := _disproved(grounds.gains):
         return "untrusted", reason
-    return _gain(grounds)
+    return _gain(grounds, shown, nothing)
 
 
 def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
@@ -207,47 +211,70 @@ def _disproved(gains: Sequence[Gain]) -> str:
     return ""
 
 
-def _gain(grounds: Grounds) -> tuple[str, str]:
-    """`good` where a gain is shown, here and over the workspace; else why not."""
+def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
+    """`good` where a gain is shown, here and over the workspace; else why not.
+
+    Args:
+        grounds: What it is based on.
+        shown: Whether held-out measurements show a gain.
+        nothing: Whether the errors of the robot may be chance.
+    """
     gain, workspace = grounds.gains[0], grounds.workspace
-    # Where parts are left out little may be left; the hat matrix leaves out one each.
-    shown = (
-        gain.mean > 0.0
-        and min(
-            other.better for other in grounds.gains if other.quantity == gain.quantity
-        )
-        < SHOWN
-    )
-    better = 1.0 if workspace is None else workspace.better
     before, after = _errors(grounds)
     held = f"{gain.configurations} held-out configurations"
-    if shown and better >= SURE:
+    if workspace is None:
+        # Exact rows leave no doubt.
         return "good", f"{after} on {held} instead of {before}"
-    if not shown and better < SURE:
-        return "no-gain", _nothing(grounds)
-    if not shown:
-        return "unchecked", (
-            f"{held} are too few to confirm the correction: {after} instead of "
-            f"{before}; measure more configurations"
-        )
-    assert workspace is not None
     nominal, calibrated = (
         _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
     )
+    sure = workspace.better >= SURE
+    if shown and sure:
+        return "good", (
+            f"{after} on {held} instead of {before}; over the workspace {calibrated} "
+            f"instead of {nominal} are expected"
+        )
+    halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
+    if not shown and sure and halved:
+        return "unchecked", (
+            f"{held} do not confirm the correction: {after} instead of {before}; "
+            "measure more configurations"
+        )
+    if nothing or not shown:
+        return "no-gain", _nothing(grounds)
     return "untrusted", (
-        f"it is better where it was measured, but over the workspace it may be off by "
+        "it is better where it was measured, but over the workspace it may be off by "
         f"{calibrated} corrected and {nominal} as it is, better with a probability of "
-        f"{100.0 * better:.0f} % only; measure configurations that differ more"
+        f"{100.0 * workspace.better:.0f} % only; measure configurations that differ "
+        "more"
     )
+
+
+def _shown_by(gains: Sequence[Gain]) -> bool:
+    """Whether held-out measurements show a gain.
+
+    Where parts are left out little may be left; the hat matrix leaves out one each.
+    """
+    chances = [gain.better for gain in gains if gain.quantity == gains[0].quantity]
+    return gains[0].mean > 0.0 and min(chances) < SHOWN
+
+
+def _as_nominal(fitted: Fit) -> bool:
+    """Whether the nominal robot leaves no more than what is stated or assumed."""
+    plain = replace(fitted.problem, units=np.zeros(0))
+    nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
+    left = max(plain.count - nuisances, 1)
+    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, HARM)
 
 
 def _nothing(grounds: Grounds) -> str:
     """Why nothing is to be corrected."""
     before, after = _errors(grounds)
-    held = f"{grounds.gains[0].configurations} held-out configurations"
+    count = grounds.gains[0].configurations if grounds.gains else 0
+    held = f"{count} held-out configurations"
     return (
-        f"the measurements show no error of the robot: {before} on {held} as it is, "
-        f"{after} corrected"
+        f"the measurements show no error of the robot: {before} as it is and {after} "
+        f"corrected on {held}"
     )
 
 
@@ -262,7 +289,7 @@ def _chance(fitted: Fit) -> float:
 
 def _errors(grounds: Grounds) -> tuple[str, str]:
     """Errors before and after of the first quantity that was held out."""
-    method = grounds.gains[0].method
+    method = grounds.gains[0].method if grounds.gains else PRESS
     for quantity in grounds.errors:
         pair = quantity.validation_before, quantity.validation_after
         if method == PRESS or not all(pair):

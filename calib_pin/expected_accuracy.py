@@ -144,11 +144,7 @@ def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
 def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
     """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
     scales = fitted.problem.parameters.scales[: len(robot)][robot]
-    every = [fitted.deviations]
-    if fitted.evidence is not None:
-        every = [
-            fitted.posterior(fitted.problem, fitted.theta, size)
-            for size in fitted.evidence.sizes.tolist()
-        ]
-    halves = [found.by_noise[: len(robot)][robot] / scales[:, None] for found in every]
+    halves = [
+        found.by_noise[: len(robot)][robot] / scales[:, None] for found in fitted.likely
+    ]
     return np.array([half @ half.T for half in halves])

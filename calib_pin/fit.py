@@ -155,6 +155,14 @@ class Fit:
         """How far it can be off, about the references of the problem."""
         return self.posterior(self.problem, self.theta)
 
+    @cached_property
+    def likely(self) -> tuple[Posterior, ...]:
+        """The same for each of the likely sizes of errors, see `Evidence.sizes`."""
+        if self.evidence is None:
+            return (self.deviations,)
+        sizes = self.evidence.sizes.tolist()
+        return tuple(self.posterior(self.problem, self.theta, size) for size in sizes)
+
     def posterior(
         self, problem: Problem, theta: Floats, size: float | None = None
     ) -> Posterior:
@@ -208,7 +216,39 @@ def fit(
         problem, before = register(problem, np.zeros(len(problem.parameters)))
         return _bounded(problem, lambda held: _fit(held, before, rng, solver))
 
-    return robustly(problem, lambda some: _described(balanced(some, solve)), rng)
+    def described(problem: Problem) -> Fit:
+        return _described(balanced(problem, solve, _again))
+
+    return robustly(problem, described, rng)
+
+
+def _again(fitted: Fit, units: Floats) -> Fit:
+    """A fit in other units from where it stands, in the directions that it moved."""
+    problem, parameters = (
+        replace(fitted.problem, units=units),
+        fitted.problem.parameters,
+    )
+    frames = np.diag(parameters.scales)[:, parameters.free & parameters.nuisance]
+    before = least_squares(problem, fitted.before, frames)
+    found = descend(problem, fitted.directions, fitted.theta)
+    last = _judge(problem, fitted.directions, found)
+    evidence, result = _shrunk(problem, last, 1.0)
+    return replace(
+        fitted,
+        problem=problem,
+        before=before.x,
+        result=replace(
+            result,
+            nit=fitted.result.nit + before.nit + result.nit,
+            nfev=fitted.result.nfev + before.nfev + result.nfev,
+        ),
+        sigma0=last.sigma0,
+        evidence=evidence,
+        unit=1.0,
+        singular_values=robot_singular_values(
+            last.directions, last.result.jac, parameters
+        ),
+    )
 
 
 def _described(fitted: Fit) -> Fit:

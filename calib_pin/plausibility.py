@@ -19,7 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.directions import projected
+from calib_pin.directions import half_covariance, projected
 from calib_pin.evidence import Finding
 from calib_pin.fit import Fit, analyze_structure
 from calib_pin.known_distances import KnownDistances
@@ -301,7 +301,10 @@ def _decided_by_others(fitted: Fit, by_own: Floats) -> Floats:
     """
     D = np.zeros((len(by_own), len(fitted.theta)))
     D[:, len(fitted.theta) - by_own.shape[1] :] = by_own
-    h = np.einsum("di,ij,dj->d", D, fitted.covariance, D) / fitted.unit**2
+    # By noise alone, or what a distance decides would be more than all.
+    result, moved = fitted.held
+    half = half_covariance(result.jac, moved, fitted.problem.parameters)
+    h = np.sum((D @ half) ** 2, axis=1)
     return np.asarray(np.maximum(1.0 - h, ROUNDING))
 
 

@@ -144,11 +144,13 @@ def posterior(
     by_effects = np.zeros((len(theta), 0))
     if systematic is not None:
         # Of very many rows a sample absorbs as much as all of them.
-        few = replace(problem, data=problem.data.sample(ROWS))
-        _, J = few.linearize_rows(theta)
+        few, J, inverse = problem, jac, half
+        if len(problem.data) > ROWS:
+            few = replace(problem, data=problem.data.sample(ROWS))
+            _, J = few.linearize_rows(theta)
+            own = np.concatenate([J, held])
+            inverse = half_covariance(own, basis, problem.parameters)
         X = systematic.rows(few, theta)
-        own = np.concatenate([J, held])
-        inverse = half_covariance(own, basis, problem.parameters)
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     return Posterior(
         problem=problem,

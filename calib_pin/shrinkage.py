@@ -30,7 +30,7 @@ With as few the evidence of a handful of well determined directions prevails."""
 SIZES = np.geomspace(1e-3, 1e3, 601)
 """Sizes that are tried, in scales; far finer than any is known."""
 
-PARTS = 5
+PARTS = 3
 """Sizes that stand for the distribution where predictions are averaged over it."""
 
 NOTICED = 1e-3

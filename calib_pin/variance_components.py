@@ -58,9 +58,13 @@ EXACT = 1e-6
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
 
-STANDS = 1e-3
-"""Change of the ratios of unit weights at which they stand: a tenth of the deviation
-with which even a hundred thousand values tell one."""
+STANDS = 0.01
+"""Change of the ratios of unit weights at which they stand: a third of the deviation
+with which five hundred values tell one, and a change of no weight that matters."""
+
+LIKE = 1.5
+"""Logarithm of the change of a ratio up to which a fit goes on where it stands, in the
+directions that it has chosen."""
 
 ROUNDS = 6
 """Most fits of an alternation; two are usual."""
@@ -97,7 +101,11 @@ def units(components: tuple[VarianceComponent, ...], problem: Problem) -> Floats
     return result
 
 
-def balanced(problem: Problem, solve: Callable[[Problem], Fit]) -> Fit:
+def balanced(
+    problem: Problem,
+    solve: Callable[[Problem], Fit],
+    solve_again: Callable[[Fit, Floats], Fit],
+) -> Fit:
     """Alternate fits and estimates of unit weights until their ratios stand.
 
     A common factor of all rows changes no solution where nothing else is known; then
@@ -107,6 +115,8 @@ def balanced(problem: Problem, solve: Callable[[Problem], Fit]) -> Fit:
         problem: The problem.
         solve: Fits a problem with given units; is called once where there is one
             quantity and there are neither known distances nor priors.
+        solve_again: Fits the problem of a fit in other units, shape (d,), that are
+            `LIKE` its own.
     """
     fitted = solve(problem)
     for _ in range(ROUNDS):
@@ -118,9 +128,13 @@ def balanced(problem: Problem, solve: Callable[[Problem], Fit]) -> Fit:
         common = 1.0
         if len(fitted.problem.further_rows(fitted.theta)) == 0:
             common = float(np.exp(np.mean(np.log(change))))
-        if np.abs(change / common - 1.0).max() < STANDS:
+        relative = np.abs(np.log(change / common)).max()
+        if relative < STANDS:
             return _converted(fitted, common)
-        fitted = solve(replace(problem, units=current * change))
+        if relative < LIKE:
+            fitted = solve_again(fitted, current * change)
+        else:
+            fitted = solve(replace(problem, units=current * change))
     return fitted
 
 

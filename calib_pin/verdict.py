@@ -69,8 +69,10 @@ Of a thousand perfect robots one is refused."""
 MISJUDGED = 2.0
 """Found by predicted held-out error from which a fit misjudges itself."""
 
-SURE = 0.99
-"""Probability that the corrected robot is better over the workspace for `good`."""
+SURE = 0.95
+"""Probability that the corrected robot is better over the workspace for `good`.
+
+Of 233 simulated jobs with more, narrow ones and paths among them, none was worse."""
 
 
 @dataclass(frozen=True)

@@ -68,8 +68,9 @@ def run(number: int) -> Robust:
     kind = f"{100 * share:.0f} % spoiled"
     try:
         rows = job.measured(rng)
-        spoiled = np.zeros(len(rows), bool)
-        spoiled[rng.permutation(len(rows))[: round(share * len(rows))]] = True
+        # All that is measured in one configuration fails together.
+        groups, count = rows.groups(), rows.configurations
+        spoiled = np.isin(groups, rng.permutation(count)[: round(share * count)])
         size = log_uniform(rng, GROSS, int(spoiled.sum()))
         bad = spoil(rows, np.flatnonzero(spoiled), size, rng)
         result = calib_pin.calibrate(job.chain, bad, job.setup)

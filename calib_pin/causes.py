@@ -5,10 +5,12 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator
 from dataclasses import replace
+from math import comb
 
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.measurements import AT, PART
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.studentized import Studentized
@@ -53,6 +55,7 @@ def causes(
     for rows, cause in (
         *_targets(problem, out),
         *_exchanged(problem, theta, out, found, scale),
+        *_places(problem, out),
         *_stretches(problem, out),
         *_configurations(problem, out, found),
     ):
@@ -74,6 +77,26 @@ def _targets(
         if number >= max(FEW, MOST * counts[name]) and others < 0.5 * MOST:
             rows = [k for k in np.flatnonzero(out).tolist() if target[k] == name]
             yield rows, f"target {name}"
+
+
+def _places(
+    problem: Problem, out: NDArray[np.bool_]
+) -> Iterator[tuple[list[int], str]]:
+    """The place, of several with sockets, at which most of what is out was measured."""
+    names = [name.rpartition(PART)[2].rpartition(AT)[2] for name in problem.data.target]
+    place = np.array([name.rpartition("/")[0] for name in names])
+    counts, lost = Counter(place.tolist()), Counter(place[out].tolist())
+    name, number = lost.most_common(1)[0]
+    share, total = counts[name] / len(place), int(out.sum())
+    if not name or len(counts) < 2 or number < max(FEW, 0.5 * total):
+        return
+    # Binomial: so many there if it were a place like the others.
+    chance = sum(
+        comb(total, k) * share**k * (1.0 - share) ** (total - k)
+        for k in range(number, total + 1)
+    )
+    if chance < CHANCE:
+        yield np.flatnonzero(out & (place == name)).tolist(), f"place {name}"
 
 
 def _stretches(

@@ -54,12 +54,12 @@ once in a hundred (half of it has none at all, Self and Liang 1987)."""
 SPARE = 10
 """Values of distinct configurations that must be left over beside what was fitted."""
 
-MOST = 2.0
+MOST = 1.5
 """Largest squares that effects may leave in residuals, in those that are found there.
 
 What disturbs a real robot is only in part what gears and compliance do, and likelihood
 makes these as large as the rest of it needs. Without a limit, errors on unseen rows are
-predicted three to five times too large on a UR10 and a UR5; with it within 15 %.
+predicted three to five times too large on a UR10 and a UR5; with it within 10 %.
 """
 
 ROWS = 2000

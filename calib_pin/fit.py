@@ -29,8 +29,8 @@ from calib_pin.progress import Progress
 from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
 from calib_pin.shrinkage import Evidence, expected_errors
-from calib_pin.solve import Solved, Solver, descend, least_squares
-from calib_pin.solvers import EvolutionResult, LeastSquaresResult
+from calib_pin.solve import Solved, Solver, descend, least_squares, refine
+from calib_pin.solvers import EvolutionResult, LeastSquaresResult, Status
 from calib_pin.spatial import Floats
 from calib_pin.systematic import Systematic, systematic
 from calib_pin.threads import serial_blas
@@ -534,16 +534,14 @@ def _shrunk(
     evidence = expected_errors(
         last.directions, problem.parameters, found.x, found.fun, found.jac, unit
     )
-    if not evidence.matters or problem.many:
+    # A search that was cut short, or met far from a minimum, stays what it is.
+    if not evidence.matters or found.status is not Status.CONVERGED:
         return replace(evidence, matters=False), found
     # Whitened like the rows, whose unit weight is not in their standard deviations.
-    expected = evidence.expected
-    held = replace(problem, expected=replace(expected, size=expected.size / unit))
+    expected = replace(evidence.expected, size=evidence.expected.size / unit)
     basis = problem.parameters.scales[:, None] * last.directions.every
-    shrunk = least_squares(held, found.x, basis)
-    start = len(shrunk.fun) - problem.priors - expected.count
-    own = np.r_[0:start, start + expected.count : len(shrunk.fun)]
-    fun, jac = shrunk.fun[own], shrunk.jac[own]
+    shrunk = refine(problem.expecting(expected), found.x, basis)
+    fun, jac = problem.factorize(shrunk.x)
     return evidence, replace(
         shrunk,
         fun=fun,

@@ -196,6 +196,13 @@ class Problem:
         kept = {k: v for k, v in self.held_at.items() if k not in positions}
         return replace(self, held_at=kept)
 
+    def expecting(self, expected: Expected) -> Problem:
+        """The problem with errors of the robot that are expected to be so large."""
+        result = replace(self, expected=expected)
+        # The rows are the same, and very many take time to prepare.
+        result.__dict__["_many"] = self._many
+        return result
+
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (N, d)."""
         of_robot, own = self.split(theta)

@@ -33,6 +33,7 @@ __all__ = [
     "Solver",
     "descend",
     "least_squares",
+    "refine",
     "take_turns",
 ]
 
@@ -222,6 +223,11 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
         start = gauss_newton(few.linearize, few.cost, start, basis).x
+    return refine(problem, start, basis)
+
+
+def refine(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
+    """Gauss-Newton from a start that is close; the arguments as in `least_squares`."""
     return gauss_newton(
         problem.linearize,
         problem.cost,

@@ -152,7 +152,7 @@ def studentized(
     )
     own = A[: finite.size].reshape(count, size, -1)
     own[bad] = 0.0
-    fitted = (own[accepted].reshape(-1, A.shape[1]), A[finite.size :])
+    fitted = (own[accepted].reshape(accepted.sum() * size, A.shape[1]), A[finite.size :])
     R = np.linalg.qr(np.concatenate(fitted), mode="r")
     _, s, Vt = np.linalg.svd(R, full_matrices=False)
     kept = s > 1e-12 * s.max(initial=0.0)

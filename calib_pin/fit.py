@@ -127,19 +127,17 @@ class Fit:
         return None if self.evidence is None else self.evidence.expected.size
 
     @property
-    def held(self) -> tuple[LeastSquaresResult, Floats]:
-        """The solution with the rows of the prior, and what it moved, shape (P, k)."""
+    def held(self) -> tuple[Problem, LeastSquaresResult, Floats]:
+        """With the prior among the rows: problem, solution, and what moved, (P, k)."""
         if self.evidence is None or not self.evidence.matters:
-            return self.result, self.directions.basis
+            return self.problem, self.result, self.directions.basis
         expected, scales = self.evidence.expected, self.problem.parameters.scales
-        fun = self.unit * expected.rows(self.theta / scales)
-        jac = self.unit * expected.rows(np.diag(1.0 / scales)).T
         result = replace(
             self.result,
-            fun=np.concatenate([self.result.fun, fun]),
-            jac=np.concatenate([self.result.jac, jac]),
+            fun=np.append(self.result.fun, expected.rows(self.theta / scales)),
+            jac=np.vstack([self.result.jac, expected.rows(np.diag(1.0 / scales)).T]),
         )
-        return result, self.directions.every
+        return self.problem.expecting(expected), result, self.directions.every
 
     @cached_property
     def covariance(self) -> Floats:
@@ -255,7 +253,7 @@ def _described(fitted: Fit) -> Fit:
     """A fit with the noise of its quantities."""
     if not fitted.dof > 0 or not fitted.unit > EXACT:
         return fitted
-    return replace(fitted, noise=variance_components(fitted.problem, *fitted.held))
+    return replace(fitted, noise=variance_components(*fitted.held))
 
 
 @serial_blas

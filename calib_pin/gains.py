@@ -87,7 +87,7 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
     before, _ = press(
         problem, fitted.before, normal_factor(jac, scales * frames), labels
     )
-    held, moved = fitted.held
+    _, held, moved = fitted.held
     after, variance = press(
         problem, fitted.theta, normal_factor(held.jac, scales * moved), labels
     )

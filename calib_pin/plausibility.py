@@ -302,7 +302,7 @@ def _decided_by_others(fitted: Fit, by_own: Floats) -> Floats:
     D = np.zeros((len(by_own), len(fitted.theta)))
     D[:, len(fitted.theta) - by_own.shape[1] :] = by_own
     # By noise alone, or what a distance decides would be more than all.
-    result, moved = fitted.held
+    _, result, moved = fitted.held
     half = half_covariance(result.jac, moved, fitted.problem.parameters)
     h = np.sum((D @ half) ** 2, axis=1)
     return np.asarray(np.maximum(1.0 - h, ROUNDING))

@@ -170,9 +170,8 @@ def _plain(problem: Problem) -> Problem:
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
     """All configurations about a fit of the accepted ones, shape (G,)."""
-    problem, (_, moved) = _plain(fitted.problem), fitted.held
-    if fitted.evidence is not None and fitted.evidence.matters:
-        problem = replace(problem, expected=fitted.evidence.expected)
+    held, _, moved = fitted.held
+    problem = _plain(held)
     basis = problem.parameters.scales[:, None] * moved
     rows = accepted[problem.data.groups()]
     return studentized(problem, fitted.theta, basis, rows)

@@ -30,7 +30,7 @@ from calib_pin.restricted_likelihood import (
     Variances,
     estimate_variances,
 )
-from calib_pin.solvers import LeastSquaresResult
+from calib_pin.solvers import LeastSquaresResult, Status
 from calib_pin.spatial import Floats
 
 if TYPE_CHECKING:
@@ -122,14 +122,15 @@ def balanced(
     for _ in range(ROUNDS):
         if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
             return fitted
-        components = variance_components(fitted.problem, *fitted.held)
+        components = variance_components(*fitted.held)
         current = _each(fitted.problem)
         change = units(components, problem) / current
         common = 1.0
         if len(fitted.problem.further_rows(fitted.theta)) == 0:
             common = float(np.exp(np.mean(np.log(change))))
         relative = np.abs(np.log(change / common)).max()
-        if relative < STANDS:
+        # A search that was cut short, or told when to end, is not carried on.
+        if relative < STANDS or fitted.result.status is not Status.CONVERGED:
             return _converted(fitted, common)
         if relative < LIKE:
             fitted = solve_again(fitted, current * change)

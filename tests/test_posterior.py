@@ -8,14 +8,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit
+from calib_pin.fit import Fit, fit, with_effects
 from calib_pin.formulation import nominal_problem
 from calib_pin.posterior import Posterior, posterior
 from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.spatial import Floats
-from calib_pin.systematic import Systematic, systematic
-from calib_pin.variance_components import balanced, variance_components
+from calib_pin.systematic import Systematic
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
 MORE = ("placement", "transmission", "compliance")
@@ -67,17 +66,9 @@ def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Jo
         true, theta, rng, count=150 // repeats, noise=noise, repeats=repeats
     )
     problem = replace(plain, data=replace(rows, sigma=None))
-    fitted = balanced(problem, lambda p: fit(p, np.random.default_rng(0)))
+    fitted = with_effects(fit(problem, np.random.default_rng(0)))
     moved, at = fitted.problem.at(fitted.theta)
-    noises = variance_components(fitted.problem, fitted.result, fitted.directions.basis)
-    found = systematic(moved, at, fitted.directions)
-    return Job(
-        true,
-        theta,
-        fitted,
-        found,
-        posterior(moved, at, fitted.directions, noises, found),
-    )
+    return Job(true, theta, fitted, fitted.effects, fitted.posterior(moved, at))
 
 
 def test_effects_are_found_and_their_noise_is_the_true_one() -> None:

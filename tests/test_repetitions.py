@@ -12,7 +12,6 @@ from calib_pin.evidence import VarianceComponent
 from calib_pin.fit import fit
 from calib_pin.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.variance_components import balanced, variance_components
 
 CHAIN = calib_pin.load_chain("space6")
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.12)))
@@ -34,12 +33,7 @@ def component(
         values=rows.values + each[rows.groups()],
         sigma=None if stated is None else np.full((len(rows), 3), stated),
     )
-    fitted = balanced(
-        replace(problem, data=rows), lambda p: fit(p, np.random.default_rng(0))
-    )
-    (found,) = variance_components(
-        fitted.problem, fitted.result, fitted.directions.basis
-    )
+    (found,) = fit(replace(problem, data=rows), np.random.default_rng(0)).noise
     return found
 
 

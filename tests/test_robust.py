@@ -54,8 +54,11 @@ class Job:
         return self.fit("squared", self.rows.rows(~self.bad))
 
     def ahead(self, fitted: Fit) -> float:
-        """Error on new configurations, root sum of whitened squares."""
-        return float(np.sqrt(self.study._ahead(self.truth, fitted)[0]))
+        """Error on new configurations, in the standard deviations of the rows."""
+        # Those of a fit that was spoiled are wide enough for anything.
+        given = replace(fitted.problem, units=np.zeros(0))
+        plain = replace(fitted, problem=given)
+        return float(np.sqrt(self.study._ahead(self.truth, plain)[0]))
 
     def named(self, fitted: Fit) -> NDArray[np.bool_]:
         """The rows that were set aside, which are those that are named."""

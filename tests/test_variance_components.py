@@ -24,14 +24,25 @@ OFFSETS = Setup(parameters=("joint-offset",), tool_frame=TOOL)
 
 
 class Solve:
-    """Fits, counted."""
+    """Fits in given units, counted."""
 
     def __init__(self) -> None:
         self.calls = 0
 
     def __call__(self, problem: Problem) -> Fit:
         self.calls += 1
-        return fit(problem, np.random.default_rng(0))
+        plain = replace(problem, setup=replace(problem.setup, loss="squared"))
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr("calib_pin.fit.balanced", lambda some, solve, _: solve(some))
+            return fit(plain, np.random.default_rng(0))
+
+    def balanced(self, problem: Problem) -> Fit:
+        """Fits by turns with estimates of the units, each of them from the start."""
+        return balanced(
+            problem,
+            self,
+            lambda fitted, units: self(replace(fitted.problem, units=units)),
+        )
 
 
 def poses(
@@ -59,7 +70,7 @@ def poses(
 
 
 def found(fitted: Fit) -> tuple[VarianceComponent, ...]:
-    return variance_components(fitted.problem, fitted.result, fitted.directions.basis)
+    return variance_components(*fitted.held)
 
 
 @pytest.mark.parametrize("sigma", [None, 1e-4])
@@ -70,7 +81,7 @@ def test_position_and_orientation_are_balanced(
     """Given 0.1 mm and 0.1 mrad, five times too small and too large."""
     solve, estimates = Solve(), []
     for seed in range(5):
-        fitted = balanced(poses(seed, noise, sigma=sigma), solve)
+        fitted = solve.balanced(poses(seed, noise, sigma=sigma))
         components = found(fitted)
         estimates.append([c.estimate for c in components])
         assert all(c.contradicted == (sigma is not None) for c in components)
@@ -83,7 +94,7 @@ def test_position_and_orientation_are_balanced(
 def test_what_is_stated_stands_where_it_is_right() -> None:
     solve, rejected = Solve(), []
     for seed in range(12):
-        fitted = balanced(poses(seed, (1e-4, 1e-4), sigma=1e-4), solve)
+        fitted = solve.balanced(poses(seed, (1e-4, 1e-4), sigma=1e-4))
         components = found(fitted)
         rejected += [c.contradicted for c in components]
         for c in components:
@@ -96,12 +107,12 @@ def test_what_is_stated_stands_where_it_is_right() -> None:
 
 
 def test_what_is_stated_too_small_is_unmodeled_error() -> None:
-    fitted = balanced(poses(4, (5e-4, 1e-4), sigma=1e-4), Solve())
+    fitted = Solve().balanced(poses(4, (5e-4, 1e-4), sigma=1e-4))
     position, _ = found(fitted)
     assert position.contradicted and position.interval[0] < 5e-4 < position.interval[1]
     assert position.unmodeled == pytest.approx(np.sqrt(24.0) * 1e-4, rel=0.15)
     # Nothing tells it from noise where that is only assumed.
-    assumed = found(balanced(poses(4, (5e-4, 1e-4), sigma=None), Solve()))
+    assumed = found(Solve().balanced(poses(4, (5e-4, 1e-4), sigma=None)))
     assert [c.unmodeled for c in assumed] == [None, None]
 
 
@@ -112,7 +123,7 @@ def test_one_quantity_is_fitted_once() -> None:
     rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4)
     problem = replace(problem, data=replace(rows, sigma=None))
     plain, solve = Solve()(problem), Solve()
-    fitted = balanced(problem, solve)
+    fitted = solve.balanced(problem)
     assert solve.calls == 1
     np.testing.assert_array_equal(fitted.theta, plain.theta)
     np.testing.assert_allclose(fitted.covariance, plain.covariance)
@@ -123,7 +134,7 @@ def test_one_quantity_is_fitted_once() -> None:
 
 def test_exact_measurements_divide_by_nothing() -> None:
     for noise in ((0.0, 0.0), (1e-4, 0.0), (0.0, 1e-4)):
-        fitted = balanced(poses(1, noise, sigma=None), Solve())
+        fitted = Solve().balanced(poses(1, noise, sigma=None))
         assert np.isfinite(fitted.covariance).all()
         units = fitted.problem.units if len(fitted.problem.units) else np.ones(6)
         assert (units >= 0.99e-3 * units.max()).all()
@@ -150,7 +161,7 @@ def test_mixed_instruments_and_a_known_distance() -> None:
         values[part, :3] += 5e-4 * rng.normal(size=(part.sum(), 3))
         values[~part, 3] += 2e-5 * rng.normal(size=(~part).sum())
         rows = replace(rows, values=values)
-        fitted = balanced(replace(problem, data=rows), Solve())
+        fitted = Solve().balanced(replace(problem, data=rows))
         ratios.append([c.estimate for c in found(fitted)])
     np.testing.assert_allclose(np.median(ratios, axis=0), [5e-4, 2e-5], rtol=0.1)
 
@@ -158,7 +169,7 @@ def test_mixed_instruments_and_a_known_distance() -> None:
 def test_few_values_keep_the_given_ratio() -> None:
     """Two rows of one target determine its place and leave one redundancy at most."""
     problem = poses(0, (3e-4, 3e-4), sigma=None, count=3)
-    fitted = balanced(problem, Solve())
+    fitted = Solve().balanced(problem)
     components = found(fitted)
     assert all(np.isfinite(c.factor) and c.factor > 0.0 for c in components)
 
@@ -166,9 +177,9 @@ def test_few_values_keep_the_given_ratio() -> None:
 @pytest.mark.slow
 def test_very_many_rows_say_the_same(monkeypatch: pytest.MonkeyPatch) -> None:
     problem = poses(2, (3e-4, 5e-5), sigma=None)
-    few = found(balanced(problem, Solve()))
+    few = found(Solve().balanced(problem))
     monkeypatch.setattr(problem_module, "MANY", 1)
-    fitted = balanced(replace(problem), Solve())
+    fitted = Solve().balanced(replace(problem))
     assert fitted.problem.many
     many = found(fitted)
     for a, b in zip(few, many, strict=True):
@@ -185,7 +196,7 @@ def test_a_posterior_is_no_wider_than_its_prior() -> None:
         problem, np.zeros(len(problem.parameters)), rng, count=20, noise=2e-3
     )
     problem = replace(problem, data=replace(rows, sigma=None))
-    fitted = balanced(problem, Solve())
+    fitted = Solve().balanced(problem)
     half = half_covariance(
         fitted.result.jac, fitted.directions.basis, problem.parameters
     )

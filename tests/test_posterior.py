@@ -125,8 +125,8 @@ def test_it_belongs_to_its_references() -> None:
         found.fitted,
         found.true.error.chain.random_configurations(5, np.random.default_rng(0)),
     )
-    old = posterior(fitted.problem, fitted.theta, fitted.directions, (), found.effects)
-    sizes = [np.sum(p.twists(q) ** 2, axis=2) for p in (old, found.posterior)]
+    every = fitted.deviations, found.posterior
+    sizes = [np.sum(p.twists(q) ** 2, axis=2) for p in every]
     np.testing.assert_allclose(*sizes, rtol=1e-6)
 
 

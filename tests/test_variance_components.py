@@ -126,9 +126,15 @@ def test_one_quantity_is_fitted_once() -> None:
     fitted = solve.balanced(problem)
     assert solve.calls == 1
     np.testing.assert_array_equal(fitted.theta, plain.theta)
-    np.testing.assert_allclose(fitted.covariance, plain.covariance)
-    assert fitted.problem.units == pytest.approx([plain.sigma0] * 3)
-    assert found(fitted)[0].estimate == pytest.approx(1e-4 * plain.sigma0)
+    # The prior on offsets of 1 mrad says next to nothing of errors of 0.1 mrad.
+    assert fitted.problem.units == pytest.approx([plain.sigma0] * 3, rel=1e-5)
+    assert found(fitted)[0].estimate == pytest.approx(1e-4 * fitted.problem.units[0])
+    # As if it had been fitted in these units.
+    again = Solve()(replace(problem, units=fitted.problem.units))
+    deviations = np.sqrt(np.diag(again.covariance))
+    assert (np.abs(fitted.theta - again.theta) <= 1e-5 * deviations + 1e-12).all()
+    found_too = np.sqrt(np.diag(fitted.covariance))
+    np.testing.assert_allclose(found_too, deviations, rtol=1e-5)
     assert fitted.problem.cost(fitted.theta) == pytest.approx(fitted.result.cost)
 
 
@@ -172,6 +178,22 @@ def test_few_values_keep_the_given_ratio() -> None:
     fitted = Solve().balanced(problem)
     components = found(fitted)
     assert all(np.isfinite(c.factor) and c.factor > 0.0 for c in components)
+
+
+def test_units_that_change_little_carry_a_fit_on() -> None:
+    """From where it stands, to where it would come to from the start."""
+    problem = poses(0, (3e-4, 5e-5), sigma=None)
+    fitted = fit(problem, np.random.default_rng(0))
+    slow = Solve().balanced(problem)
+    np.testing.assert_allclose(fitted.problem.units, slow.problem.units, rtol=1e-3)
+    deviations = np.sqrt(np.diag(slow.covariance))
+    assert (np.abs(fitted.theta - slow.theta) <= 1e-3 * deviations + 1e-12).all()
+    # It is whitened by the units that it has.
+    cost = fitted.problem.cost(fitted.theta)
+    assert fitted.result.cost == pytest.approx(cost)
+    least = fitted.problem.cost(fitted.before)
+    register = fitted.problem.cost(slow.before)
+    assert least == pytest.approx(register, rel=1e-6)
 
 
 @pytest.mark.slow

@@ -98,22 +98,22 @@ def test_nothing_left_to_fit() -> None:
 def test_fewer_values_than_the_structural_rank() -> None:
     chain, rows = measured(8)
     result = calib_pin.calibrate(chain, rows)
-    assert result.verdict == "untrusted"
+    assert result.verdict == "unchecked"
     assert "24 measured values cannot determine 27" in result.reason
 
 
 def test_no_redundancy() -> None:
     chain, rows = measured(9, noise=0.0)
     result = calib_pin.calibrate(chain, rows)
-    assert result.verdict == "untrusted"
+    assert result.verdict == "unchecked"
     assert "nothing to check the fit with" in result.reason
 
 
 def test_worse_on_unseen_rows() -> None:
     """A robot with the opposite errors is not served by the calibration."""
-    chain, rows = measured(80)
-    _, opposite = measured(80, size=-1.0)
-    new = np.arange(80) >= 40
+    chain, rows = measured(140)
+    _, opposite = measured(140, size=-1.0)
+    new = np.arange(140) >= 40
     result = calib_pin.calibrate(chain, rows.rows(~new), validation=opposite.rows(new))
     assert result.verdict == "untrusted"
     assert "worse than the nominal one: position" in result.reason
@@ -135,19 +135,32 @@ def test_an_outlier_is_named() -> None:
     assert result.outliers[0].place == "row 17"
 
 
-def test_stated_sigmas_set_the_covariance() -> None:
+def test_stated_sigmas_stand_until_the_rows_contradict_them() -> None:
     chain, rows = measured(60)
-    stated = replace(rows, sigma=np.full((60, 3), 5e-4))
-    assumed = calib_pin.calibrate(chain, rows, validate=False)
-    tenfold = calib_pin.calibrate(chain, stated, validate=False)
-    assert tenfold.stated_sigma and not assumed.stated_sigma
-    # The true noise is a tenth of what is stated: chi-square shows it, the covariance
-    # follows the statement.
+    assumed, right, tenfold = (
+        calib_pin.calibrate(
+            chain,
+            replace(rows, sigma=sigma),
+            validate=False,
+        )
+        for sigma in (None, np.full((60, 3), 5e-5), np.full((60, 3), 5e-4))
+    )
+    assert not assumed.stated_sigma and right.stated_sigma and tenfold.stated_sigma
+    # The true noise is a tenth of what is stated: chi-square shows it.
     assert tenfold.sigma0 == pytest.approx(0.1, rel=0.15)
-    names = [p.name for p in assumed.parameters if p.sigma and ".placement." in p.name]
-    pairs = zip(assumed.parameters, tenfold.parameters, strict=True)
-    ratios = [b.sigma / a.sigma for a, b in pairs if a.name in names and b.sigma]
-    assert ratios == pytest.approx([1.0 / tenfold.sigma0] * len(ratios), rel=1e-6)
+    assert right.sigma0 == pytest.approx(1.0, rel=0.15)
+    contradicted = [result.noise[0].contradicted for result in (right, tenfold)]
+    assert contradicted == [False, True]
+    # The covariance follows the statement where it stands, else the rows.
+    for result, expected in ((right, 1.0 / right.sigma0), (tenfold, 1.0)):
+        pairs = zip(assumed.parameters, result.parameters, strict=True)
+        ratios = [
+            b.sigma / a.sigma
+            for a, b in pairs
+            if ".placement." in a.name and a.sigma and b.sigma
+        ]
+        assert len(ratios) > 10
+        assert ratios == pytest.approx([expected] * len(ratios), rel=1e-3)
 
 
 def test_bounded_parameters_are_named() -> None:
@@ -211,7 +224,7 @@ def test_same_seed_same_result() -> None:
 def test_repetitions_are_no_further_configurations() -> None:
     chain, rows = measured(8)
     result = calib_pin.calibrate(chain, rows.rows(np.repeat(np.arange(8), 5)))
-    assert result.verdict == "untrusted"
+    assert result.verdict == "unchecked"
     assert "24 measured values cannot determine 27" in result.reason
 
 
@@ -262,7 +275,7 @@ def test_priors_are_no_measurements() -> None:
     chain, rows = measured(5)
     setup = Setup(prior={"*.placement.*": 1e-3})
     result = calib_pin.calibrate(chain, rows, setup)
-    assert result.verdict == "untrusted"
+    assert result.verdict == "unchecked"
     assert "15 measured values cannot determine 27" in result.reason
 
 

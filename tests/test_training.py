@@ -280,8 +280,9 @@ def test_a_known_distance_to_a_new_socket_fits_nothing(
 
 def test_unseen_rows_are_not_fitted() -> None:
     chain, rows = measured_rows(repeats=2)
-    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
-    parts = list(cross_validate(chain, rows, SETUP, masks, 0))
+    alike = train(chain, rows, SETUP, 0).fit
+    masks = folds(rows, alike, 0)
+    parts = list(cross_validate(chain, rows, SETUP, masks, 0, alike))
     positions = np.concatenate([part.positions for part in parts])
     assert sorted(positions) == list(range(len(rows)))
     for part, mask in zip(parts, masks, strict=True):
@@ -292,18 +293,20 @@ def test_unseen_rows_are_not_fitted() -> None:
     values = rows.values.copy()
     values[masks[2]] += 0.01
     spoiled = replace(rows, values=values)
-    (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0)
+    (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0, alike)
     np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-15)
 
 
 def test_progress_of_a_cross_validation() -> None:
     chain, rows = measured_rows()
-    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
+    alike = train(chain, rows, SETUP, 0).fit
+    masks = folds(rows, alike, 0)
     told: list[tuple[str, float]] = []
-    for _ in cross_validate(
-        chain, rows, SETUP, masks, 0, lambda stage, part: told.append((stage, part))
-    ):
-        pass
+
+    def tell(stage: str, part: float) -> None:
+        told.append((stage, part))
+
+    assert len(list(cross_validate(chain, rows, SETUP, masks, 0, alike, tell))) == FOLDS
     stages, parts = zip(*told, strict=True)
     assert list(dict.fromkeys(stages)) == [f"check {k} of 5" for k in range(1, 6)]
     assert list(parts) == sorted(parts)
@@ -459,8 +462,9 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
 def test_each_part_learns_without_the_others(memory: Memory) -> None:
     chain, rows = measured_rows(repeats=2)
     setup = replace(SETUP, learned="memory")
-    masks = folds(rows, train(chain, rows, SETUP, 0).fit, 0)
-    list(cross_validate(chain, rows, setup, masks, 7))
+    alike = train(chain, rows, SETUP, 0).fit
+    masks = folds(rows, alike, 0)
+    list(cross_validate(chain, rows, setup, masks, 7, alike))
     for given, mask in zip(memory.rows, masks, strict=True):
         np.testing.assert_array_equal(given.q, rows.q[~mask])
     # The same seed in all of them.

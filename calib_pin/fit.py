@@ -22,9 +22,10 @@ from calib_pin.directions import (
 from calib_pin.evidence import Outlier, VarianceComponent
 from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurements import Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.posterior import Posterior, posterior
-from calib_pin.problem import Problem
+from calib_pin.problem import Expected, Problem
 from calib_pin.progress import Progress
 from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
@@ -32,7 +33,7 @@ from calib_pin.shrinkage import Evidence, expected_errors
 from calib_pin.solve import Solved, Solver, descend, least_squares, refine
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult, Status
 from calib_pin.spatial import Floats
-from calib_pin.systematic import Systematic, systematic
+from calib_pin.systematic import ROWS, Systematic, systematic
 from calib_pin.threads import serial_blas
 from calib_pin.variance_components import balanced, variance_components
 
@@ -40,6 +41,7 @@ __all__ = [
     "Fit",
     "analyze_structure",
     "fit",
+    "refitted",
     "register",
     "structure_at",
     "with_effects",
@@ -161,6 +163,19 @@ class Fit:
         sizes = self.evidence.sizes.tolist()
         return tuple(self.posterior(self.problem, self.theta, size) for size in sizes)
 
+    @cached_property
+    def settled(self) -> Posterior:
+        """How far it can be off, about its solution."""
+        return self.posterior(*self.problem.at(self.theta))
+
+    @cached_property
+    def _by_effects(self) -> Floats | None:
+        """What effects that the model does not have add to its residuals, (M, S)."""
+        if self.effects is None:
+            return None
+        few = replace(self.problem, data=self.problem.data.sample(ROWS))
+        return self.effects.rows(few, self.theta)
+
     def posterior(
         self, problem: Problem, theta: Floats, size: float | None = None
     ) -> Posterior:
@@ -171,6 +186,7 @@ class Fit:
             theta: The solution about them, shape (P,).
             size: Expected size of errors in place of the likeliest one.
         """
+        own = problem is self.problem
         found = posterior(
             problem,
             theta,
@@ -178,6 +194,8 @@ class Fit:
             self.noise,
             self.effects,
             self.size if size is None else size,
+            (self.result.fun, self.result.jac) if own else None,
+            self._by_effects if own else None,
         )
         # Without redundancy nobody knows.
         return replace(found, by_noise=self.unit * found.by_noise)
@@ -247,6 +265,58 @@ def _again(fitted: Fit, units: Floats) -> Fit:
             last.directions, last.result.jac, parameters
         ),
     )
+
+
+@serial_blas
+def refitted(fitted: Fit, rows: Measurements) -> Fit | None:
+    """A fit of some of the rows of another, from where that stands.
+
+    What all rows say of noise, directions and the size of errors holds for it.
+
+    Args:
+        fitted: The fit.
+        rows: Some of its rows, none of them set aside.
+
+    Returns:
+        The fit; None where it takes a fit from the start: without some target, with
+        bounds, after a search.
+    """
+    whole, parameters = fitted.problem, fitted.problem.parameters
+    complete = set(rows.target) == set(whole.data.target)
+    bounded = np.isfinite(parameters.bounds).any() or whole.many
+    plain = fitted.solver == "gauss-newton" and fitted.result.status.success
+    if not (complete and plain and fitted.noise) or bounded:
+        return None
+    problem, (held, _, moved) = replace(whole, data=rows), fitted.held
+    scales = parameters.scales
+    frames = np.diag(scales)[:, parameters.free & parameters.nuisance]
+    before = least_squares(problem, fitted.before, frames)
+    basis = scales[:, None] * moved
+    found = least_squares(replace(held, data=rows), fitted.theta, basis)
+    return replace(
+        fitted,
+        problem=problem,
+        before=before.x,
+        result=_without_prior(problem, held.expected, found),
+        effects=None,
+        outliers=(),
+        squared=None,
+    )
+
+
+def _without_prior(
+    problem: Problem, expected: Expected | None, found: LeastSquaresResult
+) -> LeastSquaresResult:
+    """A solution without the rows of an expected size; they stand before priors."""
+    if expected is None:
+        return found
+    if problem.many:
+        fun, jac = problem.factorize(found.x)
+    else:
+        start = len(found.fun) - problem.priors - expected.count
+        own = np.r_[0:start, start + expected.count : len(found.fun)]
+        fun, jac = found.fun[own], found.jac[own]
+    return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
 
 
 def _described(fitted: Fit) -> Fit:
@@ -533,18 +603,15 @@ def _shrunk(
         last.directions, problem.parameters, found.x, found.fun, found.jac, unit
     )
     # A search that was cut short, or met far from a minimum, stays what it is.
-    if not evidence.matters or found.status is not Status.CONVERGED:
+    led = Status.CONVERGED, Status.ITERATIONS, Status.STALLED
+    if not evidence.matters or found.status not in led:
         return replace(evidence, matters=False), found
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = replace(evidence.expected, size=evidence.expected.size / unit)
     basis = problem.parameters.scales[:, None] * last.directions.every
     shrunk = refine(problem.expecting(expected), found.x, basis)
-    fun, jac = problem.factorize(shrunk.x)
     return evidence, replace(
-        shrunk,
-        fun=fun,
-        jac=jac,
-        cost=0.5 * float(fun @ fun),
+        _without_prior(problem, expected, shrunk),
         nit=found.nit + shrunk.nit,
         nfev=found.nfev + shrunk.nfev,
     )

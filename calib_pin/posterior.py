@@ -109,6 +109,8 @@ def posterior(
     components: Sequence[VarianceComponent] = (),
     systematic: Systematic | None = None,
     size: float | None = None,
+    known: tuple[Floats, Floats] | None = None,
+    effects: Floats | None = None,
 ) -> Posterior:
     """The deviations of a fit about any references.
 
@@ -120,8 +122,11 @@ def posterior(
         systematic: Random effects of gears and compliance, None for none.
         size: Expected size of errors, in scales, see `shrinkage`; None where the rows
             alone decide.
+        known: Whitened residual and Jacobian about these references, where they have
+            been computed.
+        effects: The same of `systematic.rows`.
     """
-    fun, jac = problem.factorize(theta)
+    fun, jac = problem.factorize(theta) if known is None else known
     basis, held = _held(problem, directions, size)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
     noise = np.ones(len(problem.measurement.quantities))
@@ -150,7 +155,7 @@ def posterior(
             _, J = few.linearize_rows(theta)
             own = np.concatenate([J, held])
             inverse = half_covariance(own, basis, problem.parameters)
-        X = systematic.rows(few, theta)
+        X = systematic.rows(few, theta) if effects is None else effects
         by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
     return Posterior(
         problem=problem,

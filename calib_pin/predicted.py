@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.fit import Fit
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
+from calib_pin.studentized import spectrum
 from calib_pin.threads import serial_blas
 
 __all__ = ["normal_factor", "predicted_variance", "press"]
@@ -110,8 +111,8 @@ def press(
             r, J = some.linearize_rows(theta)
             r = r[: len(part) * size].reshape(-1, count * size)
             J = (J[: len(part) * size] @ factor).reshape(*r.shape, -1)
-            U, s, _ = np.linalg.svd(J, full_matrices=False)
-            left = 1.0 - s**2
+            U, squares = spectrum(J)
+            left = 1.0 - squares
             known = left > UNDETERMINED
             gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
             along = gain * np.einsum("gms,gm->gs", U, r)

@@ -23,7 +23,7 @@ from calib_pin.chi_square import chi_square_quantile
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 
-__all__ = ["Studentized", "squared_or_infinite", "studentized"]
+__all__ = ["Studentized", "spectrum", "squared_or_infinite", "studentized"]
 
 LEAST = 1e-6
 """Smallest scale in stated or assumed deviations: below, there is only rounding."""
@@ -152,7 +152,10 @@ def studentized(
     )
     own = A[: finite.size].reshape(count, size, -1)
     own[bad] = 0.0
-    fitted = (own[accepted].reshape(accepted.sum() * size, A.shape[1]), A[finite.size :])
+    fitted = (
+        own[accepted].reshape(accepted.sum() * size, A.shape[1]),
+        A[finite.size :],
+    )
     R = np.linalg.qr(np.concatenate(fitted), mode="r")
     _, s, Vt = np.linalg.svd(R, full_matrices=False)
     kept = s > 1e-12 * s.max(initial=0.0)
@@ -166,7 +169,7 @@ def studentized(
         rows = order[begins[sizes == rows_each][:, None] + np.arange(rows_each)]
         sign = np.where(accepted[rows[:, 0]], -1.0, 1.0)
         shape = (len(rows), rows_each * size)
-        U, eigenvalues = _spectrum(B[rows].reshape(*shape, -1))
+        U, eigenvalues = spectrum(B[rows].reshape(*shape, -1))
         left = 1.0 + sign[:, None] * eigenvalues
         alone = left < ALONE
         factor = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, left)))
@@ -180,7 +183,7 @@ def studentized(
     return Studentized.of(problem, squares, counts)
 
 
-def _spectrum(B: Floats) -> tuple[Floats, Floats]:
+def spectrum(B: Floats) -> tuple[Floats, Floats]:
     """Eigenvectors and eigenvalues of B B^T that matter, (G, m, k) -> .., (G, l)."""
     if B.shape[1] <= B.shape[2]:
         eigenvalues, U = np.linalg.eigh(B @ np.swapaxes(B, 1, 2))

@@ -151,7 +151,7 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     # Parameters are deviations from references, and so is their covariance.
-    about = fitted.posterior(*fitted.problem.at(fitted.theta))
+    about = fitted.settled
     deviations = [J @ about.by_noise[:of_error]]
     if about.systematic is not None:
         there = about.systematic.twists(error, q)

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
 from calib_pin.errors import OptionError, require_known
-from calib_pin.fit import Fit, fit, with_effects
+from calib_pin.fit import Fit, fit, refitted, with_effects
 from calib_pin.formulation import make_problem, restricted
 from calib_pin.measurements import Measurements
 from calib_pin.predicted import predicted_variance
@@ -161,8 +161,8 @@ def train(
         setup: What is estimated, what is known, what is learned.
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
-        alike: A fit of more rows of the same robot, which knows what gears and
-            compliance do to it; default this fit tells.
+        alike: A fit of more rows with the same setup. It knows what gears and
+            compliance do to the robot, and the fit goes on from it where it can.
 
     Raises:
         OptionError: If a name in the setup does not exist.
@@ -181,11 +181,13 @@ def train(
         part = FIT_PART
     rng = np.random.default_rng(seed)
     tell = portion(progress, 0.0, part)
-    fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
-    if alike is None:
-        fitted = with_effects(fitted)
-    else:
-        fitted = replace(fitted, effects=alike.effects)
+    fitted = None if alike is None else refitted(alike, rows)
+    if fitted is None:
+        fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
+        if alike is None:
+            fitted = with_effects(fitted)
+        else:
+            fitted = replace(fitted, effects=alike.effects)
     problem, theta = fitted.problem.at(fitted.theta)
     if setup.learned is None:
         return Trained(fitted, problem, theta)

@@ -101,7 +101,7 @@ class _Expected:
         G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
         squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
         left = float(np.mean([s.sum() for s in squares]))
-        by_effects = np.einsum("ndi,ndj->ij", effects, effects) / len(J)
+        by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
         lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
         draws = [
             np.concatenate([s, lacking])
@@ -134,7 +134,7 @@ def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
         beside: Shape (N, S).
         C: Covariances that are equally likely, shape (S, p, p).
     """
-    variances = np.einsum("ni,sij,nj->sn", along, C, along, optimize=True)
+    variances = np.sum((along @ C) * along, axis=2)
     variances += np.sum(beside**2, axis=1)
     ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
     chances = np.array([[0.5 + 0.5 * erf(x) for x in row] for row in ratios])

@@ -81,7 +81,7 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
         # Among so many, no group has a say.
         before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
         return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
-    jac = problem.factorize(fitted.before)[1]
+    _, jac = fitted.registered
     frames = visible_nuisances(jac, problem.parameters)
     scales = problem.parameters.scales[:, None]
     before, _ = press(

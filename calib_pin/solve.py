@@ -226,14 +226,23 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
     return refine(problem, start, basis)
 
 
-def refine(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
-    """Gauss-Newton from a start that is close; the arguments as in `least_squares`."""
+def refine(
+    problem: Problem, start: Floats, basis: Floats, tolerance: float = EXACT
+) -> LeastSquaresResult:
+    """Gauss-Newton from a start that is close; the arguments as in `least_squares`.
+
+    Args:
+        problem: The problem.
+        start: Start, shape (P,).
+        basis: Directions that the parameters may take, shape (P, k).
+        tolerance: Part of the cost that a step must promise.
+    """
     return gauss_newton(
         problem.linearize,
         problem.cost,
         start,
         basis,
-        tolerance=ENOUGH if problem.many else EXACT,
+        tolerance=max(tolerance, ENOUGH) if problem.many else tolerance,
         worthwhile=INVISIBLE / max(problem.count, 1),
     )
 

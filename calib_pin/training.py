@@ -152,6 +152,7 @@ def train(
     progress: Progress | None = None,
     *,
     alike: Fit | None = None,
+    among: NDArray[np.bool_] | None = None,
 ) -> Trained:
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
@@ -162,7 +163,8 @@ def train(
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
         alike: A fit of more rows with the same setup. It knows what gears and
-            compliance do to the robot, and the fit goes on from it where it can.
+            compliance do to the robot.
+        among: Which rows of it these are; the fit goes on from it where it can.
 
     Raises:
         OptionError: If a name in the setup does not exist.
@@ -181,7 +183,9 @@ def train(
         part = FIT_PART
     rng = np.random.default_rng(seed)
     tell = portion(progress, 0.0, part)
-    fitted = None if alike is None else refitted(alike, rows)
+    fitted = None
+    if alike is not None and among is not None:
+        fitted = refitted(alike, among)
     if fitted is None:
         fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
         if alike is None:
@@ -338,6 +342,8 @@ def cross_validate(
         stage = f"check {k + 1} of {len(masks)}"
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
         # What the fit of all rows has set aside stays there.
-        kept = rows.rows(~mask & (rows.weight > 0.0))
-        trained = train(chain, kept, setup, seed, tell, alike=alike)
+        kept = ~mask & (rows.weight > 0.0)
+        trained = train(
+            chain, rows.rows(kept), setup, seed, tell, alike=alike, among=kept
+        )
         yield trained.unseen(rows.rows(mask), np.flatnonzero(mask))

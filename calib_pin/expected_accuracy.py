@@ -117,9 +117,10 @@ class _Expected:
         # one direction of the errors each.
         along = np.einsum("nd,ndi->ni", moved, J)
         beside = np.einsum("nd,ndi->ni", moved, effects)
-        self.better = _chance(
+        chances = _chance(
             gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
-        )[0]
+        )
+        self.better = float(chances[0])
         self.share = float(np.mean(_chance(gain, along, beside, C) >= SURE))
 
 

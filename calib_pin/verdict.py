@@ -110,7 +110,7 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
     shown = _shown_by(grounds.gains)
     if nothing and not shown:
         return "no-gain", _nothing(grounds)
-    if reason := _disproved(grounds.gains):
+    if reason := _disproved(grounds):
         return "untrusted", reason
     return _gain(grounds, shown, nothing)
 
@@ -123,7 +123,8 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
         errors: Accuracy by quantity.
     """
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
-    if free.any() and fitted.directions.robot.shape[1] == 0:
+    enough = fitted.problem.distinct_values >= fitted.structure.rank
+    if enough and free.any() and fitted.directions.robot.shape[1] == 0:
         return "the errors are so large that the rows tell nothing of the robot"
     for quantity in errors:
         for accuracy in (quantity.after, quantity.validation_after):
@@ -193,16 +194,19 @@ def _stands(noise: VarianceComponent) -> bool:
     return noise.stated and not noise.contradicted
 
 
-def _disproved(gains: Sequence[Gain]) -> str:
+def _disproved(grounds: Grounds) -> str:
     """What held-out measurements say against the fit; empty where nothing."""
-    for gain in gains:
+    units = {quantity.name: quantity.unit for quantity in grounds.errors}
+    # Those of one quantity have a unit.
+    for gain in (*grounds.gains[1:], grounds.gains[0]):
         if gain.worse < HARM:
+            unit, factor = DISPLAY.get(units.get(gain.quantity, ""), ("sigma", 1.0))
             return (
                 "on measurements it has not seen the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors larger by {-gain.mean:.3g} +- "
-                f"{gain.deviation:.1g}"
+                f"nominal one: {gain.quantity} errors are larger by "
+                f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
             )
-    first = gains[0]
+    first = grounds.gains[0]
     # Of few configurations the ratio itself is uncertain.
     limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
     if first.ratio > limit:
@@ -222,25 +226,26 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
         nothing: Whether the errors of the robot may be chance.
     """
     gain, workspace = grounds.gains[0], grounds.workspace
-    before, after = _errors(grounds)
+    name, before, after = _errors(grounds)
     held = f"{gain.configurations} held-out configurations"
+    found = f"{name} error {after} rms instead of {before}"
     if workspace is None:
         # Exact rows leave no doubt.
-        return "good", f"{after} on {held} instead of {before}"
+        return "good", f"{found} on {held}"
     nominal, calibrated = (
         _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
     )
     sure = workspace.better >= SURE
     if shown and sure:
         return "good", (
-            f"{after} on {held} instead of {before}; over the workspace {calibrated} "
-            f"instead of {nominal} are expected"
+            f"{found} on {held}; over the workspace {calibrated} instead of {nominal} "
+            "are expected"
         )
     halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
     if not shown and sure and halved:
         return "unchecked", (
-            f"{held} do not confirm the correction: {after} instead of {before}; "
-            "measure more configurations"
+            f"{held} do not confirm the correction: {found}; measure more "
+            "configurations"
         )
     if nothing or not shown:
         return "no-gain", _nothing(grounds)
@@ -262,21 +267,26 @@ def _shown_by(gains: Sequence[Gain]) -> bool:
 
 
 def _as_nominal(fitted: Fit) -> bool:
-    """Whether the nominal robot leaves no more than what is stated or assumed."""
+    """Whether the nominal robot leaves no more than what is stated or assumed.
+
+    Frames and instrument alone explain a few values, which then say nothing of it.
+    """
     plain = replace(fitted.problem, units=np.zeros(0))
     nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
-    left = max(plain.count - nuisances, 1)
+    left = plain.count - nuisances
+    if left < REDUNDANT:
+        return False
     return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, HARM)
 
 
 def _nothing(grounds: Grounds) -> str:
     """Why nothing is to be corrected."""
-    before, after = _errors(grounds)
+    name, before, after = _errors(grounds)
     count = grounds.gains[0].configurations if grounds.gains else 0
     held = f"{count} held-out configurations"
     return (
-        f"the measurements show no error of the robot: {before} as it is and {after} "
-        f"corrected on {held}"
+        f"the measurements show no error of the robot: {name} error {before} rms as it "
+        f"is, {after} corrected, on {held}"
     )
 
 
@@ -289,8 +299,8 @@ def _chance(fitted: Fit) -> float:
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 
-def _errors(grounds: Grounds) -> tuple[str, str]:
-    """Errors before and after of the first quantity that was held out."""
+def _errors(grounds: Grounds) -> tuple[str, str, str]:
+    """The first quantity that was held out, its errors before and after."""
     method = grounds.gains[0].method if grounds.gains else PRESS
     for quantity in grounds.errors:
         pair = quantity.validation_before, quantity.validation_after
@@ -298,8 +308,8 @@ def _errors(grounds: Grounds) -> tuple[str, str]:
             # Without rows of its own the test leaves out one configuration each.
             pair = quantity.before, quantity.after
         before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
-        return f"{before} rms", f"{quantity.name} error {after}"
-    return "", ""
+        return quantity.name, before, after
+    return "", "", ""
 
 
 def _shown(size: float, unit: str) -> str:

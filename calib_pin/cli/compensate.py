@@ -115,7 +115,7 @@ def compensate(
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
     from calib_pin.parameterizations import NOTHING
-    from calib_pin.report.accuracy import untrusted
+    from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
         compensation_report,
@@ -200,7 +200,7 @@ def compensate(
             say(encode(document).decode())
         elif not quiet:
             if doubts:
-                show([untrusted(doubts[0])])
+                show([judged(doubts[0])])
                 say("\n")
             lines = asked.lines.tolist()
             said = compensation_report(

@@ -58,7 +58,7 @@ def identify(
     from calib_pin.evidence import TRUSTED
     from calib_pin.io.documents import encode, identification_document
     from calib_pin.remedies import as_found, remedies
-    from calib_pin.report.accuracy import untrusted
+    from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
     from calib_pin.result import Identification
 
@@ -83,7 +83,7 @@ def identify(
         document["verdict"] = {"status": verdict, "reason": reason}
         typer.echo(encode(document).decode(), nl=False)
     else:
-        doubts = [] if verdict in TRUSTED else [untrusted(reason, verdict)]
+        doubts = [] if verdict in TRUSTED else [judged(reason, verdict)]
         fitted = bool(measurements)
         show([*doubts, *identified(found, fitted=fitted, remedies=better)])
     return 0 if verdict in TRUSTED else 2

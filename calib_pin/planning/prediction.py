@@ -70,6 +70,9 @@ def predict(
 ) -> Predicted:
     """Covariance of a fit; what it will not be able to tell stays at nominal there.
 
+    A fit also holds all errors by the size that its measurements show (`shrinkage`),
+    which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
+
     Args:
         found: The information.
         basis: Its columns in parameters, shape (P, m).

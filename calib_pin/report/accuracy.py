@@ -18,8 +18,7 @@ from calib_pin.report.tables import (
     sizes,
 )
 from calib_pin.report.trust import advised, set_aside
-from calib_pin.result import CalibrationResult, Evaluation, QuantityErrors
-from calib_pin.solvers import Status
+from calib_pin.result import CalibrationResult, Evaluation
 from calib_pin.training import BEYOND
 from calib_pin.units import DISPLAY
 
@@ -27,10 +26,10 @@ __all__ = [
     "accuracy",
     "beyond",
     "evaluated",
+    "judged",
     "moves",
     "opening",
     "subject",
-    "untrusted",
     "verdict",
 ]
 
@@ -48,9 +47,6 @@ UNSEEN = {
 FOLDS = "every part of the rows, by a fit of the other parts"
 """What they are in a cross-validation."""
 
-NOTHING = "the measurements show no error of the robot; nothing needs correcting"
-"""What a calibration without a gain comes to."""
-
 LISTED_OWNERS = 3
 """Members of one kind, such as sockets, that are named before they are counted."""
 
@@ -65,39 +61,19 @@ def opening(result: CalibrationResult) -> Sequence[Line]:
 
 
 def verdict(result: CalibrationResult) -> Line:
-    """Whether the result can be trusted, and why it cannot."""
-    reason = _sentence(result.reason)
-    if result.verdict not in TRUSTED:
-        for finding in result.findings:
-            if finding.message in reason:
-                reason = reason.replace(finding.message, advised(finding))
-        return untrusted(reason, result.verdict)
-    if result.verdict == "no-gain":
-        return Line(f"NO GAIN: {reason or NOTHING}.", "good")
-    if reason:
-        return Line(f"GOOD: {reason}.", "good")
-    ended = "reached its target" if result.status is Status.TARGET else "converged"
-    if result.validation == "none":
-        checked = "; too few rows to check it on unseen ones."
-    elif all(_better(error) for error in result.errors):
-        checked = " and is better on rows it has not seen."
-    else:
-        checked = " and is no worse on rows it has not seen."
-    return Line(f"GOOD: the fit {ended}{checked}", "good")
+    """The verdict and its reason, of a finding with what to do about it."""
+    reason = result.reason
+    for finding in result.findings:
+        if advised(finding) not in reason:
+            reason = reason.replace(finding.message, advised(finding))
+    return judged(reason, result.verdict)
 
 
-def untrusted(reason: str, status: str = "untrusted") -> Line:
-    """The line that comes first where a result must not be trusted."""
-    return Line(f"{status.upper()}: {_sentence(reason)}.", "bad")
-
-
-def _sentence(reason: str) -> str:
-    return reason.rstrip(".")
-
-
-def _better(error: QuantityErrors) -> bool:
-    before, after = error.validation_before, error.validation_after
-    return before is None or after is None or after.rms < 0.99 * before.rms
+def judged(reason: str, status: str = "untrusted") -> Line:
+    """A verdict as the line that comes first."""
+    name = status.replace("-", " ").upper()
+    said = f"{name}: {reason.rstrip('.')}."
+    return Line(said, "good" if status in TRUSTED else "bad")
 
 
 def subject(result: CalibrationResult) -> Line:
@@ -221,7 +197,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
 def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     """Accuracy on rows that were not fitted."""
     if evaluation.verdict != "good":
-        yield untrusted(evaluation.reason)
+        yield judged(evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [
         (Cell(name), Cell(str(count), count), *sizes(accuracy, unit))

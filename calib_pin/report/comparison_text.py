@@ -6,7 +6,7 @@ from collections.abc import Iterator
 
 from calib_pin.calibration_record import CalibrationRecord
 from calib_pin.comparison import Comparison
-from calib_pin.report.accuracy import untrusted
+from calib_pin.report.accuracy import judged
 from calib_pin.report.blocks import Block, Facts, Line
 from calib_pin.report.comparison_tables import (
     accuracies,
@@ -25,7 +25,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     for label, record in pair:
         if not record.trusted:
             said = f"{label} ({record.file}): {record.reason}"
-            yield untrusted(said, record.verdict)
+            yield judged(said, record.verdict)
     yield _verdict(found)
     yield from _doubts(found)
     chain = found.first.model.chain

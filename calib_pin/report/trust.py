@@ -172,7 +172,7 @@ def _doubt(part: VarianceComponent) -> str:
         by = "stated" if part.stated else "assumed"
         given = _shown(part.given, part.unit)
         parts.append(f"the measurements contradict the {by} {given} {unit}")
-    if part.unmodeled is not None:
+    if part.unmodeled:
         quiet = part.pure if part.pure is not None else part.given
         sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
         parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")

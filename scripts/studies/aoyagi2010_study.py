@@ -304,10 +304,11 @@ def noise_floor(result: CalibrationResult, q: Floats) -> tuple[float, float]:
         The mean distance over configurations and draws, and the standard deviation over
         the draws of its mean over the configurations.
     """
-    model = result.model
-    _, J = model.error.jacobian(q, model.theta)
+    # The covariance is that of deviations from the registered frames.
+    error = result.reference.error
+    count = len(error.screws)
+    _, J = error.jacobian(q, np.array([p.value for p in result.parameters[:count]]))
     J = J[:, :3]
-    count = J.shape[2]
     values, vectors = np.linalg.eigh(result.covariance[:count, :count])
     # What cannot be told has no variance, but for rounding.
     half = vectors * np.sqrt(np.maximum(values, 0.0))

@@ -233,8 +233,9 @@ def _distances(found: CalibrationResult, rows: Measurements) -> Floats:
 
 def _noise(found: CalibrationResult, rows: Measurements) -> float:
     """Root mean square of these that the covariance of the fit predicts [m]."""
-    problem = found.model.problem(rows)
-    _, J = problem.linearize_rows(_values(found))
+    # The covariance is that of deviations from the registered references.
+    problem = found.reference.problem(rows)
+    _, J = problem.linearize_rows(np.array([p.value for p in found.parameters]))
     J = J * problem.sigma.reshape(-1, 1)
     variances = np.einsum("ip,pq,iq->i", J, found.covariance, J, optimize=True)
     return float(np.sqrt(variances.sum() / len(rows)))
@@ -285,16 +286,16 @@ def accuracies(settings: Settings, rng: np.random.Generator) -> dict[int, Accura
 
 def _accuracy(found: CalibrationResult, q: Floats, true: Floats) -> Accuracy:
     """Judge a calibration at configurations (K, 6) with true poses (K, 4, 4)."""
-    model = found.model
-    _, J = model.error.jacobian(q, model.theta)
-    count = J.shape[2]
+    error = found.reference.error
+    count = len(error.screws)
+    _, J = error.jacobian(q, np.array([p.value for p in found.parameters[:count]]))
     covariance = found.covariance[:count, :count]
 
     def predicted(J: Floats) -> tuple[float, float]:
         variances = np.einsum("nap,pq,naq->na", J, covariance, J, optimize=True)
         return _rms(np.sqrt(variances))
 
-    errors = _errors(model.poses(q), true)
+    errors = _errors(found.model.poses(q), true)
     whole = found.identifiability.rank == found.identifiability.parameters
     return Accuracy(
         found.identifiability.rank,

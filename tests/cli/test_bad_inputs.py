@@ -830,14 +830,22 @@ def rows_of_another_robot(_: Path) -> None:
 
 
 @pytest.mark.parametrize(
-    ("prepare", "parts"),
+    ("prepare", "status", "parts"),
     [
-        (few_rows, "6 measured values|identifiable parameters|measure more"),
-        (barely_enough_rows, "4 measured values|4 estimated parameters|measure more"),
-        (rows_of_another_robot, "not seen|worse than the nominal|position|rms"),
+        (few_rows, "unchecked", "6 measured values|identifiable parameters|measure"),
+        (
+            barely_enough_rows,
+            "unchecked",
+            "4 measured values|4 estimated parameters|measure more",
+        ),
+        (
+            rows_of_another_robot,
+            "untrusted",
+            "not seen|worse than the nominal|position errors are larger by| mm",
+        ),
     ],
 )
-def test_untrusted(prepare, parts, here, run):
+def test_untrusted(prepare, status, parts, here, run):
     prepare(here)
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml -o out")
 
@@ -845,15 +853,16 @@ def test_untrusted(prepare, parts, here, run):
     assert result.err == ""
     first, *_ = result.out.split("\n\n")
     verdict = " ".join(first.split())
-    assert verdict.startswith("UNTRUSTED: ")
+    assert verdict.startswith(f"{status.upper()}: ")
     assert ".." not in verdict
     for part in parts.split("|"):
         assert part in verdict
     assert result.out.endswith("wrote out/calibration.json\nwrote out/report.html\n")
     assert {path.name for path in Path("out").iterdir()} == TRUSTED_OR_NOT
-    assert f"UNTRUSTED: {first.split()[1]}" in Path("out/report.html").read_text()
+    said = " ".join(first.split()[:2])
+    assert said in Path("out/report.html").read_text()
     document = json.loads(Path("out/calibration.json").read_text())
-    assert document["verdict"]["status"] == "untrusted"
+    assert document["verdict"]["status"] == status
     assert document["verdict"]["reason"].rstrip(".") in verdict
 
 
@@ -861,7 +870,7 @@ def test_untrusted_and_quiet(here, run):
     few_rows(here)
     result = run("calibrate arm.urdf rows.csv --setup setup.yaml --quiet")
     assert (result.status, result.out) == (2, "")
-    assert result.err.startswith("calib-pin: note: untrusted: 6 measured values")
+    assert result.err.startswith("calib-pin: note: unchecked: 6 measured values")
     assert result.err.count("\n") == 1
 
 
@@ -877,10 +886,10 @@ def test_identification_of_too_few_rows(here, run):
     few_rows(here)
     result = run("identify arm.urdf rows.csv --setup setup.yaml")
     assert result.status == 2
-    assert result.out.startswith("UNTRUSTED: 6 measured values")
+    assert result.out.startswith("UNCHECKED: 6 measured values")
     result = run("identify arm.urdf rows.csv --setup setup.yaml --json")
     assert result.status == 2
-    assert json.loads(result.out)["verdict"]["status"] == "untrusted"
+    assert json.loads(result.out)["verdict"]["status"] == "unchecked"
 
 
 def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
@@ -889,6 +898,6 @@ def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
     result = run("evaluate out/calibration.json new.csv")
     assert result.status == 2
     assert result.out.startswith(
-        "UNTRUSTED: out/calibration.json must not be trusted: on rows"
+        "UNTRUSTED: out/calibration.json must not be trusted: on measurements"
     )
     assert "Nothing was fitted" in result.out

@@ -110,8 +110,8 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         "bad.yaml:2: unknown key 'paramters' (did you mean 'parameters'?); "
         "allowed: base, tip, model, parameters, learned, frames, planes, "
         "targets, sockets, spheres, anchors, camera, distances, joints, gravity, "
-        "payloads, gear_ratios, fixed, bounds, prior, noise, solver, obstacles, "
-        "region, limits, ranger",
+        "payloads, gear_ratios, fixed, bounds, prior, noise, solver, loss, "
+        "obstacles, region, limits, ranger",
     ),
     (
         f"{CALIBRATE} --setup bad.yaml",

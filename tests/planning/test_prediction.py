@@ -11,7 +11,9 @@ import calib_pin
 from calib_pin.fit import Fit, fit
 from calib_pin.formulation import nominal_problem
 from calib_pin.planning.plan import Plan
+from calib_pin.posterior import posterior
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.spatial import Floats
 
 FRAMES = {
     "base_frame": FrameSetup((0.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
@@ -63,6 +65,11 @@ def planned(name: str) -> tuple[Plan, Fit]:
     return found, fit(replace(problem, data=rows), np.random.default_rng(0))
 
 
+def covariance(fitted: Fit) -> Floats:
+    """By the noise that is stated and nothing else: exact rows show no noise."""
+    return posterior(fitted.problem, fitted.theta, fitted.directions).covariance
+
+
 @pytest.mark.parametrize("name", CASES)
 def test_covariance_is_that_of_a_fit(name: str) -> None:
     plan, fitted = planned(name)
@@ -72,7 +79,7 @@ def test_covariance_is_that_of_a_fit(name: str) -> None:
     scale = fitted.problem.parameters.scales
     # The fit has directions for nuisances that nothing sees; they have no variance.
     ours = predicted.covariance / np.outer(scale, scale)
-    theirs = fitted.covariance / np.outer(scale, scale)
+    theirs = covariance(fitted) / np.outer(scale, scale)
     robot = ~fitted.problem.parameters.nuisance
     assert predicted.directions.robot.shape[1] == fitted.directions.robot.shape[1]
     size = np.abs(theirs[np.ix_(robot, robot)]).max()
@@ -80,6 +87,29 @@ def test_covariance_is_that_of_a_fit(name: str) -> None:
         ours[np.ix_(robot, robot)], theirs[np.ix_(robot, robot)], atol=1e-6 * size
     )
     np.testing.assert_allclose(ours, theirs, atol=1e-5 * np.abs(theirs).max())
+
+
+def test_a_fit_knows_a_little_more_by_the_expected_size_of_errors() -> None:
+    """Which only measurements tell: of a variance v it leaves v / (1 + v / size^2)."""
+    plan, exact = planned("position")
+    zero, rng = np.zeros(len(exact.theta)), np.random.default_rng(3)
+    problem = nominal_problem(
+        exact.problem.error.chain, "position", exact.problem.setup
+    )
+    rows = calib_pin.simulate(problem, zero, rng, q=plan.q, target=plan.target)
+    fitted = fit(replace(problem, data=rows), rng)
+    assert all(noise.factor == 1.0 for noise in fitted.noise)
+    assert fitted.size is not None
+    scale = exact.problem.parameters.scales
+    V = plan.predicted.directions.robot / scale[:, None]
+    before, found = (
+        np.linalg.eigvalsh(V.T @ C @ V)
+        for C in (plan.predicted.covariance, fitted.covariance)
+    )
+    expected = before / (1.0 + before / fitted.size**2)
+    assert before.max() > 1.05 * expected.max()
+    # The fit is at the robot that it has found, noise away from the nominal one.
+    np.testing.assert_allclose(found, expected, rtol=0.01)
 
 
 @pytest.mark.parametrize("name", CASES)
@@ -94,7 +124,7 @@ def test_error_of_the_tip_is_that_of_the_covariance(name: str) -> None:
     q = problem.error.chain.random_configurations(4000, rng)
     zero = np.zeros(len(problem.error.screws))
     T, J = problem.error.jacobian(q, zero)
-    C = fitted.covariance[: len(zero), : len(zero)]
+    C = covariance(fitted)[: len(zero), : len(zero)]
     at_tip = np.einsum("nai,ij,naj->na", J, C, J)
     position = np.sqrt(at_tip[:, :3].sum(axis=1).mean())
     orientation = np.sqrt(at_tip[:, 3:].sum(axis=1).mean())

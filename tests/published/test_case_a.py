@@ -136,8 +136,9 @@ def test_evolution_finds_the_errors(solved: list[Case]) -> None:
 def test_hybrid_reaches_the_least_squares_optimum(solved: list[Case]) -> None:
     for case in solved:
         assert case.difference < 1e-10
-        # Both are near the optimum of all 27 parameters, chi-square of 75 there.
-        assert 25.0 < case.fits["hybrid"] < 60.0
+        # Half a chi-square of 100 values: every error that is fitted comes with the
+        # row of its expected size. Three standard deviations, 0.5 * 200^0.5 each.
+        assert 29.0 < case.fits["hybrid"] < 71.0
 
 
 @pytest.mark.slow

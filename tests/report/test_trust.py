@@ -37,11 +37,11 @@ EVIDENCE: dict[str, Any] = {
     "noise": (
         VarianceComponent(
             *("position", "m", 1e-4, False, 4.012, 4.012e-4, (3.71e-4, 4.33e-4)),
-            *(0.61, True, 2.04e-5, 3.98e-4, 1e-9),
+            *(0.61, 240.0, True, 2.04e-5, 3.98e-4, 1e-9),
         ),
         VarianceComponent(
             *("orientation", "rad", 1e-4, True, 1.0, float("nan"), (0.0, 0.0)),
-            *(0.0, False),
+            *(0.0, 240.0, False),
         ),
     ),
     "gains": (Gain("5-fold", "position", 40, 1e-3, 1e-4, 1e-6, 1.0, 1.02),),
@@ -95,7 +95,6 @@ def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
     ("verdict", "reason", "expected"),
     [
         ("good", "the error falls from 2 to 1 mm", "GOOD: the error falls from 2 to"),
-        ("no-gain", "", "NO GAIN: the measurements show no error of the robot"),
         ("no-gain", "0.1 mm as it is.", "NO GAIN: 0.1 mm as it is. "),
         ("unchecked", "five configurations", "UNCHECKED: five configurations. "),
         ("untrusted", "no", "UNTRUSTED: no. "),

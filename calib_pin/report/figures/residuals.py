@@ -119,7 +119,7 @@ def _normal_plot(axes: Axes, values: Mapping[str, Floats]) -> None:
     line = [min(ends), max(ends)]
     axes.plot(line, line, color=INK, linewidth=1.0, label="normal", zorder=1.5)
     axes.set_xlabel("normal value of the same rank")
-    axes.set_ylabel("residual / (sigma0 · sigma)", labelpad=2.0)
+    axes.set_ylabel("residual / sigma", labelpad=2.0)
     axes.legend(loc="upper left")
 
 

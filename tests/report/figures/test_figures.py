@@ -183,6 +183,7 @@ def without(result: CalibrationResult) -> CalibrationResult:
         groups=(),
         covariance=np.zeros((0, 0)),
         sigma0=np.nan,
+        noise=(),
         unseen=None,
         validation="none",
         tip=None,
@@ -216,7 +217,7 @@ def test_any_errors_can_be_drawn(
     after: float,
 ) -> None:
     result = with_errors(without(calibrated), before=before, after=after)
-    for figure in calibration_figures(replace(result, sigma0=1.0)):
+    for figure in calibration_figures(replace(result, noise=calibrated.noise)):
         ElementTree.fromstring(figure.svg())
 
 

@@ -18,13 +18,15 @@ def test_residuals_are_in_units_of_their_deviation(
 ) -> None:
     values = whitened(calibrated)
     rows = calibrated.fitted
-    every = (rows.after / rows.sigma).ravel() / calibrated.sigma0
     assert list(values) == ["position", "orientation"]
-    np.testing.assert_allclose(
-        np.sort(np.concatenate(list(values.values()))), np.sort(every)
-    )
-    # By definition of sigma0 the squares add up to the degrees of freedom.
-    assert (every**2).sum() == pytest.approx(calibrated.dof, rel=1e-6)
+    for noise, quantity in zip(calibrated.noise, rows.quantities, strict=True):
+        used = noise.factor * noise.given
+        sizes = rows.after[:, quantity.columns] / used
+        np.testing.assert_allclose(values[quantity.name], np.sort(sizes.ravel()))
+        # By definition of an estimate the squares add up to the redundancy; what is
+        # stated stands here, and is 2 % off, as much as the redundancy may be.
+        squares = np.sum((values[quantity.name] * used / noise.estimate) ** 2)
+        assert squares == pytest.approx(noise.redundancy * noise.values, rel=0.02)
 
 
 def test_what_a_row_lacks_is_no_residual(calibrated: CalibrationResult) -> None:

@@ -144,7 +144,7 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
             remark=f"95 % below {quantity(after.p95, unit).text}, "
             f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
         )
-    if result.workspace is not None:
+    if result.workspace is not None and result.verdict != "no-gain":
         yield _Tile(
             label="expected tool error over the workspace, rms",
             before=quantity(result.workspace.nominal[0], "m"),

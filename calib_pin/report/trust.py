@@ -84,6 +84,13 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     ]
     if not known:
         return
+    if result.verdict == "no-gain":
+        # Of a correction that nobody makes there is nothing to say.
+        unit, factor = DISPLAY["m"]
+        parts = [f"{significant(factor * a.nominal[0])} {unit} {w}" for w, a in known]
+        said = f"Expected tool error as it is (rms): {', '.join(parts)}."
+        yield Line(said, "note")
+        return
     rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
     titles = ("nominal", "calibrated", "95 %", "unmodeled", "unit", "better", "at")
     yield Table("Expected tool error (rms)", columns("", titles), rows)

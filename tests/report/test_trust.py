@@ -133,6 +133,12 @@ def test_two_accuracies(result: CalibrationResult) -> None:
     ]
     assert cells[4] == ["0.18", "0.023", "0.029", "0.017", "deg"]
     assert "Expected tool error" not in words(result, measured=None, workspace=None)
+    as_it_is = words(result, verdict="no-gain")
+    assert (
+        "Expected tool error as it is (rms): 0.76 mm where you measured, 2.5 mm over "
+        "the workspace."
+    ) in as_it_is
+    assert "Better: " not in as_it_is
 
 
 def test_noise(result: CalibrationResult) -> None:
@@ -153,6 +159,10 @@ def test_noise(result: CalibrationResult) -> None:
         "(p < 0.001)."
     ) in words(result)
     assert "orientation: " not in words(result)
+    # Stated noise that stands leaves nothing to say.
+    stands = replace(result.noise[0], contradicted=False, unmodeled=0.0)
+    stands = replace(stands, lack_of_fit=None)
+    assert "position: " not in words(result, noise=(stands,))
 
 
 def test_outliers(result: CalibrationResult) -> None:

@@ -110,7 +110,7 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
     shown = _shown_by(grounds.gains)
     if nothing and not shown:
         return "no-gain", _nothing(grounds)
-    if reason := _disproved(grounds.gains):
+    if reason := _disproved(grounds):
         return "untrusted", reason
     return _gain(grounds, shown, nothing)
 
@@ -193,16 +193,19 @@ def _stands(noise: VarianceComponent) -> bool:
     return noise.stated and not noise.contradicted
 
 
-def _disproved(gains: Sequence[Gain]) -> str:
+def _disproved(grounds: Grounds) -> str:
     """What held-out measurements say against the fit; empty where nothing."""
-    for gain in gains:
+    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+    # A quantity says more than all of them together, which have no unit.
+    for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
         if gain.worse < HARM:
+            unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
             return (
                 "on measurements it has not seen the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors larger by {-gain.mean:.3g} +- "
-                f"{gain.deviation:.1g}"
+                f"nominal one: {gain.quantity} errors larger by "
+                f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
             )
-    first = gains[0]
+    first = grounds.gains[0]
     # Of few configurations the ratio itself is uncertain.
     limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
     if first.ratio > limit:

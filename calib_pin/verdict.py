@@ -50,7 +50,7 @@ UNEXPLAINED = 20.0
 BREAKDOWN = 0.4
 """Part of the configurations beyond which what is set aside may be the better part."""
 
-CLUSTERS = 5
+CLUSTERS = 8
 """Held-out configurations without which a fit counts as unchecked."""
 
 REDUNDANT = 10.0
@@ -196,14 +196,14 @@ def _stands(noise: VarianceComponent) -> bool:
 
 def _disproved(grounds: Grounds) -> str:
     """What held-out measurements say against the fit; empty where nothing."""
-    units = {quantity.name: quantity.unit for quantity in grounds.errors}
-    # Those of one quantity have a unit.
-    for gain in (*grounds.gains[1:], grounds.gains[0]):
+    units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
+    # A quantity says more than all of them together, which have no unit.
+    for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
         if gain.worse < HARM:
-            unit, factor = DISPLAY.get(units.get(gain.quantity, ""), ("sigma", 1.0))
+            unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
             return (
                 "on measurements it has not seen the corrected robot is worse than the "
-                f"nominal one: {gain.quantity} errors are larger by "
+                f"nominal one: {gain.quantity} errors larger by "
                 f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
             )
     first = grounds.gains[0]

@@ -260,7 +260,7 @@ def solve(
         setup = replace(problem.setup, solver=solver)
         fitted = fit(replace(problem, setup=setup), np.random.default_rng(seed))
         # At its minimum two solutions are told apart by what both minimize.
-        rows = fitted.held[0].fun
+        rows = fitted.held[1].fun
         fits[name] = 0.5 * float(rows @ rows)
     return Case(judge(nominal), judge(truth), outcomes, fits)
 

@@ -841,7 +841,7 @@ def rows_of_another_robot(_: Path) -> None:
         (
             rows_of_another_robot,
             "untrusted",
-            "not seen|worse than the nominal|position errors are larger by| mm",
+            "not seen|worse than the nominal|position errors larger by| mm",
         ),
     ],
 )

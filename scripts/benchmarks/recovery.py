@@ -235,7 +235,9 @@ class Study:
 
         Of what the instrument shows there, frames and instrument included.
         """
-        of_truth = self.problem.about(truth, *self._new)
+        # A gap that contacts have there must not differ by the units alone.
+        known = replace(self.problem, units=fitted.problem.units)
+        of_truth = known.about(truth, *self._new)
         new = replace(fitted.problem, data=of_truth.data)
         count = new.sigma.size
 

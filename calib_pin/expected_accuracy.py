@@ -63,8 +63,8 @@ def expected_accuracy(
         effects = without_frames(J @ absorbed - there, J)
     mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
     by_position, by_orientation = (
-        _Expected(own[:, part], effects[:, part], mean, C, rng)
-        for part in (slice(0, 3), slice(3, 6))
+        _Expected(own[:, part], effects[:, part], _scatter(fitted, unit), mean, C, rng)
+        for part, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
     )
     return ExpectedAccuracy(
         nominal=(by_position.nominal, by_orientation.nominal),
@@ -83,6 +83,7 @@ class _Expected:
         J: Derivative by the scaled errors of the robot, shape (N, 3, p).
         effects: What independent effects do that the model does not have, beyond what
             the fit has absorbed of them, shape (N, 3, S).
+        scatter: Variance of each component that is left beside these.
         mean: The estimated errors, shape (p,).
         C: Their covariances for several sizes of errors, shape (S, p, p).
         rng: Random generator of the bound.
@@ -92,6 +93,7 @@ class _Expected:
         self,
         J: Floats,
         effects: Floats,
+        scatter: float,
         mean: Floats,
         C: Floats,
         rng: np.random.Generator,
@@ -108,11 +110,13 @@ class _Expected:
             @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
             for s in squares
         ]
-        others = float(lacking.sum())
+        # At so many configurations, what scatters is about its mean.
+        others = float(lacking.sum()) + 3.0 * scatter
         self.unmodeled = float(np.sqrt(others))
         self.nominal = float(np.sqrt(gain.mean() + left + others))
         self.calibrated = float(np.sqrt(left + others))
-        self.bound = float(np.sqrt(np.quantile(np.concatenate(draws), SURE)))
+        bound = np.quantile(np.concatenate(draws), SURE) + 3.0 * scatter
+        self.bound = float(np.sqrt(bound))
         # The differences of single configurations, and of the whole, are normal along
         # one direction of the errors each.
         along = np.einsum("nd,ndi->ni", moved, J)
@@ -122,6 +126,22 @@ class _Expected:
         )
         self.better = float(chances[0])
         self.share = float(np.mean(_chance(gain, along, beside, C) >= SURE))
+
+
+def _scatter(fitted: Fit, unit: str) -> float:
+    """Variance of a component that neither noise nor the known effects explain.
+
+    Of the first quantity in a unit; zero where noise is neither stated nor repeated,
+    so that nothing tells both apart.
+    """
+    for k, noise in enumerate(fitted.noise):
+        if noise.unit == unit:
+            found = (noise.unmodeled or 0.0) ** 2
+            if fitted.effects is not None:
+                explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)
+                found -= explained * (noise.factor * noise.given) ** 2
+            return max(found, 0.0)
+    return 0.0
 
 
 def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:

@@ -346,4 +346,9 @@ def cross_validate(
         trained = train(
             chain, rows.rows(kept), setup, seed, tell, alike=alike, among=kept
         )
-        yield trained.unseen(rows.rows(mask), np.flatnonzero(mask))
+        try:
+            found = trained.unseen(rows.rows(mask), np.flatnonzero(mask))
+        except InputError as error:
+            # Of a place all else may be set aside.
+            found = Unseen.empty(trained.problem.components, error.reason)
+        yield found

@@ -45,6 +45,12 @@ class Unseen:
     placed: tuple[str, ...] = ()
     reason: str = ""
 
+    @staticmethod
+    def empty(components: int, reason: str) -> Unseen:
+        """That of no rows, and why."""
+        none = np.zeros((0, components))
+        return Unseen(np.zeros(0, np.intp), none, none, none, reason=reason)
+
     def counted(self, weight: Floats) -> Unseen:
         """Those that are not set aside; all of them where no other is left.
 

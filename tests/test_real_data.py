@@ -150,7 +150,9 @@ def test_tiago_first_day_on_the_second() -> None:
     result = calib_pin.calibrate(chain, train, validation=unseen)
     (errors,) = result.errors
     assert errors.validation_after is not None
-    assert errors.validation_after.rms <= 3.3e-3
+    # A hard cut of weak directions left 3.04 mm here by luck: left out five times, the
+    # same cut left 5.3 mm, more than the nominal robot, and the prior 3.6 mm.
+    assert errors.validation_after.rms <= 3.5e-3
 
 
 def test_weak_data_do_not_move_the_robot_far() -> None:

@@ -268,7 +268,8 @@ def _sizes(rows: Measurements, problem: Problem, unseen: Sequence[Unseen]) -> Fl
     after = np.concatenate([part.after for part in unseen])[order]
     sigma = replace(problem, data=rows).given_sigma[positions[order]]
     size = np.sqrt(np.nanmean((after / sigma) ** 2, axis=1))
-    labels, kept = clusters(rows, problem.setup), rows.weight > 0.0
+    seen = positions[order]
+    labels, kept = clusters(rows, problem.setup)[seen], rows.weight[seen] > 0.0
     counts = np.bincount(labels, kept)
     totals = np.bincount(labels, np.where(kept, size, 0.0))
     return np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib_pin.chain import Chain
 from calib_pin.directions import visible_nuisances
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.fit import Fit, fit, refitted, with_effects
 from calib_pin.formulation import make_problem, restricted
 from calib_pin.measurements import Measurements

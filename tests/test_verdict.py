@@ -18,6 +18,7 @@ import calib_pin
 from benchmarks.verdict import components, coverage, defects, real, workspace
 from benchmarks.verdict.jobs import Job, draw, stream
 from benchmarks.verdict.truth import judged
+from calib_pin.errors import InputError
 from calib_pin.fit import fit
 from calib_pin.formulation import make_problem, nominal_problem
 from calib_pin.measurements import PART
@@ -222,7 +223,7 @@ def test_outliers_are_found_in_a_mix(row: int) -> None:
 
 def test_a_part_that_is_all_validation() -> None:
     job, rows, setup = mixed(validate=True)
-    with pytest.raises(calib_pin.InputError) as error:
+    with pytest.raises(InputError) as error:
         calib_pin.calibrate(job.chain, rows, setup)
     assert error.value.column == "set"
     assert "'point-distance' measurement is left to fit" in error.value.reason

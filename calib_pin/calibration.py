@@ -18,7 +18,7 @@ from calib_pin.evidence import ExpectedAccuracy, Finding
 from calib_pin.expected_accuracy import expected_accuracy
 from calib_pin.fit import analyze_structure
 from calib_pin.formulation import nominal_problem
-from calib_pin.held_out import Checked, check, split
+from calib_pin.held_out import Checked, check, counting, split
 from calib_pin.joint_readings import suggest_readings
 from calib_pin.ladder import climb
 from calib_pin.measurements import AT, Measurements
@@ -48,8 +48,8 @@ from calib_pin.verdict import CHECK, Grounds, unexplained, verdict
 
 __all__ = ["calibrate", "identify"]
 
-SAMPLES = 300
-"""Configurations at which the tool is predicted."""
+MEASURED, SAMPLES = 100, 300
+"""Configurations at which the tool is predicted, measured ones and others."""
 
 
 @serial_blas
@@ -173,7 +173,7 @@ def calibrate(
         evaluations=fitted.result.nfev,
         seed=seed,
         covariance=fitted.covariance,
-        fitted=_row_errors(trained, training, [known]),
+        fitted=_row_errors(trained, counting(training, fitted), [known]),
         unseen=_row_errors(trained, checked.rows, checks) if checks else None,
         tip=tip_accuracy(fitted, trained.problem, trained.theta, seed),
         files=tuple(
@@ -329,7 +329,7 @@ def _judged(
     measured = workspace = None
     if fitted.noise:
         rng = np.random.default_rng(seed)
-        kept = data.rows(data.weight > 0.0).sample(SAMPLES)
+        kept = data.rows(data.weight > 0.0).sample(MEASURED)
         spread = chain.random_configurations(SAMPLES, rng)
         measured, workspace = (
             expected_accuracy(fitted, trained.problem, trained.theta, q, rng)

@@ -228,7 +228,7 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     """
     gain, workspace = grounds.gains[0], grounds.workspace
     name, before, after = _errors(grounds)
-    held = f"{gain.configurations} held-out configurations"
+    held = f"{gain.configurations} independent held-out configurations"
     found = f"{name} error {after} rms instead of {before}"
     if workspace is None:
         # Exact rows leave no doubt.
@@ -284,7 +284,7 @@ def _nothing(grounds: Grounds) -> str:
     """Why nothing is to be corrected."""
     name, before, after = _errors(grounds)
     count = grounds.gains[0].configurations if grounds.gains else 0
-    held = f"{count} held-out configurations"
+    held = f"{count} independent held-out configurations"
     return (
         f"the measurements show no error of the robot: {name} error {before} rms as it "
         f"is, {after} corrected, on {held}"

@@ -40,6 +40,7 @@ def error_vectors(result: CalibrationResult) -> Drawn | None:
     if vectors is None:
         return _sizes(result.fitted)
     usable = np.isfinite(np.column_stack(vectors)).all(axis=1)
+    usable &= result.fitted.rows.weight > 0.0
     if not usable.any():
         return None
     lengths = [np.linalg.norm(part[usable], axis=1) for part in vectors]

@@ -68,6 +68,7 @@ class _Pane:
         unit: What people read.
         sizes: Sizes before and after in that unit, shape (N,) each; NaN for rows that
             do not have it.
+        counted: The rows that were not set aside, shape (N,).
         drawn: Positions of the rows that are drawn, ascending, shape (M,).
         rings: Positions of those among them that do not fit, shape (K,).
     """
@@ -76,13 +77,14 @@ class _Pane:
     quantity: str
     unit: str
     sizes: tuple[Floats, Floats]
+    counted: NDArray[np.bool_]
     drawn: NDArray[np.intp]
     rings: NDArray[np.intp]
 
     @property
     def means(self) -> list[float]:
         """Mean sizes before and after; nothing where no row has the quantity."""
-        sizes = [size[~np.isnan(size)] for size in self.sizes]
+        sizes = [size[~np.isnan(size) & self.counted] for size in self.sizes]
         return [float(size.mean()) for size in sizes] if all(map(len, sizes)) else []
 
 
@@ -126,7 +128,8 @@ def _panes(name: str, rows: RowErrors, outliers: Sequence[int]) -> list[_Pane]:
     for quantity, (before, after) in zip(rows.quantities, sizes, strict=True):
         unit, factor = unit_of(quantity.unit)
         shown = factor * before, factor * after
-        panes.append(_Pane(name, quantity.name, unit, shown, drawn, rings))
+        counted = rows.rows.weight > 0.0
+        panes.append(_Pane(name, quantity.name, unit, shown, counted, drawn, rings))
     return panes
 
 

@@ -81,16 +81,19 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
         # Among so many, no group has a say.
         before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
         return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
-    _, jac = fitted.registered
-    frames = visible_nuisances(jac, problem.parameters)
     scales = problem.parameters.scales[:, None]
-    before, _ = press(
-        problem, fitted.before, normal_factor(jac, scales * frames), labels
-    )
+
+    def left_out(
+        theta: Floats, linear: tuple[Floats, Floats], moved: Floats
+    ) -> tuple[Floats, Floats]:
+        factor = normal_factor(linear[1], scales * moved)
+        return press(problem, theta, linear, factor, labels)
+
+    nominal = fitted.registered
+    frames = visible_nuisances(nominal[1], problem.parameters)
+    before, _ = left_out(fitted.before, nominal, frames)
     _, held, moved = fitted.held
-    after, variance = press(
-        problem, fitted.theta, normal_factor(held.jac, scales * moved), labels
-    )
+    after, variance = left_out(fitted.theta, (held.fun, held.jac), moved)
     return Unseen(positions, before, after, fitted.unit**2 * variance)
 
 

@@ -79,7 +79,11 @@ def predicted_variance(
 
 @serial_blas
 def press(
-    problem: Problem, theta: Floats, factor: Floats, labels: NDArray[np.int64]
+    problem: Problem,
+    theta: Floats,
+    linear: tuple[Floats, Floats],
+    factor: Floats,
+    labels: NDArray[np.int64],
 ) -> tuple[Floats, Floats]:
     """Errors of each group of rows by a fit of the others, without fitting anew.
 
@@ -93,6 +97,7 @@ def press(
     Args:
         problem: The fitted problem.
         theta: Its solution, shape (P,).
+        linear: Whitened residual and Jacobian there, the N rows first.
         factor: F of `N^-1 = F F^T`, shape (P, k).
         labels: Group of each row, shape (N,).
 
@@ -102,23 +107,21 @@ def press(
     """
     sigma, size = problem.sigma, problem.components
     whitened, variance = np.empty(sigma.shape), np.empty(sigma.shape)
+    fun, jac = (part[: sigma.size] for part in linear)
+    own, columns = fun.reshape(-1, size), (jac @ factor).reshape(*sigma.shape, -1)
     order = np.argsort(labels, kind="stable")
     counts = np.bincount(labels)
     for count in np.unique(counts[counts > 0]).tolist():
         rows = order[counts[labels[order]] == count]
-        for part in _parts(rows, problem, False, count):
-            some = replace(problem, data=problem.data.rows(part))
-            r, J = some.linearize_rows(theta)
-            r = r[: len(part) * size].reshape(-1, count * size)
-            J = (J[: len(part) * size] @ factor).reshape(*r.shape, -1)
-            U, squares = spectrum(J)
-            left = 1.0 - squares
-            known = left > UNDETERMINED
-            gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
-            along = gain * np.einsum("gms,gm->gs", U, r)
-            whitened[part] = (r + np.einsum("gms,gs->gm", U, along)).reshape(-1, size)
-            total = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
-            variance[part] = total.reshape(-1, size)
+        r = own[rows].reshape(-1, count * size)
+        U, squares = spectrum(columns[rows].reshape(*r.shape, -1))
+        left = 1.0 - squares
+        known = left > UNDETERMINED
+        gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
+        along = gain * np.einsum("gms,gm->gs", U, r)
+        whitened[rows] = (r + np.einsum("gms,gs->gm", U, along)).reshape(-1, size)
+        total = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
+        variance[rows] = total.reshape(-1, size)
     with np.errstate(invalid="ignore"):
         errors = whitened * sigma
     aside = ~np.isfinite(sigma)
@@ -149,11 +152,10 @@ def _range(A: Floats) -> Floats:
 
 
 def _parts(
-    rows: NDArray[np.intp], problem: Problem, together: bool, count: int = 1
+    rows: NDArray[np.intp], problem: Problem, together: bool
 ) -> Iterator[NDArray[np.intp]]:
-    """Rows in parts of whole groups that are handy."""
-    size = problem.components * len(problem.parameters)
-    step = max(1, ENTRIES // (size * count)) * count
+    """Rows in parts that are handy."""
+    step = max(1, ENTRIES // (problem.components * len(problem.parameters)))
     if together:
         step = max(len(rows), 1)
     for start in range(0, len(rows), step):

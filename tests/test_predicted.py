@@ -122,7 +122,9 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
     theta, _ = solved(slice(None))
     labels = np.array([0, 0, 1, 1, 1, 2, 3, 3, 3])
     factor = normal_factor(np.concatenate([J, prior]), np.eye(2))
-    errors, variance = press(cast(Problem, line), theta, factor, labels)
+    errors, variance = press(
+        cast(Problem, line), theta, line.linearize_rows(theta), factor, labels
+    )
     for label in range(4):
         left = labels == label
         theta, C = solved(~left)

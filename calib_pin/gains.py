@@ -13,11 +13,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.directions import visible_nuisances
+from calib_pin.directions import half_covariance, visible_nuisances
 from calib_pin.evidence import Gain
 from calib_pin.fit import Fit
 from calib_pin.measurements import Measurements
-from calib_pin.predicted import normal_factor, press
+from calib_pin.predicted import press
 from calib_pin.problem import Problem
 from calib_pin.spatial import Floats
 from calib_pin.student import student_tail
@@ -81,12 +81,11 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
         # Among so many, no group has a say.
         before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
         return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
-    scales = problem.parameters.scales[:, None]
 
     def left_out(
         theta: Floats, linear: tuple[Floats, Floats], moved: Floats
     ) -> tuple[Floats, Floats]:
-        factor = normal_factor(linear[1], scales * moved)
+        factor = half_covariance(linear[1], moved, problem.parameters)
         return press(problem, theta, linear, factor, labels)
 
     nominal = fitted.registered

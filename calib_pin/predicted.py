@@ -14,7 +14,7 @@ from calib_pin.spatial import Floats
 from calib_pin.studentized import spectrum
 from calib_pin.threads import serial_blas
 
-__all__ = ["normal_factor", "predicted_variance", "press"]
+__all__ = ["predicted_variance", "press"]
 
 ENTRIES = 4_000_000
 """Entries of a Jacobian that are looked at together."""
@@ -127,21 +127,6 @@ def press(
     aside = ~np.isfinite(sigma)
     errors[aside] = problem.shown(theta)[aside]
     return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
-
-
-def normal_factor(jac: Floats, basis: Floats) -> Floats:
-    """F with `F F^T` the inverse of the normal matrix in some directions, (P, k).
-
-    Args:
-        jac: Whitened Jacobian, shape (M, P).
-        basis: The directions, shape (P, k).
-    """
-    if basis.shape[1] == 0:
-        return basis
-    triangle = np.linalg.qr(jac @ basis, mode="r")
-    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
-    kept = s > 1e-12 * s.max(initial=0.0)
-    return np.asarray(basis @ (Vt[kept].T / s[kept]))
 
 
 def _range(A: Floats) -> Floats:

@@ -13,7 +13,7 @@ from calib_pin.fit import Fit, fit
 from calib_pin.formulation import nominal_problem
 from calib_pin.gains import press_check
 from calib_pin.measurements import Measurements
-from calib_pin.predicted import normal_factor, predicted_variance, press
+from calib_pin.predicted import predicted_variance, press
 from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solve import least_squares
@@ -119,9 +119,9 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
         C = np.linalg.inv(A.T @ A)
         return -C @ J[kept].T @ r[kept], C
 
-    theta, _ = solved(slice(None))
+    theta, C = solved(slice(None))
     labels = np.array([0, 0, 1, 1, 1, 2, 3, 3, 3])
-    factor = normal_factor(np.concatenate([J, prior]), np.eye(2))
+    factor = np.linalg.cholesky(C)
     errors, variance = press(
         cast(Problem, line), theta, line.linearize_rows(theta), factor, labels
     )

@@ -69,6 +69,9 @@ Of a thousand perfect robots one is refused."""
 MISJUDGED = 2.0
 """Found by predicted held-out error from which a fit misjudges itself."""
 
+EXACT = 1e-6
+"""Gain on exact rows, in given standard deviations, below which it is rounding."""
+
 SURE = 0.95
 """Probability that the corrected robot is better over the workspace for `good`.
 
@@ -102,7 +105,7 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
     """`good`, `no-gain`, `unchecked` or `untrusted`, and the reason."""
     if reason := _distrust(grounds):
         return "untrusted", reason
-    nothing = _chance(grounds.fitted) > SHOWN
+    nothing = _chance(grounds) > SHOWN
     if reason := _unchecked(grounds):
         if nothing and _as_nominal(grounds.fitted):
             return "no-gain", _nothing(grounds)
@@ -291,12 +294,12 @@ def _nothing(grounds: Grounds) -> str:
     )
 
 
-def _chance(fitted: Fit) -> float:
+def _chance(grounds: Grounds) -> float:
     """Probability of so large errors by chance if the robot were as nominal."""
-    evidence = fitted.evidence
+    fitted, evidence = grounds.fitted, grounds.fitted.evidence
     if evidence is None or evidence.count == 0:
-        # Exact rows leave no doubt.
-        return 0.0
+        # Exact rows leave no doubt, but for rounding.
+        return float(all(abs(gain.mean) < EXACT for gain in grounds.gains))
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 

@@ -95,6 +95,14 @@ def test_a_perfect_robot_has_nothing_to_gain(number: int) -> None:
     assert result.reason and result.geometry is None
 
 
+def test_rounding_is_no_error_of_a_robot() -> None:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", Setup())
+    perfect = np.zeros(len(problem.parameters))
+    rows = calib_pin.simulate(problem, perfect, stream(0), count=40, noise=0.0)
+    assert calib_pin.calibrate(chain, rows).verdict == "no-gain"
+
+
 def test_a_perfect_robot_gets_its_nominal_urdf(
     tmp_path: Path,
     capsys: pytest.CaptureFixture[str],

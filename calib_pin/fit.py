@@ -12,10 +12,8 @@ from numpy.typing import NDArray
 from calib_pin.configurations import observable_configurations
 from calib_pin.directions import (
     Directions,
-    appearing,
     half_covariance,
     practical_directions,
-    pruned,
     robot_singular_values,
     rounding,
     visible_directions,
@@ -23,16 +21,16 @@ from calib_pin.directions import (
 from calib_pin.evidence import Outlier, VarianceComponent
 from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
-from calib_pin.parameters import ParameterSet
 from calib_pin.posterior import Posterior, posterior
 from calib_pin.problem import Expected, Problem
 from calib_pin.progress import Progress
 from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
 from calib_pin.shrinkage import Evidence, expected_errors
-from calib_pin.solve import Solved, Solver, descend, least_squares, refine
+from calib_pin.solve import Solver, descend, least_squares, refine
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult, Status
 from calib_pin.spatial import Floats
+from calib_pin.stages import Solution, Stages, judge
 from calib_pin.systematic import ROWS, Systematic, systematic
 from calib_pin.threads import serial_blas
 from calib_pin.variance_components import balanced, variance_components
@@ -60,9 +58,6 @@ EXACT = 1e-6
 PULL = 0.01
 """Posterior deviations by which a parameter must want to leave its bound inwards: less
 than anyone sees, and more than rounding or an unfinished iteration leaves."""
-
-SURPRISE = 10.0
-"""Gain in chi-square per direction beyond what chance gives once in six hundred."""
 
 
 @dataclass(frozen=True)
@@ -256,7 +251,7 @@ def _again(fitted: Fit, units: Floats) -> Fit:
     frames = np.diag(parameters.scales)[:, parameters.free & parameters.nuisance]
     before = least_squares(problem, fitted.before, frames)
     found = descend(problem, fitted.directions, fitted.theta)
-    last = _judge(problem, fitted.directions, found)
+    last = judge(problem, fitted.directions, found)
     evidence, result = _shrunk(problem, last, 1.0)
     return replace(
         fitted,
@@ -378,7 +373,7 @@ def _fit(
         # What is touched must be where the tool can touch it.
         about = np.where(parameters.nuisance, nominal, 0.0)
     found, visible = analyze_structure(problem, about, rng)
-    stages = _Stages(problem, solver, nominal)
+    stages = Stages(problem, solver, nominal)
 
     def choose(sigma0: float | None) -> Directions:
         known = (J, r)
@@ -422,96 +417,6 @@ def _fit(
         evaluator=searched.evaluator,
         evolution=searched.evolution,
     )
-
-
-class _Stages:
-    """Solutions in one choice of directions after the other; the last one counts.
-
-    Args:
-        problem: The registered problem.
-        solver: The solver.
-        nominal: Registered parameters of the nominal robot, shape (P,).
-    """
-
-    def __init__(self, problem: Problem, solver: Solver, nominal: Floats) -> None:
-        self.solutions: list[_Solution] = []
-        self.revealed = np.zeros((len(nominal), 0))
-        self.nit = self.nfev = 0
-        self._problem, self._solver, self._nominal = problem, solver, nominal
-
-    def grow(
-        self, directions: Directions, choose: Callable[[float], Directions]
-    ) -> None:
-        """Solve and choose anew by what the fit says of sigma0, until that stands."""
-        tried: set[int] = set()
-        while directions.count not in tried:
-            tried.add(directions.count)
-            sigma0 = self._solve(directions).sigma0
-            if np.isfinite(sigma0):
-                directions = choose(sigma0)
-
-    def prune(self) -> None:
-        """Take directions back that only looked determined from afar."""
-        while np.isfinite((last := self.solutions[-1]).sigma0):
-            directions = pruned(
-                last.directions,
-                last.result.jac,
-                self._problem.parameters,
-                last.sigma0,
-            )
-            if directions.count == last.directions.count:
-                break
-            self._solve(directions)
-
-    def extend(self, negligible: float) -> None:
-        """Move directions that the errors have made visible, if that explains much.
-
-        With noise, errors of their expected size explain nothing, and the robot stays
-        within the directions of its nominal geometry.
-
-        Args:
-            negligible: Cost that rounding leaves of exact rows.
-        """
-        last, problem = self.solutions[-1], self._problem
-        if not np.isfinite(last.sigma0) or last.result.cost <= negligible:
-            return
-        more, promised = appearing(
-            last.directions,
-            last.result.jac,
-            last.result.fun,
-            problem.parameters,
-            last.sigma0,
-        )
-        surprise = SURPRISE * more.shape[1]
-        # What they explain no longer counts as noise.
-        rest = 2.0 * last.result.cost - promised
-        if promised * (problem.count - last.rank) <= surprise * rest:
-            return
-        robot = np.column_stack([last.directions.robot, more])
-        directions = replace(last.directions, robot=robot)
-        # Here Gauss-Newton tells what there is to gain, whatever the solver.
-        found = self._judged(directions, descend(problem, directions, last.result.x))
-        gain = 2.0 * (last.result.cost - found.result.cost)
-        if gain > surprise * found.sigma0**2:
-            self.revealed = more
-            if self._solver.name == "de":
-                self._solve(directions)
-            else:
-                self.solutions.append(found)
-
-    def _solve(self, directions: Directions) -> _Solution:
-        previous = None
-        if self.solutions:
-            parameters = self._problem.parameters
-            previous = _within(self.solutions[-1], directions, parameters)
-        found = self._solver.solve(self._problem, directions, self._nominal, previous)
-        self.solutions.append(self._judged(directions, found))
-        return self.solutions[-1]
-
-    def _judged(self, directions: Directions, found: Solved) -> _Solution:
-        self.nit += found.result.nit
-        self.nfev += found.result.nfev
-        return _judge(self._problem, directions, found)
 
 
 def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
@@ -567,49 +472,8 @@ def _pulls(fitted: Fit) -> dict[int, float]:
     return dict(zip(held, pulls.tolist(), strict=True))
 
 
-@dataclass(frozen=True)
-class _Solution:
-    """A solve in given directions, and what its Jacobian says of them.
-
-    Attributes:
-        directions: The directions.
-        found: What the solver found.
-        rank: Rank of the Jacobian in the directions.
-        sigma0: Standard deviation of unit weight; NaN without redundancy.
-    """
-
-    directions: Directions
-    found: Solved
-    rank: int
-    sigma0: float
-
-    @property
-    def result(self) -> LeastSquaresResult:
-        """Outcome of the solver."""
-        return self.found.result
-
-
-def _judge(problem: Problem, directions: Directions, found: Solved) -> _Solution:
-    """Rank and covariance of a solution."""
-    if problem.many:
-        # They were solved by normal equations, which cannot tell the rank.
-        fun, jac = problem.factorize(found.result.x)
-        found = replace(found, result=replace(found.result, fun=fun, jac=jac))
-    basis = problem.parameters.scales[:, None] * directions.basis
-    triangle = np.linalg.qr(found.result.jac @ basis, mode="r")
-    s = np.linalg.svd(triangle, compute_uv=False)
-    rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
-    dof = problem.count - rank
-    return _Solution(
-        directions=directions,
-        found=found,
-        rank=rank,
-        sigma0=float(np.sqrt(2.0 * found.result.cost / dof)) if dof > 0 else np.nan,
-    )
-
-
 def _shrunk(
-    problem: Problem, last: _Solution, unit: float
+    problem: Problem, last: Solution, unit: float
 ) -> tuple[Evidence | None, LeastSquaresResult]:
     """The mode of the posterior from the least squares, and the evidence for it.
 
@@ -641,16 +505,6 @@ def _shrunk(
         nit=found.nit + shrunk.nit,
         nfev=found.nfev + shrunk.nfev,
     )
-
-
-def _within(
-    solution: _Solution, directions: Directions, parameters: ParameterSet
-) -> Floats:
-    """A solution within other directions; the rest returns to nominal."""
-    x = solution.result.x
-    kept = directions.basis @ (directions.basis.T @ (x / parameters.scales))
-    stay = parameters.nuisance | ~parameters.free
-    return np.where(stay, x, parameters.scales * kept)
 
 
 @serial_blas

@@ -31,7 +31,7 @@ def format_report(result: CalibrationResult) -> str:
         ... )
         >>> result = calib_pin.calibrate(chain, rows, setup)
         >>> print(calib_pin.format_report(result).splitlines()[0])
-        GOOD: position error 0.0922 mm rms instead of 25.3 mm on 40 held-out
+        GOOD: position error 0.0922 mm rms instead of 25.3 mm on 40 independent held-out
     """
     return plain_text(report(result))
 

@@ -143,7 +143,7 @@ def test_verdicts(result):
         for size in (result.workspace.nominal, result.workspace.calibrated)
     )
     assert opening(result)[0] == (
-        f"GOOD: position error {after} rms instead of {before} on 30 held-out "
+        f"GOOD: position error {after} rms instead of {before} on 30 independent held-out "
         f"configurations; over the workspace {calibrated} instead of {nominal} are "
         "expected."
     )

@@ -143,9 +143,9 @@ def test_verdicts(result):
         for size in (result.workspace.nominal, result.workspace.calibrated)
     )
     assert opening(result)[0] == (
-        f"GOOD: position error {after} rms instead of {before} on 30 independent held-out "
-        f"configurations; over the workspace {calibrated} instead of {nominal} are "
-        "expected."
+        f"GOOD: position error {after} rms instead of {before} on 30 independent "
+        f"held-out configurations; over the workspace {calibrated} instead of "
+        f"{nominal} are expected."
     )
     for reason in ("it did not converge", "it did not converge."):
         text = opening(result, verdict="untrusted", reason=reason)[0]

@@ -119,7 +119,8 @@ class Gain:
 
     Attributes:
         method: `set`, `file`, `holdout`, `5-fold`, ..., or `press`.
-        quantity: Name of the quantity, or `all` for all of them whitened.
+        quantity: Name of the quantity, or `all` for all of them, in the standard
+            deviations that the fit predicts.
         configurations: Number of independent held-out configurations (clusters).
         mean: Mean of nominal minus calibrated error size [unit, or deviations].
         deviation: Its standard error.

@@ -64,6 +64,10 @@ def gains(
     label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
     unit = np.where(present, sigma, 1.0)
+    # By what the fit predicts of each: a point near the plane of a camera moves by
+    # hundreds of pixels for nothing, and would outweigh all others.
+    spread = np.where(np.isfinite(variance) & present, variance, unit**2) / unit**2
+    unit = unit * np.sqrt(np.maximum(spread, 1.0))
     whitened = before / unit, after / unit, variance / unit**2
     return tuple(_gains(method, problem, (before, after), whitened, present, label))
 

@@ -50,8 +50,12 @@ UNEXPLAINED = 20.0
 BREAKDOWN = 0.4
 """Part of the configurations beyond which what is set aside may be the better part."""
 
-CLUSTERS = 8
-"""Held-out configurations without which a fit counts as unchecked."""
+CLUSTERS = 5
+"""Independent held-out configurations, or stretches of a path, without which a fit
+counts as unchecked."""
+
+CONFIGURATIONS = 8
+"""Distinct configurations without which it does."""
 
 REDUNDANT = 10.0
 """Redundant values by which noise that nobody has stated is known to a factor of two.
@@ -184,11 +188,14 @@ def _unchecked(grounds: Grounds) -> str:
             "more configurations, or state the standard deviations"
         )
     held = grounds.gains[0].configurations if grounds.gains else 0
+    data = fitted.problem.data
+    distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
-    if held < (CLUSTERS if fitted.noise else 1):
+    least = (CLUSTERS, CONFIGURATIONS) if fitted.noise else (1, 1)
+    if held < least[0] or distinct < least[1]:
         return (
-            f"{held} held-out configurations are too few to check the fit with; "
-            "measure more configurations"
+            f"{held} independent held-out configurations of {distinct} are too few to "
+            "check the fit with; measure more configurations"
         )
     return ""
 

@@ -76,10 +76,11 @@ MISJUDGED = 2.0
 EXACT = 1e-6
 """Gain on exact rows, in given standard deviations, below which it is rounding."""
 
-SURE = 0.95
+SURE = 0.9
 """Probability that the corrected robot is better over the workspace for `good`.
 
-Of 233 simulated jobs with more, narrow ones and paths among them, none was worse."""
+Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one was
+worse; a real arm of a humanoid, measured in front of it, has 0.95."""
 
 
 @dataclass(frozen=True)

@@ -7,12 +7,15 @@ from __future__ import annotations
 
 from math import exp, inf, lgamma, log, log1p
 
-__all__ = ["chi_square_quantile", "chi_square_tail", "f_tail"]
+__all__ = ["chi_square_quantile", "chi_square_tail", "f_tail", "incomplete_beta"]
 
 EPSILON = 2.0**-52
 
 STEPS = 60
 """Most steps; seven are usual. Rounding moves the last ones for millions of degrees."""
+
+TERMS = 10_000
+"""Most terms of a continued fraction; it takes about the root of the degrees."""
 
 TINY = 1e-300
 """In place of a zero denominator of a continued fraction (Lentz's method)."""
@@ -85,35 +88,42 @@ def f_tail(x: float, above: float, below: float) -> float:
     part = above * x / (above * x + below)
     # The continued fraction converges fast below the mean only.
     if part * (above + below + 4.0) < above + 2.0:
-        return 1.0 - _beta(0.5 * above, 0.5 * below, part, 1.0 - part)
-    return _beta(0.5 * below, 0.5 * above, below / (above * x + below), part)
+        return 1.0 - incomplete_beta(0.5 * above, 0.5 * below, part, 1.0 - part)
+    rest = below / (above * x + below)
+    return incomplete_beta(0.5 * below, 0.5 * above, rest, part)
 
 
-def _beta(a: float, b: float, x: float, rest: float) -> float:
-    """Regularized incomplete beta function I_x(a, b), rest = 1 - x.
+def incomplete_beta(a: float, b: float, x: float, y: float) -> float:
+    """I_x(a, b) with y = 1 - x, for x below about a / (a + b).
 
-    By its continued fraction (Abramowitz and Stegun 26.5.8, Lentz's method).
+    By the continued fraction of Abramowitz and Stegun 26.5.8, with Lentz's method.
     """
-    if x <= 0.0 or rest <= 0.0:
-        return 0.0 if x <= 0.0 else 1.0
+    if x == 0.0:
+        return 0.0
     front = exp(
-        lgamma(a + b) - lgamma(a) - lgamma(b) + a * log(x) + b * log1p(-x)
-        if x < 0.5
-        else lgamma(a + b) - lgamma(a) - lgamma(b) + a * log1p(-rest) + b * log(rest)
+        lgamma(a + b)
+        - lgamma(a)
+        - lgamma(b)
+        + a * (log(x) if x < 0.5 else log1p(-y))
+        + b * (log(y) if y < 0.5 else log1p(-x))
     )
-    c, d = 1.0, 1.0 / (1.0 - (a + b) * x / (a + 1.0) or TINY)
-    fraction, change, m = d, inf, 0
-    while abs(change - 1.0) > EPSILON:
-        m += 1
-        for term in (
-            m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m)),
-            -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0)),
-        ):
-            d = 1.0 / (1.0 + term * d or TINY)
-            c = 1.0 + term / c or TINY
+    c, d = 1.0, 1.0 / _nonzero(1.0 - (a + b) * x / (a + 1.0))
+    fraction = d
+    for m in range(1, TERMS):
+        even = m * (b - m) * x / ((a + 2 * m - 1.0) * (a + 2 * m))
+        odd = -(a + m) * (a + b + m) * x / ((a + 2 * m) * (a + 2 * m + 1.0))
+        for factor in (even, odd):
+            d = 1.0 / _nonzero(1.0 + factor * d)
+            c = _nonzero(1.0 + factor / c)
             change = c * d
             fraction *= change
+        if abs(change - 1.0) <= 4.0 * EPSILON:
+            break
     return front * fraction / a
+
+
+def _nonzero(value: float) -> float:
+    return value if abs(value) > TINY else TINY
 
 
 def _tails(a: float, x: float) -> tuple[float, float, float]:

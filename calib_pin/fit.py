@@ -22,7 +22,7 @@ from calib_pin.evidence import Outlier, VarianceComponent
 from calib_pin.identifiability import Structure, structure
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.posterior import Posterior, posterior
-from calib_pin.problem import Expected, Problem
+from calib_pin.problem import EXACT, Expected, Problem
 from calib_pin.progress import Progress
 from calib_pin.robust import robustly
 from calib_pin.scale import scale_observable
@@ -51,9 +51,6 @@ thousands of rows a thousandth of a standard deviation."""
 
 EXPLAINED = 1e-18
 """Part of the cost of the nominal robot below which everything is explained."""
-
-EXACT = 1e-6
-"""Scatter, in standard deviations, below which rows differ by rounding alone."""
 
 PULL = 0.01
 """Posterior deviations by which a parameter must want to leave its bound inwards: less

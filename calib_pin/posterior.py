@@ -172,7 +172,8 @@ def _held(
 ) -> tuple[Floats, Floats]:
     """What moves, shape (P, k), and the rows of a prior on it, shape (p, P).
 
-    Under a prior all errors of the robot move, as in `shrinkage.posterior`.
+    Under a prior all errors of the robot move, those too that nominal geometry hides:
+    away from it they show a little.
     """
     parameters = problem.parameters
     if size is None:

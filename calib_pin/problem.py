@@ -31,6 +31,9 @@ __all__ = ["Expected", "Problem"]
 SAMPLE = 10_000
 """Rows that a closed-form start is made from; more do not help it."""
 
+EXACT = 1e-6
+"""Scatter, in standard deviations, below which rows differ by rounding alone."""
+
 MANY = 1_000_000
 """Entries of a Jacobian from which rows go through the compiled kernels, in chunks.
 

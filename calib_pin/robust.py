@@ -34,7 +34,7 @@ from calib_pin.consensus import consensus
 from calib_pin.errors import require_known
 from calib_pin.evidence import Outlier
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.problem import SAMPLE, Expected, Problem
+from calib_pin.problem import EXACT, SAMPLE, Expected, Problem
 from calib_pin.spatial import Floats
 from calib_pin.studentized import Studentized, squared_or_infinite, studentized
 
@@ -88,9 +88,6 @@ LONGEST = 0.5
 
 ROUNDING = 1e-13
 """Part of the largest eigenvalue that rounding leaves."""
-
-EXACT = 1e-6
-"""Scatter, in standard deviations, below which rows differ by rounding alone."""
 
 STEPS = 40
 """Most weighted steps; 12 are usual."""

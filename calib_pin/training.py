@@ -151,8 +151,7 @@ def train(
     seed: int,
     progress: Progress | None = None,
     *,
-    alike: Fit | None = None,
-    among: NDArray[np.bool_] | None = None,
+    part_of: tuple[Fit, NDArray[np.bool_]] | None = None,
 ) -> Trained:
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
@@ -162,9 +161,9 @@ def train(
         setup: What is estimated, what is known, what is learned.
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
-        alike: A fit of more rows with the same setup. It knows what gears and
-            compliance do to the robot.
-        among: Which rows of it these are; the fit goes on from it where it can.
+        part_of: A fit of more rows with the same setup, and which of them these are.
+            It knows what gears and compliance do to the robot, and the fit goes on
+            from it where it can.
 
     Raises:
         OptionError: If a name in the setup does not exist.
@@ -183,15 +182,13 @@ def train(
         part = FIT_PART
     rng = np.random.default_rng(seed)
     tell = portion(progress, 0.0, part)
-    fitted = None
-    if alike is not None and among is not None:
-        fitted = refitted(alike, among)
+    fitted = None if part_of is None else refitted(*part_of)
     if fitted is None:
         fitted = fit(make_problem(chain, rows, setup), rng, progress=tell)
-        if alike is None:
+        if part_of is None:
             fitted = with_effects(fitted)
         else:
-            fitted = replace(fitted, effects=alike.effects)
+            fitted = replace(fitted, effects=part_of[0].effects)
     problem, theta = fitted.problem.at(fitted.theta)
     if setup.learned is None:
         return Trained(fitted, problem, theta)
@@ -343,9 +340,8 @@ def cross_validate(
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
         # What the fit of all rows has set aside stays there.
         kept = ~mask & (rows.weight > 0.0)
-        trained = train(
-            chain, rows.rows(kept), setup, seed, tell, alike=alike, among=kept
-        )
+        some = rows.rows(kept)
+        trained = train(chain, some, setup, seed, tell, part_of=(alike, kept))
         try:
             found = trained.unseen(rows.rows(mask), np.flatnonzero(mask))
         except InputError as error:

@@ -23,7 +23,7 @@ from calib_pin.chi_square import chi_square_quantile
 from calib_pin.directions import half_covariance
 from calib_pin.evidence import VarianceComponent
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.problem import Problem
+from calib_pin.problem import EXACT, Problem
 from calib_pin.repetitions import PureError, pure_errors
 from calib_pin.restricted_likelihood import (
     Groups,
@@ -51,9 +51,6 @@ REJECTED = 0.05
 FEW = 2.0
 """Redundancy below which a quantity keeps its given ratio to the others: a variance
 estimated from one value may be anything."""
-
-EXACT = 1e-6
-"""Scatter, in given standard deviations, below which rows differ by rounding alone."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""

@@ -19,6 +19,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.directions import Directions, half_covariance
+from calib_pin.error_model import ErrorModel
 from calib_pin.evidence import VarianceComponent
 from calib_pin.problem import Problem
 from calib_pin.repetitions import repetitions
@@ -61,45 +62,24 @@ class Posterior:
         half = np.column_stack([self.by_noise, self.by_effects])
         return np.asarray(half @ half.T)
 
-    def twists(self, q: Floats) -> Floats:
+    def twists(self, error: ErrorModel, q: Floats, J: Floats) -> Floats:
         """Deviations of the tool as body twists, shape (N, 6, r + S).
 
         The squares of the last axis add up to variances. Frames, the columns 0 to 5 and
         the last six of the error model, count as what they were fitted to be.
 
         Args:
+            error: The error model about its solution, see `Problem.at`.
             q: Joint positions, shape (N, n) [rad, m].
+            J: Body twists there by the parameters about these references, shape
+                (N, 6, p).
         """
-        error = self.problem.error
-        count = len(error.screws)
-        _, J = error.jacobian(q, self.theta[:count])
+        count = J.shape[2]
         parts = [J @ self.by_noise[:count]]
         if self.systematic is not None:
-            moved = self.problem.at(self.theta)[0].error
-            there = self.systematic.twists(moved, q)
+            there = self.systematic.twists(error, q)
             parts.append(J @ self.by_effects[:count] - there)
         return np.concatenate(parts, axis=2)
-
-    def row_variances(self, problem: Problem, theta: Floats) -> Floats:
-        """Expected squares of the whitened residuals of rows not fitted, (N, d).
-
-        Args:
-            problem: The problem with these rows, about the same references and in the
-                same units.
-            theta: Parameter values about these, shape (P,).
-        """
-        shape = len(problem.data), problem.components
-        count = shape[0] * shape[1]
-        _, J = problem.linearize_rows(theta)
-        J = J[:count]
-        squares = np.sum((J @ self.by_noise) ** 2, axis=1)
-        if self.systematic is not None:
-            there = self.systematic.rows(problem, theta)
-            squares += np.sum((J @ self.by_effects - there) ** 2, axis=1)
-        result = squares.reshape(shape)
-        for k, quantity in enumerate(problem.measurement.quantities):
-            result[:, quantity.columns] += self.noise[k]
-        return np.where(np.isfinite(problem.given_sigma), result, 0.0)
 
 
 def posterior(

@@ -151,12 +151,7 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     # Parameters are deviations from references, and so is their covariance.
-    about = fitted.settled
-    deviations = [J @ about.by_noise[:of_error]]
-    if about.systematic is not None:
-        there = about.systematic.twists(error, q)
-        deviations.append(J @ about.by_effects[:of_error] - there)
-    twists = np.concatenate(deviations, axis=2)
+    twists = fitted.settled.twists(error, q, J)
     position, orientation = _deviations(twists)
     alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)

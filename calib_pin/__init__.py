@@ -17,21 +17,22 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from calib_pin.calibration import calibrate, identify
-    from calib_pin.chain import Chain
+    from calib_pin.calibration import calibrate
     from calib_pin.errors import CalibPinError
-    from calib_pin.evaluation import evaluate
     from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
     from calib_pin.io.results import read_calibration, write_urdf
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, robot_file
-    from calib_pin.measurements import Measurements
+    from calib_pin.kinematics.chain import Chain
+    from calib_pin.observations import Measurements
     from calib_pin.planning.plan import plan
     from calib_pin.report.text import format_report
-    from calib_pin.result import CalibrationResult
     from calib_pin.setup import Setup
     from calib_pin.simulation import draw_errors, simulate
+    from calib_pin.validation.assessment import identify
+    from calib_pin.validation.evaluation import evaluate
+    from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
     "CalibPinError",
@@ -58,15 +59,15 @@ __all__ = [
 
 _HOMES = {
     "CalibPinError": "errors",
-    "CalibrationResult": "result",
-    "Chain": "chain",
-    "Measurements": "measurements",
+    "CalibrationResult": "validation.result",
+    "Chain": "kinematics.chain",
+    "Measurements": "observations",
     "Setup": "setup",
     "calibrate": "calibration",
     "draw_errors": "simulation",
-    "evaluate": "evaluation",
+    "evaluate": "validation.evaluation",
     "format_report": "report.text",
-    "identify": "calibration",
+    "identify": "validation.assessment",
     "load_chain": "io.urdf",
     "load_collisions": "io.collision",
     "plan": "planning.plan",

@@ -11,42 +11,39 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.assessment import estimates, fitted_ranks, structural_ranks
-from calib_pin.chain import Chain
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
-from calib_pin.evidence import ExpectedAccuracy, Finding
-from calib_pin.expected_accuracy import expected_accuracy
-from calib_pin.fit import analyze_structure
-from calib_pin.formulation import nominal_problem
-from calib_pin.held_out import Checked, check, counting, split
-from calib_pin.joint_readings import suggest_readings
-from calib_pin.ladder import climb
-from calib_pin.measurements import AT, Measurements
-from calib_pin.plausibility import plausibility
+from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
+from calib_pin.estimation.joint_conventions import suggest_readings
+from calib_pin.estimation.tip_accuracy import tip_accuracy
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import AT, Measurements
 from calib_pin.progress import Progress, Stages, named, portion
-from calib_pin.result import (
+from calib_pin.setup import Setup
+from calib_pin.validation.assessment import estimates, fitted_ranks
+from calib_pin.validation.expected_accuracy import expected_accuracy
+from calib_pin.validation.held_out import Checked, check, counting, split
+from calib_pin.validation.model_selection import climb
+from calib_pin.validation.plausibility import plausibility
+from calib_pin.validation.result import (
     Accuracy,
     CalibratedModel,
     CalibrationResult,
-    Identification,
     QuantityErrors,
     UrdfResult,
 )
-from calib_pin.row_errors import RowErrors
-from calib_pin.setup import Setup
-from calib_pin.splits import FOLDS
-from calib_pin.threads import serial_blas
-from calib_pin.tip_accuracy import tip_accuracy
-from calib_pin.tip_drift import tip_drift
-from calib_pin.training import (
+from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.splits import FOLDS
+from calib_pin.validation.tip_drift import tip_drift
+from calib_pin.validation.training import (
     Trained,
     geometry_alone,
     train,
 )
-from calib_pin.unseen import Unseen
-from calib_pin.verdict import CHECK, Grounds, unexplained, verdict
+from calib_pin.validation.unseen import Unseen
+from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
 
-__all__ = ["calibrate", "identify"]
+__all__ = ["calibrate"]
 
 MEASURED, SAMPLES = 100, 300
 """Configurations at which the tool is predicted, measured ones and others."""
@@ -200,35 +197,6 @@ def calibrate(
 
 
 @serial_blas
-def identify(
-    chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
-) -> Identification:
-    """What a robot measured in one way can reveal, without measurements.
-
-    Args:
-        chain: The nominal chain.
-        model: Name of the measurement model.
-        setup: What is estimated and what is known.
-        seed: Seed of the random configurations.
-
-    Raises:
-        OptionError: If a name does not exist, or the instrument lacks a reference.
-
-    Example:
-        >>> import calib_pin
-        >>> found = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
-        >>> found.identifiability.rank, found.identifiability.everett
-        (34, 34)
-    """
-    problem = nominal_problem(chain, model, setup or Setup())
-    theta = np.zeros(len(problem.parameters))
-    found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
-    parameters, groups = estimates(problem.parameters, found)
-    return Identification(
-        parameters, groups, structural_ranks(problem.parameters, found, chain)
-    )
-
-
 def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
     """Refuse known distances between what no row names.
 

@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, nearest
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Parameter", "ParameterSet", "matching"]
 

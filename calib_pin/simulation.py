@@ -7,14 +7,17 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin.configurations import brought_to_contact, observable_configurations
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.configurations import (
+    brought_to_contact,
+    observable_configurations,
+)
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import assumed_sigma, contact_rows
-from calib_pin.measurements import AT, Measurements
+from calib_pin.observations import AT, Measurements
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
 
 __all__ = ["draw_errors", "simulate"]
 
@@ -89,7 +92,7 @@ def simulate(
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.formulation import nominal_problem
+        >>> from calib_pin.estimation.formulation import nominal_problem
         >>> chain = calib_pin.load_chain("pa10")
         >>> problem = nominal_problem(chain, "position", calib_pin.Setup())
         >>> rng = np.random.default_rng(1)

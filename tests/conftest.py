@@ -27,16 +27,16 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.calibration import calibrate
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.chain import Chain
-from calib_pin.configurations import observable_configurations
 from calib_pin.errors import InputError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain, parse_robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameterizations import frame_pose
-from calib_pin.problem import Problem
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -49,7 +49,7 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.spatial import Floats
+from calib_pin.validation.calibration_record import CalibrationRecord
 
 
 def example_robots() -> list[Path]:

@@ -9,9 +9,9 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.formulation import nominal_problem
-from calib_pin.result import CalibratedModel
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.validation.result import CalibratedModel
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 

@@ -17,14 +17,14 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain, Robot
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import RobotError
 from calib_pin.io.urdf import load_robot
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.position import Position
-from calib_pin.result import CalibratedModel
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibratedModel
 
 ORIGIN = re.compile(rb"<origin\b[^>]*>")
 

@@ -14,8 +14,8 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError, nearest, require_known
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Region, Setup
 from calib_pin.solvers import DifferentialEvolution, Genetic
 

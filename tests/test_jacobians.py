@@ -10,13 +10,13 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
-from calib_pin.problem import Problem
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 
 Equipped = Callable[..., Problem]
 Visited = Callable[..., tuple[Floats, tuple[str, ...]]]

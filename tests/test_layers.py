@@ -3,86 +3,37 @@
 from __future__ import annotations
 
 import ast
+from collections import defaultdict
+from functools import cache
 from pathlib import Path
 
 import pytest
 
 PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
-# Modules and families by layer; a new one is added here.
-LAYERS = (
-    (
-        *("chi_square", "errors", "evidence", "parameters", "progress", "setup"),
-        *("restricted_likelihood", "spatial", "student", "units"),
-    ),
-    (
-        *("camera_pose", "chain", "collision", "contact_registration", "blocks"),
-        *(
-            "kernels",
-            "link_kernels",
-            "measurements",
-            "registration",
-            "row_kernels",
-            "stretches",
-            "threads",
-        ),
-    ),
-    (
-        *("parameterizations", "measurement_models", "error_model", "segments"),
-        *("known_distances", "many_rows"),
-    ),
-    (
-        *("problem", "configurations", "formulation", "population"),
-        *("directions", "identifiability"),
-        *("residual_models", "scale", "solvers"),
-    ),
-    (
-        *("assessment", "calibration", "calibration_record", "causes", "comparison"),
-        *("compensation", "consensus", "evaluation", "expected_accuracy", "fit"),
-        *("gains", "held_out", "inverse_kinematics", "joint_readings", "ladder"),
-        *("moved_instrument", "parameter_changes", "planning", "plausibility"),
-        *("posterior", "predicted", "remedies", "repetitions", "result", "robust"),
-        *(
-            "row_errors",
-            "shrinkage",
-            "simulation",
-            "solve",
-            "stages",
-            "splits",
-            "studentized",
-        ),
-        *("systematic", "tip_accuracy", "tip_drift", "training", "trajectory"),
-        *("unseen", "variance_components", "verdict"),
-    ),
-    ("io", "report", "viewer"),
-    ("cli",),
+ROOMS = (
+    *("errors", "units", "progress", "setup", "kinematics", "compiled", "parameters"),
+    *("observations", "parameterizations", "measurement_models", "solvers"),
+    *("residual_models", "estimation", "validation", "planning", "control"),
+    *("simulation", "calibration", "io", "report", "viewer", "cli"),
 )
-LAYER = {name: k for k, names in enumerate(LAYERS) for name in names}
-# Families and the parts of layer 3 know nothing of each other. The error model is
-# what puts the parameterizations together.
-APART = {
-    "measurement_models",
-    "problem",
-    "directions",
-    "identifiability",
-    "residual_models",
-    "solvers",
-    "io",
-    "report",
-    "viewer",
-}
-SIDEWAYS = {
-    ("error_model", "parameterizations"),
-    ("identifiability", "directions"),
-    ("configurations", "problem"),
-    ("formulation", "problem"),
-    ("known_distances", "measurement_models"),
-    ("many_rows", "measurement_models"),
-    ("population", "problem"),
-    ("scale", "problem"),
-    ("viewer", "io"),
-}
-NUMERICS = 4
+"""The modules and folders of the package, each of which imports only those before."""
+
+MODULES = 10
+"""Modules that the root may hold beside the public names."""
+
+CHAIN = 13
+"""Rooms on the longest way down."""
+
+LINES = 400
+"""Lines of a file; none is longer."""
+
+MEMBERS = 20
+"""Public members of a class; none has more."""
+
+NUMERIC = set(ROOMS[: ROOMS.index("io")])
+"""Rooms that take files, clocks and generators from their callers."""
+
 FORBIDDEN_MODULES = {
     *("builtins", "datetime", "ftplib", "getpass", "glob", "http", "io", "logging"),
     *("multiprocessing", "os", "random", "secrets", "shutil", "socket", "subprocess"),
@@ -100,8 +51,8 @@ FORBIDDEN_METHODS = {
 FILES = sorted(PACKAGE.rglob("*.py"))
 
 
-def home(path: Path) -> str:
-    """Module or family a file belongs to; empty for the package's own `__init__`."""
+def room(path: Path) -> str:
+    """Module or folder a file belongs to; empty for the package's own `__init__`."""
     return path.relative_to(PACKAGE).with_suffix("").parts[0].replace("__init__", "")
 
 
@@ -120,20 +71,20 @@ def imported(tree: ast.AST) -> set[str]:
     return found
 
 
+def room_of(module: str) -> str:
+    """Room of a module of the package; empty for any other and for public names."""
+    parts = module.split(".")
+    return parts[1] if parts[0] == "calib_pin" and len(parts) > 1 else ""
+
+
 def wrong_imports(name: str, tree: ast.AST) -> list[str]:
-    wrong = []
-    for module in sorted(imported(tree)):
-        parts = module.split(".")
-        target = parts[1] if len(parts) > 1 else ""
-        if parts[0] != "calib_pin" or target == name:
-            continue
-        if target not in LAYER:  # The public names hide where they come from.
-            wrong.append(f"{name} imports {module}")
-            continue
-        apart = {name, target} & APART and (name, target) not in SIDEWAYS
-        if LAYER[target] > LAYER[name] or (LAYER[target] == LAYER[name] and apart):
-            wrong.append(f"{name} imports {module}")
-    return wrong
+    """Imports of a room above or beside, or of a public name, by a file of a room."""
+    below = {name, *ROOMS[: ROOMS.index(name)]}
+    return [
+        f"{name} imports {module}"
+        for module in sorted(imported(tree))
+        if module.split(".")[0] == "calib_pin" and room_of(module) not in below
+    ]
 
 
 def side_effects(tree: ast.AST, name: str = "") -> list[str]:
@@ -155,36 +106,91 @@ def side_effects(tree: ast.AST, name: str = "") -> list[str]:
     return found
 
 
+def module(path: Path) -> str:
+    """Full name of the module in a file."""
+    parts = path.relative_to(PACKAGE.parent).with_suffix("").parts
+    return ".".join(parts).removesuffix(".__init__")
+
+
 @pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
 def test_imports_point_down(path: Path) -> None:
-    name, tree = home(path), ast.parse(path.read_text())
+    name, tree = room(path), ast.parse(path.read_text())
     if name == "":
         return  # The public names come from everywhere.
-    assert name in LAYER, f"give the new module '{name}' a layer"
+    assert name in ROOMS, f"give the new room '{name}' its place"
     assert wrong_imports(name, tree) == []
-    if LAYER[name] <= NUMERICS:
-        assert side_effects(tree, name) == []
+    if name in NUMERIC:
+        assert side_effects(tree, path.stem) == []
 
 
-def test_layers_hold_what_exists() -> None:
-    assert {home(path) for path in FILES} - {""} == set(LAYER)
+def test_the_rooms_are_what_exists() -> None:
+    assert {room(path) for path in FILES} - {""} == set(ROOMS)
+    assert len(list(PACKAGE.glob("[!_]*.py"))) <= MODULES
+
+
+def test_no_module_imports_itself_through_others() -> None:
+    modules = {module(path): ast.parse(path.read_text()) for path in FILES}
+    below = {name: imported(tree) & set(modules) for name, tree in modules.items()}
+    done: set[str] = set()
+
+    def descend(name: str, way: tuple[str, ...]) -> None:
+        assert name not in way, " -> ".join((*way[way.index(name) :], name))
+        if name not in done:
+            for other in below[name] - {name}:
+                descend(other, (*way, name))
+            done.add(name)
+
+    for name in set(modules) - {"calib_pin"}:
+        descend(name, ())
+
+
+def test_the_way_down_is_short() -> None:
+    below = defaultdict(set)
+    for path in FILES:
+        found = {room_of(name) for name in imported(ast.parse(path.read_text()))}
+        below[room(path)] |= found - {"", room(path)}
+
+    @cache
+    def depth(name: str) -> int:
+        return 1 + max(map(depth, below[name]), default=0)
+
+    assert max(map(depth, ROOMS)) <= CHAIN
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(PACKAGE)))
+def test_files_and_classes_stay_readable(path: Path) -> None:
+    text = path.read_text()
+    assert text.count("\n") <= LINES
+    for node in ast.walk(ast.parse(text)):
+        if isinstance(node, ast.ClassDef):
+            assert len(public_members(node)) <= MEMBERS, node.name
+
+
+def public_members(node: ast.ClassDef) -> set[str]:
+    """Names of the attributes and methods of a class without an underscore."""
+    found = set()
+    for item in node.body:
+        if isinstance(item, ast.AnnAssign) and isinstance(item.target, ast.Name):
+            found.add(item.target.id)
+        elif isinstance(item, (ast.FunctionDef, ast.AsyncFunctionDef)):
+            found.add(item.name)
+    return {name for name in found if not name.startswith("_")}
 
 
 @pytest.mark.parametrize(
     ("name", "line"),
     [
-        ("chain", "from calib_pin.problem import Problem"),
-        ("spatial", "import calib_pin.chain"),
-        ("solvers", "from calib_pin.problem import Problem"),
-        ("problem", "from calib_pin.solvers import Status"),
-        ("solvers", "from calib_pin import identifiability"),
-        ("identifiability", "def f():\n    from calib_pin.problem import Problem"),
+        ("kinematics", "from calib_pin.estimation.problem import Problem"),
+        ("setup", "import calib_pin.kinematics.chain"),
+        ("solvers", "from calib_pin.estimation.problem import Problem"),
+        ("solvers", "from calib_pin.estimation import identifiability"),
+        ("observations", "def f():\n    from calib_pin.solvers import Status"),
         ("parameterizations", "from calib_pin.measurement_models import Quantity"),
-        ("report", "from calib_pin.io.results import encode"),
+        ("io", "from calib_pin.report.text import format_report"),
         ("io", "import calib_pin.report.text"),
         ("io", "import calib_pin"),
         ("cli", "from calib_pin import calibrate"),
-        ("fit", "if TYPE_CHECKING:\n    from calib_pin.io.files import read_bytes"),
+        ("estimation", "if TYPE_CHECKING:\n    import calib_pin.io.files"),
     ],
 )
 def test_wrong_imports_are_seen(name: str, line: str) -> None:
@@ -214,10 +220,10 @@ def test_side_effects_are_seen(line: str) -> None:
 
 def test_what_is_allowed() -> None:
     for name, line in (
-        ("error_model", "from calib_pin.parameterizations import Screw"),
-        ("parameters", "from calib_pin.spatial import Floats"),
-        ("fit", "from calib_pin.solvers import Status"),
-        ("calibration", "from calib_pin.fit import fit"),
+        ("estimation", "from calib_pin.parameterizations import Screw"),
+        ("parameters", "from calib_pin.kinematics.spatial import Floats"),
+        ("estimation", "from calib_pin.solvers import Status"),
+        ("calibration", "from calib_pin.estimation.fit import fit"),
         ("solvers", "from calib_pin.solvers.gauss_newton import Status"),
         ("cli", "import time"),
     ):

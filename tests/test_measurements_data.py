@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.measurements import LAYOUT, Measurements
+from calib_pin.observations import LAYOUT, Measurements
 
 Q = np.arange(10.0).reshape(5, 2)
 VALUES = np.arange(15.0).reshape(5, 3)

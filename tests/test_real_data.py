@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.setup import DistanceSetup
 
 DATA = Path(

@@ -13,12 +13,12 @@ import pytest
 
 import calib_pin
 from benchmarks.recovery import CASES, FRAMES, Study, Trials
-from calib_pin.fit import analyze_structure, fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation.fit import analyze_structure, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Payload
 from calib_pin.solvers import Status
-from calib_pin.spatial import Floats
 
 CORRECTED = ("placement", "transmission", "compliance")
 RUNS = {

@@ -16,10 +16,10 @@ import yourdfpy
 from numpy.typing import NDArray
 
 from calib_pin.calibration import calibrate
-from calib_pin.chain import Chain
 from calib_pin.io.measurements import read_configurations, read_measurements
 from calib_pin.io.setup import read_setup
 from calib_pin.io.urdf import bundled_robots, load_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations import parameterization
 
 Floats = NDArray[np.float64]

@@ -9,9 +9,10 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem
 from calib_pin.setup import (
     FrameSetup,
     Payload,
@@ -21,7 +22,6 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.spatial import from_quaternion, so3_log
 
 PLANES = {
     "wall": PlaneSetup((0, 1, 4.6), -0.69),

@@ -152,10 +152,10 @@ def calibrate(
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
-    from calib_pin.evidence import TRUSTED
+    from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.staging import write_files
-    from calib_pin.measurements import AT
-    from calib_pin.remedies import as_found, remedies
+    from calib_pin.observations import AT
+    from calib_pin.planning.suggestions import as_found, remedies
     from calib_pin.report.text import report
 
     stated = open_setup(

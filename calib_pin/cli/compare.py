@@ -51,12 +51,12 @@ def compare(
     than three standard deviations. Exit status 2: one of the calibrations must not be
     trusted.
     """
-    from calib_pin.comparison import compare as run
     from calib_pin.io.comparisons import comparison_document
     from calib_pin.io.documents import encode
     from calib_pin.io.records import read_record
     from calib_pin.io.staging import write_files
     from calib_pin.report.comparison_text import comparison_report
+    from calib_pin.validation.comparison import compare as run
 
     files = (first, second)
     for file in files:

@@ -25,9 +25,9 @@ from calib_pin.cli.printing import (
 )
 
 if TYPE_CHECKING:
-    from calib_pin.compensation import Compensation
+    from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
-    from calib_pin.result import CalibratedModel
+    from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["compensate"]
 
@@ -238,9 +238,9 @@ def _run(
 ) -> Compensation:
     from typing import cast
 
-    from calib_pin.compensation import compensate as run
-    from calib_pin.compensation import follow
-    from calib_pin.inverse_kinematics import Frame, Point
+    from calib_pin.control import Frame, Point
+    from calib_pin.control.compensation import compensate as run
+    from calib_pin.control.compensation import follow
 
     if asked.T is None:
         assert asked.q is not None

@@ -56,11 +56,11 @@ def evaluate(
     """
     from dataclasses import asdict, replace
 
-    from calib_pin.chain import Chain
-    from calib_pin.evaluation import evaluate as run
     from calib_pin.io.documents import encode
+    from calib_pin.kinematics.chain import Chain
     from calib_pin.report.accuracy import evaluated
-    from calib_pin.result import CalibratedModel
+    from calib_pin.validation.evaluation import evaluate as run
+    from calib_pin.validation.result import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     subject: Chain | CalibratedModel

@@ -13,10 +13,10 @@ from calib_pin.cli.options import OUTPUT
 from calib_pin.cli.printing import Bar, notice
 
 if TYPE_CHECKING:
-    from calib_pin.comparison import Comparison
     from calib_pin.planning.plan import Plan
     from calib_pin.report.figures import Drawn
-    from calib_pin.result import CalibrationResult
+    from calib_pin.validation.comparison import Comparison
+    from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
     "FigureFormat",

@@ -9,10 +9,10 @@ from typing import TYPE_CHECKING
 from calib_pin.cli.printing import Bar, notice, stage
 
 if TYPE_CHECKING:
-    from calib_pin.chain import Chain
-    from calib_pin.measurements import Measurements
-    from calib_pin.result import CalibratedModel
+    from calib_pin.kinematics.chain import Chain
+    from calib_pin.observations import Measurements
     from calib_pin.setup import Setup
+    from calib_pin.validation.result import CalibratedModel
 
 __all__ = [
     "check_outputs",
@@ -49,13 +49,13 @@ def open_setup(
     from dataclasses import replace
 
     from calib_pin.errors import OptionError, require_known
+    from calib_pin.estimation.robust.weights import LOSSES
+    from calib_pin.estimation.solve import SOLVERS
     from calib_pin.io.models_of_files import check_model
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS
-    from calib_pin.robust import LOSSES
     from calib_pin.setup import Setup
-    from calib_pin.solve import SOLVERS
 
     for option, value in (("--base", base), ("--tip", tip)):
         if value is not None and not value.strip():
@@ -110,9 +110,9 @@ def open_chain(robot: str, setup: Setup) -> Chain:
     Raises:
         RobotError: If the robot or a frame cannot be used.
     """
-    from calib_pin.chain import Chain
     from calib_pin.errors import RobotError
     from calib_pin.io.urdf import load_robot
+    from calib_pin.kinematics.chain import Chain
 
     if robot.endswith(".json"):
         raise RobotError(

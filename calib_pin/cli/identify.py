@@ -54,13 +54,13 @@ def identify(
     from dataclasses import replace
 
     from calib_pin.calibration import calibrate as run
-    from calib_pin.calibration import identify as structural
-    from calib_pin.evidence import TRUSTED
+    from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.documents import encode, identification_document
-    from calib_pin.remedies import as_found, remedies
+    from calib_pin.planning.suggestions import as_found, remedies
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
-    from calib_pin.result import Identification
+    from calib_pin.validation.assessment import identify as structural
+    from calib_pin.validation.result import Identification
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     chain = open_chain(robot, stated)

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 if TYPE_CHECKING:
-    from calib_pin.chain import Chain
+    from calib_pin.kinematics.chain import Chain
 
 __all__ = ["parse_limits"]
 

@@ -44,8 +44,8 @@ from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice, progress_bar, say, say_written, show
 
 if TYPE_CHECKING:
-    from calib_pin.chain import Chain
-    from calib_pin.collision import Collisions
+    from calib_pin.kinematics.chain import Chain
+    from calib_pin.kinematics.collision import Collisions
     from calib_pin.setup import Setup
 
 __all__ = ["plan"]

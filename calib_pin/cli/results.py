@@ -11,11 +11,11 @@ from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.printing import notice
 
 if TYPE_CHECKING:
-    from calib_pin.chain import Robot
     from calib_pin.io.documents import Provenance
-    from calib_pin.remedies import Remedy
+    from calib_pin.kinematics.chain import Robot
+    from calib_pin.planning.suggestions import Remedy
     from calib_pin.report.figures import Drawn
-    from calib_pin.result import CalibrationResult
+    from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
     "Run",

@@ -9,9 +9,9 @@ __all__ = ["robots"]
 
 def robots() -> int:
     """List the bundled robots, whose names can stand for a URDF file."""
-    from calib_pin.chain import Chain
     from calib_pin.cli.printing import show
     from calib_pin.io.urdf import bundled_robots, load_robot
+    from calib_pin.kinematics.chain import Chain
     from calib_pin.report.blocks import Cell, Table, columns
 
     rows = []

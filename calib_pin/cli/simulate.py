@@ -132,7 +132,7 @@ def simulate(
     import numpy as np
 
     from calib_pin.errors import OptionError
-    from calib_pin.formulation import nominal_problem
+    from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.measurements import (
         encode_measurements,
         read_configurations,
@@ -141,9 +141,9 @@ def simulate(
     from calib_pin.io.results import encode_urdf
     from calib_pin.io.staging import write_files
     from calib_pin.io.true_errors import read_true_errors
-    from calib_pin.result import CalibratedModel
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
+    from calib_pin.validation.result import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     measured = require_model(stated)

@@ -28,9 +28,9 @@ from calib_pin.cli.options import (
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
 
 if TYPE_CHECKING:
-    from calib_pin.chain import Chain
-    from calib_pin.result import CalibratedModel
+    from calib_pin.kinematics.chain import Chain
     from calib_pin.setup import Setup
+    from calib_pin.validation.result import CalibratedModel
     from calib_pin.viewer.scene import Rows, Scene
 
 __all__ = ["view"]
@@ -190,7 +190,7 @@ def _rows(
     bar: Bar | None,
 ) -> Rows:
     """Measurements, and the errors of the nominal and of the calibrated robot."""
-    from calib_pin.evaluation import prepared
+    from calib_pin.validation.evaluation import prepared
     from calib_pin.viewer.errors import stage_errors
     from calib_pin.viewer.scene import Rows
 

@@ -7,8 +7,8 @@ from typing import TypeAlias
 
 from numba import njit
 
-from calib_pin.blocks import Indices, compiled
-from calib_pin.spatial import Floats
+from calib_pin.compiled.blocks import Indices, compiled
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["links"]
 

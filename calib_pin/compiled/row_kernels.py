@@ -12,8 +12,8 @@ from math import hypot, sqrt
 
 import numpy as np
 
-from calib_pin.blocks import BLOCK, Indices, compiled
-from calib_pin.spatial import Floats
+from calib_pin.compiled.blocks import BLOCK, Indices, compiled
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["normal_equations", "triangular_factor"]
 

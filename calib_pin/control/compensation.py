@@ -9,7 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.inverse_kinematics import (
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.control import (
     Frame,
     Joints,
     Kinematics,
@@ -19,11 +20,10 @@ from calib_pin.inverse_kinematics import (
     kinematics,
     reach,
 )
+from calib_pin.control.trajectory import tip_errors
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
-from calib_pin.result import CalibratedModel
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
-from calib_pin.trajectory import tip_errors
+from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["Compensation", "compensate", "follow"]
 

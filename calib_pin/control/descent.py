@@ -19,10 +19,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from calib_pin.inverse_kinematics.joints import Booleans, Indices, Solutions
-from calib_pin.inverse_kinematics.system import System, times
-from calib_pin.inverse_kinematics.task import Effort, Task
-from calib_pin.spatial import Floats
+from calib_pin.control.joints import Booleans, Indices, Solutions
+from calib_pin.control.system import System, times
+from calib_pin.control.task import Effort, Task
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["descend"]
 

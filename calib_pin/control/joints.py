@@ -9,8 +9,8 @@ from typing import Any, TypeAlias
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Booleans", "Indices", "Joints", "Kinematics", "Solutions"]
 

@@ -6,9 +6,9 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.inverse_kinematics.descent import descend
-from calib_pin.inverse_kinematics.joints import Joints, Kinematics, Solutions
-from calib_pin.inverse_kinematics.task import (
+from calib_pin.control.descent import descend
+from calib_pin.control.joints import Joints, Kinematics, Solutions
+from calib_pin.control.task import (
     EXACT,
     FULL,
     ROUGH,
@@ -16,7 +16,7 @@ from calib_pin.inverse_kinematics.task import (
     Effort,
     Task,
 )
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["reach", "search"]
 
@@ -65,7 +65,7 @@ def reach(
 
     Example:
         >>> import calib_pin
-        >>> from calib_pin.error_model import ErrorModel
+        >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> chain = calib_pin.load_chain("space6")
         >>> error = ErrorModel.create(chain, [])
         >>> def evaluate(q):
@@ -115,7 +115,7 @@ def search(
 
     Example:
         >>> import calib_pin
-        >>> from calib_pin.error_model import ErrorModel
+        >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> chain = calib_pin.load_chain("space6")
         >>> error = ErrorModel.create(chain, [])
         >>> def evaluate(q):

@@ -6,11 +6,11 @@ from typing import Literal, TypeAlias
 
 import numpy as np
 
-from calib_pin.error_model import ErrorModel
-from calib_pin.inverse_kinematics.joints import Joints, Kinematics, Solutions
-from calib_pin.inverse_kinematics.reaching import search
-from calib_pin.result import CalibratedModel
-from calib_pin.spatial import Floats, adjoint, interpolate, invert
+from calib_pin.control.joints import Joints, Kinematics, Solutions
+from calib_pin.control.reaching import search
+from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["Frame", "Point", "commands", "kinematics"]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.inverse_kinematics.joints import Booleans, Indices
-from calib_pin.spatial import Floats
+from calib_pin.control.joints import Booleans, Indices
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["System", "times"]
 

@@ -6,8 +6,8 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.inverse_kinematics.joints import Indices, Joints, Kinematics
-from calib_pin.spatial import Floats, so3_log
+from calib_pin.control.joints import Indices, Joints, Kinematics
+from calib_pin.kinematics.spatial import Floats, so3_log
 
 __all__ = ["EXACT", "FULL", "ROUGH", "THOROUGH", "Effort", "Task"]
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.spatial import Floats, so3_log
+from calib_pin.kinematics.spatial import Floats, so3_log
 
 __all__ = ["TipErrors", "Trajectory", "tip_errors", "trapezoidal"]
 

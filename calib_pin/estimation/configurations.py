@@ -13,9 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
 
 __all__ = ["brought_to_contact", "observable_configurations"]
 

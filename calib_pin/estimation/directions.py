@@ -11,8 +11,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
-from calib_pin.spatial import Floats
 
 __all__ = [
     "WEAK",

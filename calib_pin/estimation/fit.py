@@ -9,8 +9,9 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.configurations import observable_configurations
-from calib_pin.directions import (
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.directions import (
     Directions,
     half_covariance,
     practical_directions,
@@ -18,22 +19,24 @@ from calib_pin.directions import (
     rounding,
     visible_directions,
 )
-from calib_pin.evidence import Outlier, VarianceComponent
-from calib_pin.identifiability import Structure, structure
+from calib_pin.estimation.evidence import Outlier, VarianceComponent
+from calib_pin.estimation.identifiability import Structure, structure
+from calib_pin.estimation.posterior import Posterior, posterior
+from calib_pin.estimation.problem import EXACT, Expected, Problem
+from calib_pin.estimation.robust.weights import robustly
+from calib_pin.estimation.scale import scale_observable
+from calib_pin.estimation.shrinkage import Evidence, expected_errors
+from calib_pin.estimation.solve import Solver, descend, least_squares, refine
+from calib_pin.estimation.stages import Solution, Stages, judge
+from calib_pin.estimation.statistics.systematic import ROWS, Systematic, systematic
+from calib_pin.estimation.statistics.variance_components import (
+    balanced,
+    variance_components,
+)
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
-from calib_pin.posterior import Posterior, posterior
-from calib_pin.problem import EXACT, Expected, Problem
 from calib_pin.progress import Progress
-from calib_pin.robust import robustly
-from calib_pin.scale import scale_observable
-from calib_pin.shrinkage import Evidence, expected_errors
-from calib_pin.solve import Solver, descend, least_squares, refine
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult, Status
-from calib_pin.spatial import Floats
-from calib_pin.stages import Solution, Stages, judge
-from calib_pin.systematic import ROWS, Systematic, systematic
-from calib_pin.threads import serial_blas
-from calib_pin.variance_components import balanced, variance_components
 
 __all__ = [
     "Fit",

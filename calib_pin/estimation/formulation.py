@@ -8,15 +8,15 @@ from dataclasses import replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import NOTHING, frame_pose
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import matching
-from calib_pin.problem import Problem
 from calib_pin.setup import Setup
 
 __all__ = ["make_problem", "nominal_problem", "restricted"]

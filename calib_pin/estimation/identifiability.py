@@ -18,10 +18,10 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.directions import robot_svd, rounding
+from calib_pin.estimation.directions import robot_svd, rounding
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
-from calib_pin.spatial import Floats
 
 __all__ = [
     "Combination",

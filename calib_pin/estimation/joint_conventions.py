@@ -12,15 +12,15 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.chain import Chain
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.fit import register
-from calib_pin.formulation import make_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.fit import register
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
 
 __all__ = ["Reading", "Suggestion", "suggest_readings"]
 

@@ -13,6 +13,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.features import (
     Anchor,
     Feature,
@@ -21,7 +22,6 @@ from calib_pin.measurement_models.features import (
     slices,
 )
 from calib_pin.setup import DistanceSetup
-from calib_pin.spatial import Floats
 
 __all__ = ["KnownDistances"]
 

@@ -18,13 +18,13 @@ from dataclasses import replace
 
 import numpy as np
 
-from calib_pin import blocks, kernels, row_kernels
-from calib_pin.error_model import ErrorModel
+from calib_pin.compiled import blocks, kernels, row_kernels
+from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.segments import Segments
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MeasurementModel
-from calib_pin.measurements import Measurements
-from calib_pin.segments import Segments
-from calib_pin.spatial import Floats
-from calib_pin.threads import Threads
+from calib_pin.observations import Measurements
+from calib_pin.parameterizations.error_model import ErrorModel
 
 __all__ = ["ManyRows"]
 

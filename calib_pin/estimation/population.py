@@ -8,13 +8,13 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin import kernels
-from calib_pin.blocks import motions
+from calib_pin.compiled import kernels
+from calib_pin.compiled.blocks import motions
+from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.segments import Segments
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
-from calib_pin.problem import Problem
-from calib_pin.segments import Segments
-from calib_pin.spatial import Floats
-from calib_pin.threads import Threads
 
 __all__ = ["PopulationCost"]
 
@@ -35,7 +35,7 @@ class PopulationCost:
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.formulation import nominal_problem
+        >>> from calib_pin.estimation.formulation import nominal_problem
         >>> from calib_pin.setup import Setup
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())

@@ -18,18 +18,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.directions import Directions, half_covariance
-from calib_pin.error_model import ErrorModel
-from calib_pin.evidence import VarianceComponent
-from calib_pin.problem import Problem
-from calib_pin.repetitions import repetitions
-from calib_pin.spatial import Floats
-from calib_pin.systematic import ROWS, Systematic
-from calib_pin.variance_components import (
+from calib_pin.estimation.directions import Directions, half_covariance
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.repetitions import repetitions
+from calib_pin.estimation.statistics.systematic import ROWS, Systematic
+from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     by_quantity,
     current_units,
 )
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
 
 __all__ = ["Posterior", "posterior"]
 

@@ -11,20 +11,20 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError
-from calib_pin.known_distances import KnownDistances
+from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurement_models.features import slices
 from calib_pin.measurement_models.rows import absent, assumed_sigma, relative_rows
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats, adjoint, invert
 
 if TYPE_CHECKING:
-    from calib_pin.many_rows import ManyRows
+    from calib_pin.estimation.many_rows import ManyRows
 
 __all__ = ["Expected", "Problem"]
 
@@ -358,7 +358,7 @@ class Problem:
         size = len(self.data) * self.components * len(self.parameters)
         if size < MANY or not self.error.geometric or self.measurement.relative:
             return None
-        from calib_pin.many_rows import ManyRows
+        from calib_pin.estimation.many_rows import ManyRows
 
         return ManyRows(self.error, self.measurement, self.data, self.sigma)
 

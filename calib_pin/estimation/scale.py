@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 
-from calib_pin.error_model import PoseLinearization
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats, adjoint, invert
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.parameterizations.error_model import PoseLinearization
 
 __all__ = ["growth", "scale_deviation", "scale_observable"]
 

@@ -19,9 +19,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.error_model import ErrorModel, ordered_screws
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import Screw
-from calib_pin.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel, ordered_screws
 
 __all__ = ["Segments"]
 
@@ -96,7 +96,7 @@ class Segments:
         Args:
             theta: Parameter values of the members, shape (S, P).
         """
-        from calib_pin import link_kernels
+        from calib_pin.compiled import link_kernels
 
         result = np.empty((len(theta), *self.constants.shape))
         link_kernels.links(

@@ -15,10 +15,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.directions import Directions, projected
+from calib_pin.estimation.directions import Directions, projected
+from calib_pin.estimation.problem import Expected
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Expected
-from calib_pin.spatial import Floats
 
 __all__ = ["Evidence", "expected_errors", "expected_size"]
 

@@ -12,9 +12,10 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from calib_pin.directions import Directions
 from calib_pin.errors import OptionError, require_known
-from calib_pin.problem import SAMPLE, Problem
+from calib_pin.estimation.directions import Directions
+from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.solvers import (
     DifferentialEvolution,
@@ -25,7 +26,6 @@ from calib_pin.solvers import (
     differential_evolution,
     gauss_newton,
 )
-from calib_pin.spatial import Floats
 
 __all__ = [
     "SOLVERS",
@@ -159,7 +159,7 @@ class Solver:
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
     ) -> Solved:
         """Differential evolution in a box around the nominal robot."""
-        from calib_pin.population import PopulationCost
+        from calib_pin.estimation.population import PopulationCost
 
         scales = problem.parameters.scales
         basis = scales[:, None] * directions.basis

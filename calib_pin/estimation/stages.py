@@ -13,12 +13,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.directions import Directions, appearing, pruned
+from calib_pin.estimation.directions import Directions, appearing, pruned
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import Solved, Solver, descend
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem
-from calib_pin.solve import Solved, Solver, descend
 from calib_pin.solvers import LeastSquaresResult
-from calib_pin.spatial import Floats
 
 __all__ = ["Solution", "Stages", "judge"]
 

@@ -8,11 +8,11 @@ from functools import cached_property
 
 import numpy as np
 
-from calib_pin.directions import visible_nuisances
-from calib_pin.fit import Fit
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.directions import visible_nuisances
+from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["LEVER", "TipAccuracy", "tip_accuracy", "without_frames"]
 

@@ -16,8 +16,8 @@ from typing import Any
 from calib_pin.errors import CalibPinError, InputError
 from calib_pin.io.documents import FORMAT, VERSION, Json, require_format
 from calib_pin.io.files import read_bytes
-from calib_pin.result import Accuracy, QuantityErrors
 from calib_pin.units import DISPLAY
+from calib_pin.validation.result import Accuracy, QuantityErrors
 
 __all__ = ["numbers", "read_document", "reading", "stated_errors", "text"]
 

@@ -12,13 +12,13 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain, Robot
-from calib_pin.collision import Collisions
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.meshes import locate_mesh
 from calib_pin.io.urdf import captured_stderr, locate_robot
 from calib_pin.io.urdf_bytes import parse_document
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
 
 __all__ = ["load_collisions"]

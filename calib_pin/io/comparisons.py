@@ -4,12 +4,12 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.comparison import BOUND, Comparison
 from calib_pin.io.documents import Json
-from calib_pin.parameter_changes import Difference
-from calib_pin.result import Accuracy
-from calib_pin.tip_drift import TipDrift
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.comparison import BOUND, Comparison
+from calib_pin.validation.parameter_changes import Difference
+from calib_pin.validation.result import Accuracy
+from calib_pin.validation.tip_drift import TipDrift
 
 __all__ = ["FORMAT", "VERSION", "comparison_document"]
 

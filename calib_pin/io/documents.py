@@ -12,17 +12,17 @@ from typing import Any
 
 import pinocchio as pin
 
-from calib_pin.assessment import chi2_interval
 from calib_pin.errors import InputError
-from calib_pin.evidence import ExpectedAccuracy
+from calib_pin.estimation.evidence import ExpectedAccuracy
 from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
 from calib_pin.measurement_models.features import Frame
 from calib_pin.planning.plan import Plan
-from calib_pin.remedies import Remedy
-from calib_pin.result import (
+from calib_pin.planning.suggestions import Remedy
+from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.result import (
     Accuracy,
     CalibrationResult,
     CoupledGroup,

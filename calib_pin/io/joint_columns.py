@@ -7,11 +7,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.chain import FREE_TRAVEL, Chain
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import RESERVED
 from calib_pin.io.table import Table
+from calib_pin.kinematics.chain import FREE_TRAVEL, Chain
 from calib_pin.setup import JointMap
 
 __all__ = [

@@ -7,7 +7,6 @@ from collections.abc import Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.io.columns import (
     LENGTH,
     PIXEL,
@@ -25,7 +24,8 @@ from calib_pin.io.orientation_columns import (
     read_quaternions,
 )
 from calib_pin.io.table import Table
-from calib_pin.measurements import AT
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import AT
 
 __all__ = [
     "COMPONENTS",

@@ -15,7 +15,6 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
@@ -36,7 +35,8 @@ from calib_pin.io.measured_columns import (
 from calib_pin.io.models_of_files import check_model, split_by_model
 from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
-from calib_pin.measurements import AT, PLUS, Measurements
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import AT, PLUS, Measurements
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
 

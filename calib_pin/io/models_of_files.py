@@ -21,7 +21,7 @@ from calib_pin.io.measured_columns import (
     SIGMAS,
 )
 from calib_pin.io.table import Table
-from calib_pin.measurements import PLUS
+from calib_pin.observations import PLUS
 
 __all__ = ["check_model", "infer_model", "split_by_model"]
 

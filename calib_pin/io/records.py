@@ -7,8 +7,7 @@ from pathlib import Path
 from reprlib import repr
 from typing import Any
 
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.evidence import VERDICTS
+from calib_pin.estimation.evidence import VERDICTS
 from calib_pin.io.calibration_file import (
     numbers,
     read_document,
@@ -19,7 +18,8 @@ from calib_pin.io.calibration_file import (
 from calib_pin.io.documents import Json
 from calib_pin.io.result_folder import opened
 from calib_pin.io.results import read_calibration
-from calib_pin.result import CalibratedModel, CoupledGroup, ParameterEstimate
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.result import CalibratedModel, CoupledGroup, ParameterEstimate
 
 __all__ = ["read_record"]
 

@@ -18,15 +18,15 @@ from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError
 from calib_pin.io.documents import Json, require_format
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
+from calib_pin.kinematics.chain import Chain
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
-from calib_pin.result import CalibratedModel
+from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["FILE_NAME", "encode_residual_model", "read_residual_model", "reference"]
 

@@ -12,10 +12,9 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.chain import Chain, Robot
-from calib_pin.error_model import ErrorModel
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
-from calib_pin.evidence import TRUSTED
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.calibration_file import (
     numbers,
     read_document,
@@ -36,12 +35,13 @@ from calib_pin.io.result_folder import (
 )
 from calib_pin.io.setup import CONDITIONS, setup_of
 from calib_pin.io.urdf import corrected_urdf, locate_robot, parse_robot
+from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
-from calib_pin.measurements import AT, PART, PLUS
+from calib_pin.observations import AT, PART, PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
-from calib_pin.result import CalibratedModel
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -52,7 +52,7 @@ from calib_pin.setup import (
     SphereSetup,
     Triple,
 )
-from calib_pin.threads import serial_blas
+from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["encode_urdf", "read_accuracy", "read_calibration", "write_urdf"]
 

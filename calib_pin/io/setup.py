@@ -225,7 +225,7 @@ def _check_joints(tree: Tree, setup: Setup) -> None:
 
 
 def _check_names(tree: Tree, setup: Setup) -> None:
-    from calib_pin.measurements import AT
+    from calib_pin.observations import AT
     from calib_pin.parameterizations.compliance import NOTHING
 
     for key in ("planes", "targets", "sockets", "spheres", "anchors"):

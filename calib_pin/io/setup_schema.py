@@ -17,6 +17,8 @@ from pydantic import (
 )
 
 from calib_pin.errors import OptionError
+from calib_pin.estimation.robust.weights import LOSSES
+from calib_pin.estimation.solve import SOLVERS
 from calib_pin.io.instrument_schema import (
     AnchorSection,
     CameraSection,
@@ -47,10 +49,9 @@ from calib_pin.io.workspace_schema import (
 )
 from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.measurements import PLUS
+from calib_pin.observations import PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.robust import LOSSES
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -65,7 +66,6 @@ from calib_pin.setup import (
     SolverSetup,
     SphereSetup,
 )
-from calib_pin.solve import SOLVERS
 from calib_pin.solvers import DifferentialEvolution
 
 __all__ = ["SetupFile", "known_keys"]

@@ -9,7 +9,6 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.errors import OutputError
 from calib_pin.io.joint_columns import (
     JointSource,
@@ -23,8 +22,9 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.orientation_columns import ORIENTATIONS
 from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats, from_quaternion
 from calib_pin.setup import JointMap
-from calib_pin.spatial import Floats, from_quaternion
 
 __all__ = ["Targets", "encode_commands", "read_target_file"]
 

@@ -13,7 +13,6 @@ from pathlib import Path
 
 import pinocchio as pin
 
-from calib_pin.chain import Chain, Robot
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.urdf_bytes import (
@@ -23,6 +22,7 @@ from calib_pin.io.urdf_bytes import (
     parse_document,
     read_origin,
 )
+from calib_pin.kinematics.chain import Chain, Robot
 
 __all__ = [
     "bundled_robots",

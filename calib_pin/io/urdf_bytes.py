@@ -18,7 +18,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OutputError, RobotError, nearest
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = [
     "Document",

@@ -10,12 +10,12 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
 from calib_pin.io.joint_columns import column_values, joint_sources
 from calib_pin.io.measured_columns import COMPONENTS, RELATIVE, RESERVED, VALUES
-from calib_pin.measurements import AT, LAYOUT, PART, Measurements
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import AT, LAYOUT, PART, Measurements
 from calib_pin.setup import JointMap
 
 __all__ = ["column_name", "configuration_columns", "measurement_columns"]

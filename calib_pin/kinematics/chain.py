@@ -19,8 +19,8 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, nearest
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.setup import Payload
-from calib_pin.spatial import Floats, adjoint, invert
 
 __all__ = ["FREE_TRAVEL", "Chain", "Robot"]
 

@@ -14,8 +14,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Collisions"]
 

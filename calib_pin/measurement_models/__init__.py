@@ -8,6 +8,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.errors import OptionError, require_known
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
@@ -37,9 +38,8 @@ from calib_pin.measurement_models.tool_point import (
     named_points,
     split_names,
 )
-from calib_pin.measurements import PLUS
+from calib_pin.observations import PLUS
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 
 __all__ = [
     "MEASUREMENT_MODELS",

@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.features import Feature, slices
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
-from calib_pin.spatial import Floats, skew
 
 __all__ = [
     "Batch",

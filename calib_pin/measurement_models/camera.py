@@ -19,6 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
@@ -36,10 +37,9 @@ from calib_pin.measurement_models.pinhole import (
     turning_radius,
     undistort,
 )
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import CameraSetup, PointSetup, Setup
-from calib_pin.spatial import Floats, invert, skew
 
 __all__ = ["Camera", "CameraModel", "Marker", "camera"]
 

@@ -12,8 +12,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.spatial import Floats, nearest_rotation
-from calib_pin.threads import serial_blas
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.kinematics.spatial import Floats, nearest_rotation
 
 __all__ = ["carried_points", "pose_of_points"]
 

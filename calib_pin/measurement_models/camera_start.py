@@ -17,10 +17,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.camera_pose import carried_points, pose_of_points
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.camera_pose import carried_points, pose_of_points
 from calib_pin.measurement_models.pinhole import NEAR
-from calib_pin.registration import fit_pose, register_poses
-from calib_pin.spatial import Floats
+from calib_pin.measurement_models.registration import fit_pose, register_poses
 
 __all__ = ["Rays"]
 

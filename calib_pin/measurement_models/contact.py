@@ -8,12 +8,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.contact_registration import (
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.contact_registration import (
     Reached,
     register_distances,
     register_touched_plane,
 )
-from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.features import (
     Anchor,
     Feature,
@@ -27,8 +28,7 @@ from calib_pin.measurement_models.tool_point import (
     Touch,
     Touching,
 )
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
 
 __all__ = [
     "PlaneContact",

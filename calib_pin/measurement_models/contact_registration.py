@@ -12,9 +12,9 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.registration import register_plane
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.registration import register_plane
 
 __all__ = [
     "Reached",

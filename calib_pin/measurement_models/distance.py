@@ -9,13 +9,14 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.contact_registration import (
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
+from calib_pin.measurement_models.contact_registration import (
     Reached,
     register_distances,
     register_relative_distances,
 )
-from calib_pin.measurement_models.base import Quantity
-from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
 from calib_pin.measurement_models.features import Anchor, Feature
 from calib_pin.measurement_models.tool_point import (
     Bend,
@@ -26,8 +27,7 @@ from calib_pin.measurement_models.tool_point import (
     split_names,
     tip_points,
 )
-from calib_pin.measurements import AT, Measurements
-from calib_pin.spatial import Floats
+from calib_pin.observations import AT, Measurements
 
 __all__ = ["PointDistance", "RelativeDistance"]
 

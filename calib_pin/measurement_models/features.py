@@ -19,7 +19,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.measurements import Measurements
+from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
     AnchorSetup,
@@ -30,7 +31,6 @@ from calib_pin.setup import (
     SphereSetup,
     Triple,
 )
-from calib_pin.spatial import Floats, so3_exp
 
 __all__ = [
     "Anchor",
@@ -367,7 +367,7 @@ class Frame:
 
     def moved(self, own: Floats) -> Floats:
         """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
-        from calib_pin import link_kernels
+        from calib_pin.compiled import link_kernels
 
         assert self.pose is not None
         reference = self.pose.homogeneous[:3].reshape(1, 12)

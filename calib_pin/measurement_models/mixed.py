@@ -19,6 +19,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
@@ -29,8 +30,7 @@ from calib_pin.measurement_models.base import (
 )
 from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurement_models.mount import Mounted
-from calib_pin.measurements import PART, PLUS, Measurements, rows_by_part
-from calib_pin.spatial import Floats
+from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
 
 __all__ = ["Mixed", "qualified"]
 

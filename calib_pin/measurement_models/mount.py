@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
@@ -19,8 +20,7 @@ from calib_pin.measurement_models.base import (
     References,
 )
 from calib_pin.measurement_models.features import Feature, Frame
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats, adjoint, invert
+from calib_pin.observations import Measurements
 
 __all__ = ["Mounted"]
 

@@ -21,7 +21,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["NEAR", "Image", "distort", "turning_radius", "undistort"]
 

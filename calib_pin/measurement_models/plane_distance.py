@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
@@ -23,10 +24,9 @@ from calib_pin.measurement_models.features import (
     locate,
     turned_planes,
 )
-from calib_pin.measurements import Measurements
-from calib_pin.registration import register_plane
+from calib_pin.measurement_models.registration import register_plane
+from calib_pin.observations import Measurements
 from calib_pin.setup import RangerSetup
-from calib_pin.spatial import Floats, skew
 
 __all__ = ["PlaneDistance"]
 

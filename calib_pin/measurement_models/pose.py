@@ -8,6 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.kinematics.spatial import (
+    Floats,
+    from_quaternion,
+    so3_exp,
+    so3_log,
+    so3_log_derivative,
+    to_quaternion,
+)
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
@@ -17,16 +25,8 @@ from calib_pin.measurement_models.base import (
     rotation_curvature,
     tool_references,
 )
-from calib_pin.measurements import Measurements
-from calib_pin.registration import register_poses
-from calib_pin.spatial import (
-    Floats,
-    from_quaternion,
-    so3_exp,
-    so3_log,
-    so3_log_derivative,
-    to_quaternion,
-)
+from calib_pin.measurement_models.registration import register_poses
+from calib_pin.observations import Measurements
 
 __all__ = ["Pose"]
 

@@ -9,7 +9,9 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.registration import register_points, register_reached
 from calib_pin.measurement_models.tool_point import (
     Bend,
     PointModel,
@@ -17,9 +19,7 @@ from calib_pin.measurement_models.tool_point import (
     placed_tool,
     tip_points,
 )
-from calib_pin.measurements import Measurements
-from calib_pin.registration import register_points, register_reached
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
 
 __all__ = ["Position"]
 

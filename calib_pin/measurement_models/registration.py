@@ -12,8 +12,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.spatial import Floats, nearest_rotation, skew, so3_exp
-from calib_pin.threads import serial_blas
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.kinematics.spatial import Floats, nearest_rotation, skew, so3_exp
 
 __all__ = [
     "UNKNOWN",

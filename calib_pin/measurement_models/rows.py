@@ -7,10 +7,10 @@ from collections.abc import Callable, Mapping, Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import MeasurementModel
 from calib_pin.measurement_models.mixed import Mixed
-from calib_pin.measurements import rows_by_part
-from calib_pin.spatial import Floats
+from calib_pin.observations import rows_by_part
 
 __all__ = ["absent", "assumed_sigma", "contact_rows", "relative_rows"]
 

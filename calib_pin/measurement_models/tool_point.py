@@ -15,8 +15,8 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.contact_registration import Reached
 from calib_pin.errors import InputError, OptionError
+from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
@@ -25,11 +25,11 @@ from calib_pin.measurement_models.base import (
     References,
     rotation_curvature,
 )
+from calib_pin.measurement_models.contact_registration import Reached
 from calib_pin.measurement_models.features import Feature, Point, locate
-from calib_pin.measurements import AT, Measurements
-from calib_pin.registration import fit_pose
+from calib_pin.measurement_models.registration import fit_pose
+from calib_pin.observations import AT, Measurements
 from calib_pin.setup import PointSetup
-from calib_pin.spatial import Floats, skew
 
 __all__ = [
     "Bend",

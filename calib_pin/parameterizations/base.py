@@ -6,9 +6,9 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Protocol
 
-from calib_pin.chain import Chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import Parameter
-from calib_pin.spatial import Floats
 
 __all__ = [
     "ANGLE_SCALE",

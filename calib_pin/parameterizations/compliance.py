@@ -7,12 +7,12 @@ from dataclasses import dataclass, field
 
 import numpy as np
 
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import Factor, Screw, owner
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Payload, Setup
-from calib_pin.spatial import Floats
 
 __all__ = ["NOTHING", "Compliance"]
 

@@ -20,9 +20,9 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.chain import Chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.base import Screw, robot_parameter
-from calib_pin.spatial import Floats, adjoint, invert
 
 __all__ = ["DenavitHartenberg"]
 

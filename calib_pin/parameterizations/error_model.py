@@ -28,7 +28,15 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import (
+    Floats,
+    adjoint,
+    interpolate,
+    interpolated_twists,
+    invert,
+    se3_exp,
+)
 from calib_pin.parameterizations import (
     JointFunctions,
     Screw,
@@ -37,14 +45,6 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
-from calib_pin.spatial import (
-    Floats,
-    adjoint,
-    interpolate,
-    interpolated_twists,
-    invert,
-    se3_exp,
-)
 
 __all__ = ["ErrorModel", "Learned", "PoseLinearization", "ordered_screws"]
 
@@ -188,7 +188,7 @@ class ErrorModel:
 
     Example:
         >>> import numpy as np, calib_pin
-        >>> from calib_pin.error_model import ErrorModel
+        >>> from calib_pin.parameterizations.error_model import ErrorModel
         >>> model = ErrorModel.create(calib_pin.load_chain("space6"), ["placement"])
         >>> T, J = model.jacobian(np.zeros((2, 6)), np.zeros(len(model.parameters)))
         >>> T.shape, J.shape

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
-from calib_pin.chain import Chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.base import Screw, robot_parameter
 
 __all__ = ["JointOffset"]

@@ -6,7 +6,7 @@ from collections.abc import Sequence
 
 import numpy as np
 
-from calib_pin.chain import Chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.base import COMPONENTS, Screw, robot_parameter
 
 __all__ = ["LinkTransform", "Placement"]

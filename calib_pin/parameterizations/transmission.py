@@ -8,11 +8,11 @@ from dataclasses import dataclass, field
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.errors import OptionError, nearest
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import Factor, Screw, owner
 from calib_pin.parameters import Parameter, matching
-from calib_pin.spatial import Floats
 
 __all__ = ["Transmission"]
 

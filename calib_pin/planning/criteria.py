@@ -27,9 +27,9 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.identifiability import observability
+from calib_pin.estimation.identifiability import observability
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, whiten
-from calib_pin.spatial import Floats
 
 __all__ = ["CRITERIA", "Criterion", "Determinant", "Prediction", "Spectral"]
 

@@ -22,7 +22,7 @@ from functools import cached_property
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Information", "Trials", "log_determinants", "products_of", "whiten"]
 

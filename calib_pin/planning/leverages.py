@@ -18,8 +18,8 @@ from copy import copy
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, log_determinants, products_of
-from calib_pin.spatial import Floats
 
 __all__ = ["Leverages"]
 

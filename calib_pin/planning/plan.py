@@ -9,18 +9,20 @@ from functools import partial
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.assessment import estimates, registration_reason
-from calib_pin.chain import Chain
-from calib_pin.collision import Collisions
-from calib_pin.directions import visible_directions, visible_nuisances
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.fit import register, structure_at
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.identifiability import Structure
+from calib_pin.estimation.directions import visible_directions, visible_nuisances
+from calib_pin.estimation.fit import register, structure_at
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.identifiability import Structure
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.rows import assumed_sigma
-from calib_pin.measurements import PLUS, Measurements
+from calib_pin.observations import PLUS, Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
@@ -29,12 +31,10 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
 from calib_pin.planning.workspace import Candidates, Workspace
-from calib_pin.problem import Problem
-from calib_pin.result import CoupledGroup, ParameterEstimate
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
+from calib_pin.validation.assessment import estimates, registration_reason
+from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
 __all__ = ["CRITERION_NAMES", "Plan", "Step", "identification", "plan"]
 

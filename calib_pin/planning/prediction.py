@@ -6,11 +6,11 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.directions import WEAK, Directions
+from calib_pin.estimation.directions import WEAK, Directions
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.information import Information
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.spatial import Floats
 
 __all__ = ["Predicted", "TipTests", "predict"]
 

@@ -22,12 +22,12 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.error_model import PoseLinearization
 from calib_pin.errors import OptionError
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel, MeasurementModel
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
+from calib_pin.parameterizations.error_model import PoseLinearization
 
 __all__ = ["IdentificationRows", "Pullback", "Rows"]
 

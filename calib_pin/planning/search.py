@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, require_known
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion
 from calib_pin.planning.information import Information
 from calib_pin.planning.rows import Rows
@@ -29,7 +30,6 @@ from calib_pin.solvers import (
     particle_swarm,
     projected_descent,
 )
-from calib_pin.spatial import Floats
 
 __all__ = ["METHODS", "Found", "Search"]
 

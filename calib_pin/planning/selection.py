@@ -7,10 +7,10 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import Criterion, Determinant
 from calib_pin.planning.information import Information
 from calib_pin.planning.leverages import Leverages
-from calib_pin.spatial import Floats
 
 __all__ = ["DeterminantSelection", "Selection", "selection"]
 

@@ -9,16 +9,16 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.calibration import identify
-from calib_pin.chain import Chain
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
-from calib_pin.formulation import nominal_problem, restricted
+from calib_pin.estimation.formulation import nominal_problem, restricted
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.features import Frame
-from calib_pin.measurements import PLUS
+from calib_pin.observations import PLUS
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.result import CalibratedModel, Identification
 from calib_pin.setup import Setup
-from calib_pin.threads import serial_blas
+from calib_pin.validation.assessment import identify
+from calib_pin.validation.result import CalibratedModel, Identification
 
 __all__ = ["Remedy", "as_found", "remedies"]
 

@@ -9,11 +9,11 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.collision import Collisions
 from calib_pin.errors import InputError, OptionError, RobotError, nearest
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import matching
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
 
 __all__ = ["Candidates", "Workspace"]
 

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.evidence import TRUSTED
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
@@ -18,9 +18,9 @@ from calib_pin.report.tables import (
     sizes,
 )
 from calib_pin.report.trust import advised, set_aside
-from calib_pin.result import CalibrationResult, Evaluation
-from calib_pin.training import BEYOND
 from calib_pin.units import DISPLAY
+from calib_pin.validation.result import CalibrationResult, Evaluation
+from calib_pin.validation.training import BEYOND
 
 __all__ = [
     "accuracy",

@@ -7,13 +7,13 @@ from collections.abc import Iterator, Sequence
 
 import numpy as np
 
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.comparison import BOUND, Comparison
-from calib_pin.parameter_changes import Difference
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import SIZES, listed, number, quantity
-from calib_pin.result import Accuracy
 from calib_pin.units import DISPLAY
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.comparison import BOUND, Comparison
+from calib_pin.validation.parameter_changes import Difference
+from calib_pin.validation.result import Accuracy
 
 __all__ = ["accuracies", "parameter_changes", "tip_differences"]
 

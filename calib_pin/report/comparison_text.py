@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.comparison import Comparison
 from calib_pin.report.accuracy import judged
 from calib_pin.report.blocks import Block, Facts, Line
 from calib_pin.report.comparison_tables import (
@@ -15,6 +13,8 @@ from calib_pin.report.comparison_tables import (
 )
 from calib_pin.report.tables import number
 from calib_pin.units import DISPLAY
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.comparison import Comparison
 
 __all__ = ["comparison_report"]
 

@@ -7,11 +7,11 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.chain import Chain
-from calib_pin.compensation import Compensation
+from calib_pin.control.compensation import Compensation
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
 from calib_pin.report.tables import number, quantity
-from calib_pin.spatial import Floats
 from calib_pin.units import DISPLAY
 
 __all__ = ["accuracy_lines", "compensation_report", "line_list"]

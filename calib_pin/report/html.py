@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from calib_pin.remedies import Remedy
+from calib_pin.planning.suggestions import Remedy
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.figures import Drawn
@@ -29,8 +29,8 @@ from calib_pin.report.tables import (
     quantity,
 )
 from calib_pin.report.trust import expected, findings, noise, percent
-from calib_pin.result import CalibrationResult
 from calib_pin.units import DISPLAY
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["html_report"]
 

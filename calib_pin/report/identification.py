@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from calib_pin.remedies import Remedy
+from calib_pin.planning.suggestions import Remedy
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
 from calib_pin.report.tables import (
     ESTIMATE,
@@ -14,7 +14,7 @@ from calib_pin.report.tables import (
     number,
     parameter_table,
 )
-from calib_pin.result import CoupledGroup, Identification
+from calib_pin.validation.result import CoupledGroup, Identification
 
 __all__ = ["identified", "of_place", "ranks", "remedied", "unknown"]
 

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.assessment import chi2_interval
 from calib_pin.report.blocks import Block, Facts, Line, Names
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["correlated", "statistics"]
 

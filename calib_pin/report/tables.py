@@ -6,7 +6,8 @@ import math
 from collections.abc import Iterator, Sequence
 
 from calib_pin.report.blocks import Cell, Column, Names, Table, columns
-from calib_pin.result import (
+from calib_pin.units import DISPLAY
+from calib_pin.validation.result import (
     Accuracy,
     CalibrationResult,
     CoupledGroup,
@@ -16,7 +17,6 @@ from calib_pin.result import (
     QuantityErrors,
     Rung,
 )
-from calib_pin.units import DISPLAY
 
 __all__ = [
     "ESTIMATE",

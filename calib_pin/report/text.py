@@ -4,7 +4,8 @@ from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
 
-from calib_pin.remedies import Remedy
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.planning.suggestions import Remedy
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.identification import identified
@@ -12,8 +13,7 @@ from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import expected, findings, noise, outliers
-from calib_pin.result import CalibrationResult
-from calib_pin.threads import serial_blas
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["format_report", "report"]
 

@@ -5,11 +5,16 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib_pin.evidence import ExpectedAccuracy, Finding, Outlier, VarianceComponent
+from calib_pin.estimation.evidence import (
+    ExpectedAccuracy,
+    Finding,
+    Outlier,
+    VarianceComponent,
+)
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import significant
-from calib_pin.result import CalibrationResult
 from calib_pin.units import DISPLAY
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
     "advised",

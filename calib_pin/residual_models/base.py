@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.region import TrainedRegion
-from calib_pin.spatial import Floats
 
 __all__ = [
     "INDEPENDENT",

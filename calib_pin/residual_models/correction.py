@@ -4,8 +4,8 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.base import ResidualModel, Space
-from calib_pin.spatial import Floats
 
 __all__ = ["LearnedCorrection"]
 

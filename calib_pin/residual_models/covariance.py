@@ -19,9 +19,9 @@ from typing import Any
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.documents import checked, numbers
 from calib_pin.residual_models.region import PIECE
-from calib_pin.spatial import Floats
 
 __all__ = ["Covariance"]
 

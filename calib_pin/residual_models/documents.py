@@ -7,7 +7,7 @@ from typing import Any
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["checked", "numbers", "stated"]
 

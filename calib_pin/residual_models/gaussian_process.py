@@ -18,7 +18,9 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
@@ -30,8 +32,6 @@ from calib_pin.residual_models.base import (
 from calib_pin.residual_models.covariance import Covariance
 from calib_pin.residual_models.documents import checked, numbers, stated
 from calib_pin.residual_models.region import PIECE, TrainedRegion
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
 
 __all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
 

@@ -9,9 +9,9 @@ from scipy.optimize import Bounds, minimize
 from sklearn.gaussian_process import GaussianProcessRegressor
 from sklearn.gaussian_process.kernels import Kernel
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.covariance import Covariance
-from calib_pin.spatial import Floats
 
 __all__ = ["most_likely"]
 

@@ -9,6 +9,8 @@ from typing import Any
 
 import numpy as np
 
+from calib_pin.compiled.threads import Threads, serial_blas
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
@@ -21,8 +23,6 @@ from calib_pin.residual_models.documents import checked, numbers
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.training import Member
 from calib_pin.residual_models.units import Inputs, Weights, combined, series
-from calib_pin.spatial import Floats
-from calib_pin.threads import Threads, serial_blas
 
 __all__ = ["Network", "NetworkOptions", "fit_network"]
 

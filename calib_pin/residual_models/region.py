@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.documents import checked, numbers
-from calib_pin.spatial import Floats
 
 __all__ = ["PIECE", "Angles", "TrainedRegion"]
 

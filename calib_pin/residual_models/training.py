@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.base import INDEPENDENT, TrainingRows
 from calib_pin.residual_models.units import (
     Inputs,
@@ -21,7 +22,6 @@ from calib_pin.residual_models.units import (
     combined,
     unit_columns,
 )
-from calib_pin.spatial import Floats
 
 __all__ = ["Member"]
 

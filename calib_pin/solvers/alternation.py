@@ -16,9 +16,9 @@ from dataclasses import replace
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.gauss_newton import LeastSquaresResult, gauss_newton
 from calib_pin.solvers.status import Status
-from calib_pin.spatial import Floats
 
 __all__ = ["alternation"]
 

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Box"]
 

@@ -32,6 +32,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from calib_pin.errors import require_known
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
     Booleans,
@@ -55,7 +56,6 @@ from calib_pin.solvers.options import (
     Limits,
     require_numbers,
 )
-from calib_pin.spatial import Floats
 
 __all__ = ["STRATEGIES", "DifferentialEvolution", "differential_evolution"]
 

@@ -21,9 +21,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.status import Status
-from calib_pin.spatial import Floats
 
 __all__ = [
     "Callback",

@@ -18,8 +18,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.status import Status
-from calib_pin.spatial import Floats
 
 __all__ = ["LeastSquaresResult", "gauss_newton"]
 

@@ -29,6 +29,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import Booleans, Indices, Rng, below, evaluate
 from calib_pin.solvers.options import (
     FRACTION,
@@ -38,7 +39,6 @@ from calib_pin.solvers.options import (
     require_numbers,
 )
 from calib_pin.solvers.status import Status
-from calib_pin.spatial import Floats
 
 __all__ = ["Genetic", "SelectionResult", "genetic_selection"]
 

@@ -38,11 +38,11 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import Booleans
 from calib_pin.solvers.options import LIMIT, TOLERANCE, require_numbers
 from calib_pin.solvers.status import Status
-from calib_pin.spatial import Floats
 
 __all__ = ["DescentResult", "projected_descent"]
 

@@ -8,8 +8,8 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import Indices, Rng, below, crossing
-from calib_pin.spatial import Floats
 
 __all__ = ["LShade"]
 

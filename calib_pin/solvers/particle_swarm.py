@@ -52,6 +52,7 @@ from numbers import Integral, Real
 import numpy as np
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
     Callback,
@@ -70,7 +71,6 @@ from calib_pin.solvers.options import (
     Limits,
     require_numbers,
 )
-from calib_pin.spatial import Floats
 
 __all__ = ["ParticleSwarm", "particle_swarm"]
 

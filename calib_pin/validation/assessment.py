@@ -8,26 +8,30 @@ from typing import Protocol
 
 import numpy as np
 
-from calib_pin.chain import Chain
-from calib_pin.chi_square import chi_square_quantile
-from calib_pin.directions import Directions
-from calib_pin.fit import Fit
-from calib_pin.identifiability import Structure, everett_count, observability
+from calib_pin.estimation.directions import Directions
+from calib_pin.estimation.fit import Fit, analyze_structure
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.identifiability import Structure, everett_count, observability
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
-from calib_pin.problem import Problem
-from calib_pin.result import (
+from calib_pin.setup import Setup
+from calib_pin.solvers import LeastSquaresResult
+from calib_pin.validation.result import (
     CoupledGroup,
     Identifiability,
+    Identification,
     ParameterEstimate,
 )
-from calib_pin.solvers import LeastSquaresResult
-from calib_pin.spatial import Floats
 
 __all__ = [
     "Estimated",
     "chi2_interval",
     "estimates",
     "fitted_ranks",
+    "identify",
     "registration_reason",
     "structural_ranks",
 ]
@@ -37,6 +41,35 @@ CORRELATED = 0.95
 
 WEAK_PART = 0.1
 """Part of a parameter in directions left at nominal from which it counts as weak."""
+
+
+def identify(
+    chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
+) -> Identification:
+    """What a robot measured in one way can reveal, without measurements.
+
+    Args:
+        chain: The nominal chain.
+        model: Name of the measurement model.
+        setup: What is estimated and what is known.
+        seed: Seed of the random configurations.
+
+    Raises:
+        OptionError: If a name does not exist, or the instrument lacks a reference.
+
+    Example:
+        >>> import calib_pin
+        >>> found = calib_pin.identify(calib_pin.load_chain("pa10"), "pose")
+        >>> found.identifiability.rank, found.identifiability.everett
+        (34, 34)
+    """
+    problem = nominal_problem(chain, model, setup or Setup())
+    theta = np.zeros(len(problem.parameters))
+    found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
+    parameters, groups = estimates(problem.parameters, found)
+    return Identification(
+        parameters, groups, structural_ranks(problem.parameters, found, chain)
+    )
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:

@@ -5,8 +5,8 @@ from __future__ import annotations
 from dataclasses import dataclass
 from functools import cached_property
 
-from calib_pin.evidence import TRUSTED
-from calib_pin.result import (
+from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.validation.result import (
     CalibratedModel,
     CoupledGroup,
     ParameterEstimate,

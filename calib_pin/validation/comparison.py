@@ -9,17 +9,17 @@ from dataclasses import dataclass
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.calibration_record import CalibrationRecord
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.parameter_changes import (
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.parameter_changes import (
     Difference,
     differences,
     known_alone,
     sums_alone,
 )
-from calib_pin.result import CalibratedModel
-from calib_pin.threads import serial_blas
-from calib_pin.tip_drift import TipDrift, tip_drift
+from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.tip_drift import TipDrift, tip_drift
 
 __all__ = ["BOUND", "Comparison", "Displacement", "compare"]
 

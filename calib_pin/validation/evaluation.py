@@ -6,18 +6,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.assessment import registration_reason
-from calib_pin.chain import Chain
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.fit import register
-from calib_pin.formulation import make_problem
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.result import Accuracy, CalibratedModel, Evaluation
+from calib_pin.estimation.fit import register
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
-from calib_pin.unseen import placed
+from calib_pin.validation.assessment import registration_reason
+from calib_pin.validation.result import Accuracy, CalibratedModel, Evaluation
+from calib_pin.validation.unseen import placed
 
 __all__ = ["Prepared", "evaluate", "prepared"]
 

@@ -12,11 +12,11 @@ from math import erf
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.evidence import ExpectedAccuracy
-from calib_pin.fit import Fit
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.tip_accuracy import without_frames
+from calib_pin.estimation.evidence import ExpectedAccuracy
+from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import without_frames
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["expected_accuracy"]
 

@@ -13,15 +13,15 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.directions import half_covariance, visible_nuisances
-from calib_pin.evidence import Gain
-from calib_pin.fit import Fit
-from calib_pin.measurements import Measurements
-from calib_pin.predicted import press
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.student import student_tail
-from calib_pin.unseen import Unseen
+from calib_pin.estimation.directions import half_covariance, visible_nuisances
+from calib_pin.estimation.evidence import Gain
+from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.student import student_tail
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
+from calib_pin.validation.predicted import press
+from calib_pin.validation.unseen import Unseen
 
 __all__ = ["ALL", "PRESS", "gains", "press_check"]
 

@@ -13,18 +13,24 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError
-from calib_pin.evidence import Finding, Gain
-from calib_pin.fit import Fit
-from calib_pin.gains import PRESS, gains, press_check
-from calib_pin.measurements import Measurements
-from calib_pin.moved_instrument import FEWEST, as_it_stands
+from calib_pin.estimation.evidence import Finding, Gain
+from calib_pin.estimation.fit import Fit
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import Measurements
 from calib_pin.progress import Stages
 from calib_pin.setup import Setup
-from calib_pin.splits import clusters, folds, groups, shuffled_groups, validation_name
-from calib_pin.training import Trained, cross_validate
-from calib_pin.unseen import Unseen
+from calib_pin.validation.gains import PRESS, gains, press_check
+from calib_pin.validation.moved_instrument import FEWEST, as_it_stands
+from calib_pin.validation.splits import (
+    clusters,
+    folds,
+    groups,
+    shuffled_groups,
+    validation_name,
+)
+from calib_pin.validation.training import Trained, cross_validate
+from calib_pin.validation.unseen import Unseen
 
 __all__ = ["Checked", "check", "counting", "split"]
 

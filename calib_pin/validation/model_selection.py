@@ -15,20 +15,20 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.chain import Chain
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest
-from calib_pin.held_out import counting
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.parameters import matching
-from calib_pin.problem import Problem
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.result import Ladder, Rung
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
-from calib_pin.splits import FOLDS, clusters, folds
-from calib_pin.threads import serial_blas
-from calib_pin.training import (
+from calib_pin.validation.held_out import counting
+from calib_pin.validation.result import Ladder, Rung
+from calib_pin.validation.splits import FOLDS, clusters, folds
+from calib_pin.validation.training import (
     BEYOND,
     Trained,
     cross_validate,
@@ -36,7 +36,7 @@ from calib_pin.training import (
     train,
     with_parameters,
 )
-from calib_pin.unseen import Unseen
+from calib_pin.validation.unseen import Unseen
 
 __all__ = ["Climbed", "climb"]
 

@@ -10,12 +10,12 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.evidence import Finding
-from calib_pin.problem import SAMPLE, Problem
-from calib_pin.solve import least_squares
-from calib_pin.spatial import Floats
-from calib_pin.training import Trained
-from calib_pin.unseen import Unseen, placed
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.estimation.solve import least_squares
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.validation.training import Trained
+from calib_pin.validation.unseen import Unseen, placed
 
 __all__ = ["Stand", "as_it_stands"]
 

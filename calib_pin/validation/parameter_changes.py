@@ -6,8 +6,8 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from calib_pin.calibration_record import CalibrationRecord
-from calib_pin.result import CoupledGroup, ParameterEstimate
+from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
 __all__ = ["Difference", "differences", "known_alone", "sums_alone"]
 

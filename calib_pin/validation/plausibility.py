@@ -19,15 +19,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.directions import half_covariance, projected
-from calib_pin.evidence import Finding
-from calib_pin.fit import Fit, analyze_structure
-from calib_pin.known_distances import KnownDistances
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.directions import half_covariance, projected
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fit import Fit, analyze_structure
+from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.estimation.scale import growth
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
-from calib_pin.scale import growth
 from calib_pin.setup import DistanceSetup
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
 from calib_pin.units import DISPLAY
 
 __all__ = ["plausibility"]

@@ -8,11 +8,11 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.fit import Fit
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.studentized import spectrum
-from calib_pin.threads import serial_blas
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.robust.studentized import spectrum
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["predicted_variance", "press"]
 

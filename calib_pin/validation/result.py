@@ -8,25 +8,25 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
-from calib_pin.evidence import (
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
     Gain,
     Outlier,
     VarianceComponent,
 )
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import TipAccuracy
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MeasurementModel
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.observations import Measurements
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
-from calib_pin.tip_accuracy import TipAccuracy
+from calib_pin.validation.row_errors import RowErrors
 
 __all__ = [
     "Accuracy",

@@ -6,10 +6,10 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
 
 __all__ = ["RowErrors"]
 

@@ -8,10 +8,10 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.fit import Fit
-from calib_pin.measurements import AT, PART, Measurements
+from calib_pin.estimation.fit import Fit
+from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
-from calib_pin.stretches import stretches
+from calib_pin.validation.stretches import stretches
 
 __all__ = [
     "FOLDS",

@@ -9,8 +9,8 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 
 __all__ = ["stretches"]
 

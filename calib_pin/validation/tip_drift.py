@@ -6,11 +6,11 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.tip_accuracy import LEVER
+from calib_pin.kinematics.spatial import Floats, invert, se3_exp, skew, so3_log
 from calib_pin.parameterizations import NOTHING
-from calib_pin.result import Accuracy, CalibratedModel
-from calib_pin.spatial import Floats, invert, se3_exp, skew, so3_log
-from calib_pin.threads import serial_blas
-from calib_pin.tip_accuracy import LEVER
+from calib_pin.validation.result import Accuracy, CalibratedModel
 
 __all__ = ["TipDrift", "absorbed", "tip_drift"]
 

@@ -13,14 +13,15 @@ from functools import partial
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain
-from calib_pin.directions import visible_nuisances
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.fit import Fit, fit, refitted, with_effects
-from calib_pin.formulation import make_problem, restricted
-from calib_pin.measurements import Measurements
-from calib_pin.predicted import predicted_variance
-from calib_pin.problem import Problem
+from calib_pin.estimation.directions import visible_nuisances
+from calib_pin.estimation.fit import Fit, fit, refitted, with_effects
+from calib_pin.estimation.formulation import make_problem, restricted
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
@@ -29,11 +30,10 @@ from calib_pin.residual_models import (
     Space,
     TrainingRows,
 )
-from calib_pin.result import FoundDistance
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
-from calib_pin.threads import serial_blas
-from calib_pin.unseen import Unseen, found_distances, placed
+from calib_pin.validation.predicted import predicted_variance
+from calib_pin.validation.result import FoundDistance
+from calib_pin.validation.unseen import Unseen, found_distances, placed
 
 __all__ = [
     "BEYOND",

@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.known_distances import KnownDistances
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.result import FoundDistance
-from calib_pin.solve import least_squares
-from calib_pin.spatial import Floats
+from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import least_squares
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
+from calib_pin.validation.result import FoundDistance
 
 __all__ = ["Unseen", "found_distances", "placed"]
 

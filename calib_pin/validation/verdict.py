@@ -10,13 +10,18 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.chi_square import chi_square_quantile, f_tail
-from calib_pin.evidence import ExpectedAccuracy, Finding, Gain, VarianceComponent
-from calib_pin.fit import Fit
-from calib_pin.gains import PRESS
+from calib_pin.estimation.evidence import (
+    ExpectedAccuracy,
+    Finding,
+    Gain,
+    VarianceComponent,
+)
+from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.statistics.chi_square import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.result import QuantityErrors
 from calib_pin.units import DISPLAY
+from calib_pin.validation.gains import PRESS
+from calib_pin.validation.result import QuantityErrors
 
 __all__ = ["CHECK", "Grounds", "unexplained", "verdict"]
 

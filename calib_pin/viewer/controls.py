@@ -7,7 +7,7 @@ import threading
 from collections.abc import Callable
 from typing import TYPE_CHECKING, Any
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.viewer.colors import RGB, css, gradient
 
 if TYPE_CHECKING:

@@ -8,7 +8,7 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.spatial import Floats, to_quaternion
+from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.colors import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
 from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.scene import Body, Rows

@@ -8,11 +8,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.evaluation import Prepared
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MeasurementModel, Mixed
 from calib_pin.measurement_models.tool_point import PointModel
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
+from calib_pin.validation.evaluation import Prepared
 
 __all__ = ["ErrorSizes", "StageErrors", "stage_errors"]
 

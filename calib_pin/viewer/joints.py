@@ -6,7 +6,7 @@ import math
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.viewer.controls import Controls, put
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage

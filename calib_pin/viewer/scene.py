@@ -13,13 +13,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chain import Chain, Robot
-from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import edit_origins, parse_robot
-from calib_pin.measurements import Measurements
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import NOTHING
-from calib_pin.result import CalibratedModel
-from calib_pin.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.validation.result import CalibratedModel
 from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.shapes import Shape
 from calib_pin.viewer.skeleton import Skeleton

@@ -10,11 +10,11 @@ from xml.etree.ElementTree import Element, fromstring
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.chain import Robot
 from calib_pin.errors import InputError
 from calib_pin.io.meshes import locate_mesh, read_mesh
 from calib_pin.io.urdf import locate_robot
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.viewer.surfaces import Surface, ball, box, capsule, creased, cylinder
 
 __all__ = ["Shape", "Shapes", "robot_shapes"]

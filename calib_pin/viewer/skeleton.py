@@ -8,8 +8,8 @@ from xml.etree import ElementTree
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.chain import Robot
-from calib_pin.spatial import Floats, invert
+from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.spatial import Floats, invert
 
 __all__ = ["Skeleton"]
 

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.viewer.drawings import RobotDrawing, RowsDrawing, draw_path
 from calib_pin.viewer.scene import Scene, floor_height
 

@@ -14,9 +14,9 @@ from scipy.optimize import least_squares
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.chain import Chain
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
 
 __all__ = ["commands", "fit_talos", "jacobian"]

@@ -8,15 +8,15 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.chain import Chain
-from calib_pin.compensation import compensate
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.control.compensation import compensate
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS
-from calib_pin.result import CalibratedModel
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibratedModel
 
 __all__ = ["main"]
 

@@ -15,12 +15,12 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
-from calib_pin.spatial import Floats
 
 __all__ = ["main"]
 

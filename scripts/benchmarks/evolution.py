@@ -25,13 +25,13 @@ from scipy import optimize
 
 import calib_pin
 from benchmarks.ranger import Ranger
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import gauss_newton
-from calib_pin.spatial import Floats
 
 __all__ = ["main", "ranger_problem"]
 

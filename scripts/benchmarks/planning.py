@@ -8,15 +8,15 @@ import numpy as np
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.collision import load_collisions
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Lazy, Spectral
 from calib_pin.planning.information import Information
 from calib_pin.planning.plan import identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
 
 __all__ = ["main"]
 

@@ -23,12 +23,12 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 import calib_pin
 from benchmarks.evolution import ranger_problem
 from benchmarks.report import page_of, scatter_of
-from calib_pin.compensation import compensate
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.measurements import Measurements
-from calib_pin.result import CalibrationResult
+from calib_pin.control.compensation import compensate
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup, SolverSetup
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["RACES", "Race"]
 

@@ -9,9 +9,9 @@ from __future__ import annotations
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.plane_distance import Plane
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
 
 __all__ = ["Ranger"]
 

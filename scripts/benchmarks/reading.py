@@ -17,7 +17,7 @@ from pathlib import Path
 import numpy as np
 
 import calib_pin
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 
 __all__ = ["main"]
 

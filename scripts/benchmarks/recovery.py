@@ -15,10 +15,11 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
-from calib_pin.configurations import observable_configurations
-from calib_pin.fit import Fit, analyze_structure, fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.fit import Fit, analyze_structure, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -29,7 +30,6 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.spatial import Floats
 
 __all__ = ["CASES", "FRAMES", "Case", "Study", "Trials", "main"]
 

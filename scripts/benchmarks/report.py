@@ -14,13 +14,13 @@ from matplotlib.figure import Figure
 
 import calib_pin
 from benchmarks.timing import best, show
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document
-from calib_pin.remedies import as_found, remedies
+from calib_pin.planning.suggestions import as_found, remedies
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
-from calib_pin.result import CalibrationResult
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["main", "page_of", "scatter_of"]
 

@@ -28,12 +28,12 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best
-from calib_pin.formulation import nominal_problem
-from calib_pin.many_rows import ManyRows
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.many_rows import ManyRows
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
 
 __all__ = ["main"]
 

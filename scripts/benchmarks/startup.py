@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, Setup
 
 __all__ = ["main"]

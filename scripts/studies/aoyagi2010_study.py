@@ -26,17 +26,17 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.information import Information
 from calib_pin.planning.plan import ASSUMED_TOOL, STRUCTURE, identification
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
-from calib_pin.problem import Problem
-from calib_pin.result import CalibratedModel, CalibrationResult
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibratedModel, CalibrationResult
 
 __all__ = [
     "COMPLIANCE",

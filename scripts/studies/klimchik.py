@@ -11,7 +11,7 @@ from functools import partial
 
 import numpy as np
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from studies import klimchik_figures as figures
 from studies import shared
 from studies.klimchik_arm import COMPLIANCE, Settings

@@ -8,12 +8,12 @@ from dataclasses import dataclass
 import numpy as np
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations.base import COMPONENTS
-from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Region, Setup
-from calib_pin.spatial import Floats
 from studies.klimchik_model import HEAVY, POINTS, robot
 
 __all__ = [

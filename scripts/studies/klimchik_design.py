@@ -13,7 +13,8 @@ from functools import cache
 
 import numpy as np
 
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.information import Information
@@ -22,7 +23,6 @@ from calib_pin.planning.prediction import TipTests
 from calib_pin.planning.rows import IdentificationRows, Pullback
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
-from calib_pin.spatial import Floats
 from studies.klimchik_arm import (
     REACH,
     Settings,

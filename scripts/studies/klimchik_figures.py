@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from studies import shared
 from studies.klimchik_arm import COMPLIANCE, Settings
 from studies.klimchik_design import PLANNED, RANDOM

@@ -13,14 +13,14 @@ import numpy as np
 import pinocchio as pin
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.measurements import Measurements
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import parameterization
 from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.parameterizations.compliance import NOTHING
-from calib_pin.result import CalibrationResult
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Setup, SolverSetup
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = [
     "HEAVY",

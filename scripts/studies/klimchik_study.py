@@ -17,15 +17,15 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import make_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.solve import descend
+from calib_pin.kinematics.spatial import Floats, invert, so3_log
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations.compliance import NOTHING
-from calib_pin.result import CalibrationResult
-from calib_pin.solve import descend
 from calib_pin.solvers import Status, alternation
 from calib_pin.solvers.alternation import MEMORY
-from calib_pin.spatial import Floats, invert, so3_log
+from calib_pin.validation.result import CalibrationResult
 from studies.klimchik_arm import Settings, configurations, measure, truth
 from studies.klimchik_design import Planned, at_test_poses
 from studies.klimchik_model import LOADS, POINTS, calibrated, robot, setup_of

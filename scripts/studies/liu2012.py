@@ -11,8 +11,8 @@ from functools import partial
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.differential_evolution import TRADEOFF
-from calib_pin.spatial import Floats
 from studies import liu2012_figures as figures
 from studies import shared
 from studies.liu2012_study import (

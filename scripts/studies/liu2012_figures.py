@@ -9,8 +9,8 @@ from typing import Any
 import numpy as np
 from matplotlib.axes import Axes
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.differential_evolution import TRADEOFF
-from calib_pin.spatial import Floats
 from studies import shared
 from studies.liu2012_study import LEAST_SQUARES, Seed, Settings
 

@@ -19,11 +19,12 @@ from functools import partial
 import numpy as np
 
 import calib_pin
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
-from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import (
     DifferentialEvolution,
@@ -31,7 +32,6 @@ from calib_pin.solvers import (
     gauss_newton,
 )
 from calib_pin.solvers.differential_evolution import STRATEGIES
-from calib_pin.spatial import Floats, so3_log
 
 __all__ = [
     "LEAST_SQUARES",
@@ -142,7 +142,7 @@ class Case:
         before: The nominal robot.
         truth: The true robot.
         outcomes: Solutions by mutation, and by least squares.
-        fits: Costs of `calib_pin.fit` by solver.
+        fits: Costs of `calib_pin.estimation.fit` by solver.
     """
 
     before: Outcome

@@ -11,9 +11,9 @@ from pathlib import Path
 
 import numpy as np
 
+from calib_pin.control.trajectory import TipErrors
 from calib_pin.io.measurements import write_configurations
-from calib_pin.spatial import Floats
-from calib_pin.trajectory import TipErrors
+from calib_pin.kinematics.spatial import Floats
 from studies import liu2022_figures as figures
 from studies import shared
 from studies.liu2022_arm import PUBLISHED, Arm

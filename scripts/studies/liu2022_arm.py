@@ -9,18 +9,18 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.collision import Collisions
-from calib_pin.fit import analyze_structure
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.fit import analyze_structure
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.true_errors import read_true_errors
+from calib_pin.kinematics.collision import Collisions
+from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, invert, skew
 from calib_pin.measurement_models.base import Curvature, Linearization
 from calib_pin.measurement_models.pose import Pose
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats, adjoint, from_quaternion, invert, skew
 
 __all__ = [
     "POSES",

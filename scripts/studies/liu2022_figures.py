@@ -7,8 +7,8 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib_pin.spatial import Floats
-from calib_pin.trajectory import TipErrors
+from calib_pin.control.trajectory import TipErrors
+from calib_pin.kinematics.spatial import Floats
 from studies import shared
 from studies.liu2022_study import OURS, Settings, Study, motion
 

@@ -19,14 +19,14 @@ from time import perf_counter
 import numpy as np
 
 import calib_pin
-from calib_pin.measurements import Measurements
+from calib_pin.control.trajectory import TipErrors, Trajectory, tip_errors, trapezoidal
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.rows import IdentificationRows, Pullback
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers.particle_swarm import ParticleSwarm, particle_swarm
-from calib_pin.spatial import Floats
-from calib_pin.trajectory import TipErrors, Trajectory, tip_errors, trapezoidal
 from studies import shared
 from studies.liu2022_arm import (
     POSES,

@@ -303,7 +303,7 @@ def test_a_motion_with_a_gap_is_not_written(model, run, listing, here):
 
 def test_a_motion_that_jumps_is_not_written(model, run, listing, here, monkeypatch):
     motion()
-    monkeypatch.setattr("calib_pin.compensation.JUMP", 1e-5)
+    monkeypatch.setattr("calib_pin.control.compensation.JUMP", 1e-5)
     before = listing(here)
     result = run(RUN)
     assert result.status == 2

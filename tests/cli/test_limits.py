@@ -8,10 +8,10 @@ from typing import Any
 
 import pytest
 
-from calib_pin.chain import Chain
 from calib_pin.cli.limits import parse_limits
 from calib_pin.errors import OptionError
 from calib_pin.io.urdf import parse_robot
+from calib_pin.kinematics.chain import Chain
 
 JOINTS = {
     "elbow": "revolute",

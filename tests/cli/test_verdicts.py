@@ -11,7 +11,7 @@ from typing import Any
 import pytest
 
 import calib_pin.calibration
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 COMMAND = "calibrate arm.urdf rows.csv --setup setup.yaml --model position"
 REASON = "it is as accurate as it gets"

@@ -10,17 +10,17 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin import blocks, kernels, link_kernels
-from calib_pin.blocks import BLOCK, motions
-from calib_pin.chain import Chain, Robot
+from calib_pin.compiled import blocks, kernels, link_kernels
+from calib_pin.compiled.blocks import BLOCK, motions
 from calib_pin.errors import RobotError
+from calib_pin.estimation.many_rows import ManyRows
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.segments import Segments
 from calib_pin.io.urdf import load_chain, load_robot
-from calib_pin.many_rows import ManyRows
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.spatial import Floats, so3_exp, so3_log
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
-from calib_pin.segments import Segments
-from calib_pin.spatial import Floats, so3_exp, so3_log
 
 Measured = Callable[..., Problem]
 

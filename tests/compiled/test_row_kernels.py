@@ -6,8 +6,8 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin import blocks, row_kernels
-from calib_pin.blocks import BLOCK
+from calib_pin.compiled import blocks, row_kernels
+from calib_pin.compiled.blocks import BLOCK
 
 
 @pytest.mark.parametrize("rows", [1, 2, 3])

@@ -17,22 +17,22 @@ import pytest
 from threadpoolctl import ThreadpoolController, threadpool_limits
 
 import calib_pin
-import calib_pin.threads
-from calib_pin.formulation import nominal_problem
+import calib_pin.compiled.threads
+from calib_pin.compiled.threads import Threads, serial_blas
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup, SolverSetup
-from calib_pin.threads import Threads, serial_blas
 
 FIT = """
 import numpy as np
 import calib_pin
-from calib_pin.formulation import nominal_problem
-from calib_pin.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.fit import fit
 from calib_pin.setup import Setup, SolverSetup
-from calib_pin.threads import Threads
+from calib_pin.compiled.threads import Threads
 from dataclasses import replace
-import calib_pin.population
+from calib_pin.estimation import population
 
-calib_pin.population.WORTHWHILE = 1  # Threads even for as little work as this.
+population.WORTHWHILE = 1  # Threads even for as little work as this.
 evolution = {"maxiter": 20, "population_size": 20}
 setup = Setup(solver=SolverSetup(name="hybrid", evolution=evolution))
 problem = nominal_problem(calib_pin.load_chain("space6"), "position", setup)
@@ -113,7 +113,7 @@ def test_a_seeded_fit_is_the_same_with_any_number_of_threads() -> None:
 CALIBRATIONS = """
 import numpy as np
 import calib_pin
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup, SolverSetup
 
 chain = calib_pin.load_chain("space6")
@@ -273,7 +273,9 @@ def test_a_library_that_comes_late_is_limited_as_well(
 ) -> None:
     early, late = Library("early"), Library("late")
     loaded = [early]
-    monkeypatch.setattr(calib_pin.threads, "_blas_libraries", lambda: list(loaded))
+    monkeypatch.setattr(
+        calib_pin.compiled.threads, "_blas_libraries", lambda: list(loaded)
+    )
     limit = type(serial_blas)()
     with limit:
         loaded.append(late)
@@ -292,7 +294,9 @@ def test_libraries_that_count_by_python_thread(
     api: str, layer: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     library = Library("library", api, layer)
-    monkeypatch.setattr(calib_pin.threads, "_blas_libraries", lambda: [library])
+    monkeypatch.setattr(
+        calib_pin.compiled.threads, "_blas_libraries", lambda: [library]
+    )
     limit = type(serial_blas)()
 
     def elsewhere() -> tuple[int, int]:

@@ -9,13 +9,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.compensation import JUMP, compensate, follow
-from calib_pin.formulation import nominal_problem
-from calib_pin.inverse_kinematics import Joints
+from calib_pin.control import Joints
+from calib_pin.control.compensation import JUMP, compensate, follow
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
-from calib_pin.result import CalibratedModel
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats, invert
+from calib_pin.validation.result import CalibratedModel
 
 
 @pytest.fixture(scope="module")

@@ -11,9 +11,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
-from calib_pin.inverse_kinematics import (
+from calib_pin.control import (
     Joints,
     Kinematics,
     Solutions,
@@ -22,11 +20,13 @@ from calib_pin.inverse_kinematics import (
     reach,
     search,
 )
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain
-from calib_pin.result import CalibratedModel
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats, so3_log
+from calib_pin.validation.result import CalibratedModel
 
 ROBOTS = {
     "ur10": ("example:ur10_robot", None, "tool0"),

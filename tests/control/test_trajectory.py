@@ -10,9 +10,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from calib_pin.control.trajectory import Trajectory, tip_errors, trapezoidal
 from calib_pin.errors import OptionError
-from calib_pin.spatial import so3_exp
-from calib_pin.trajectory import Trajectory, tip_errors, trapezoidal
+from calib_pin.kinematics.spatial import so3_exp
 
 START = np.radians([10.0, -100.0, 80.0, 100.0, -80.0, 90.0, 5.0])
 GOAL = np.radians([60.0, 30.0, 20.0, 20.0, 30.0, 75.0, 15.0])

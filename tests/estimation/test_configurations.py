@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.configurations import (
+from calib_pin.errors import InputError
+from calib_pin.estimation.configurations import (
     TOUCHING,
     brought_to_contact,
     observable_configurations,
 )
-from calib_pin.errors import InputError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.rows import contact_rows
-from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
 
 ARM = calib_pin.load_chain("space6")

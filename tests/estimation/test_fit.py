@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.solvers import Status
 

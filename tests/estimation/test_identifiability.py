@@ -7,8 +7,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.identifiability import (
+from calib_pin.estimation.identifiability import (
     Combination,
     combinations,
     everett_count,
@@ -16,6 +15,7 @@ from calib_pin.identifiability import (
     structure,
 )
 from calib_pin.io.urdf import parse_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 

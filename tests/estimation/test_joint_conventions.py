@@ -10,12 +10,12 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
-from calib_pin.joint_readings import Reading, Suggestion, suggest_readings
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.joint_conventions import Reading, Suggestion, suggest_readings
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
-from calib_pin.spatial import Floats
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))

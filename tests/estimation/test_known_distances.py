@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.known_distances import KnownDistances
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.features import Anchor, Feature, Plane, Point, Sphere
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
-from calib_pin.spatial import Floats
 
 FEATURES: tuple[Feature, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),

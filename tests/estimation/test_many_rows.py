@@ -9,19 +9,19 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.blocks import BLOCK
-from calib_pin.chain import Chain
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.compiled.blocks import BLOCK
+from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.many_rows import ManyRows
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import least_squares
 from calib_pin.io.urdf import load_chain
-from calib_pin.many_rows import ManyRows
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.problem import Problem
 from calib_pin.setup import PlaneSetup, Setup
-from calib_pin.solve import least_squares
 from calib_pin.solvers import Status
-from calib_pin.spatial import Floats
-from calib_pin.threads import Threads
 
 Measured = Callable[..., Problem]
 
@@ -37,7 +37,7 @@ SIZES = (1, BLOCK, CHUNK - 1, CHUNK, CHUNK + 1, 2 * CHUNK + BLOCK + 3)
 @pytest.fixture(autouse=True)
 def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
     """Some hundred rows make several chunks."""
-    monkeypatch.setattr("calib_pin.many_rows.CHUNK", CHUNK)
+    monkeypatch.setattr("calib_pin.estimation.many_rows.CHUNK", CHUNK)
 
 
 def many(problem: Problem) -> ManyRows:
@@ -102,7 +102,9 @@ def test_the_number_of_threads_changes_no_bit(
     split = problem.split(parameters_of(problem))
 
     def computed(count: int) -> list[bytes]:
-        monkeypatch.setattr("calib_pin.many_rows.Threads", lambda: Threads(count))
+        monkeypatch.setattr(
+            "calib_pin.estimation.many_rows.Threads", lambda: Threads(count)
+        )
         chunked = many(problem)
         arrays = [*chunked.normal(*split), *chunked.triangular(*split)]
         arrays += [chunked.errors(*split), np.array(chunked.cost(*split))]
@@ -151,7 +153,7 @@ def test_triangular_resolves_what_one_noisy_row_sees(
 def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     """The same problem, whose rows just suffice for the kernels."""
     entries = len(problem.data) * problem.components * len(problem.parameters)
-    monkeypatch.setattr("calib_pin.problem.MANY", entries)
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
     return replace(problem)
 
 
@@ -197,7 +199,7 @@ def test_joint_corrections_go_row_by_row(
     plain = measured(chain, "pose", ["placement", kind], 300, **stated)
     theta = parameters_of(plain)
     expected = plain.cost(theta), *plain.linearize(theta)
-    monkeypatch.setattr("calib_pin.many_rows.ManyRows.__init__", refuse)
+    monkeypatch.setattr("calib_pin.estimation.many_rows.ManyRows.__init__", refuse)
     chunked = through_kernels(plain, monkeypatch)
     assert not chunked.many
     assert chunked.cost(theta) == expected[0]
@@ -261,7 +263,7 @@ def test_a_fit_of_very_many_rows(
     case: str, sample: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """With and without a first fit to a sample of the rows."""
-    monkeypatch.setattr("calib_pin.solve.SAMPLE", sample)
+    monkeypatch.setattr("calib_pin.estimation.solve.SAMPLE", sample)
     robot, model, setup = CASES[case]
     chain = load_chain(robot, tip=setup.tip)
     rng = np.random.default_rng(1)

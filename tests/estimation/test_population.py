@@ -10,16 +10,16 @@ from typing import Literal
 import numpy as np
 import pytest
 
-from calib_pin.blocks import BLOCK
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
+from calib_pin.compiled.blocks import BLOCK
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
-from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
-from calib_pin.spatial import Floats
 
 Measured = Callable[..., Problem]
 
@@ -179,7 +179,7 @@ def test_what_was_learned_is_evaluated_in_a_loop(measured: Measured) -> None:
 def test_the_number_of_threads_changes_no_bit(
     model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr("calib_pin.population.WORTHWHILE", 1)
+    monkeypatch.setattr("calib_pin.estimation.population.WORTHWHILE", 1)
     problem = measured(load_chain("space6"), model, ["placement"], 301)
     theta = members(problem, 7)
     one, *others = (PopulationCost(problem, k)(theta).tobytes() for k in (1, 2, 3))

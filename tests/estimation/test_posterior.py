@@ -8,14 +8,14 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit, with_effects
-from calib_pin.formulation import nominal_problem
-from calib_pin.posterior import Posterior, posterior
-from calib_pin.predicted import predicted_variance
-from calib_pin.problem import Problem
+from calib_pin.estimation.fit import Fit, fit, with_effects
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.posterior import Posterior, posterior
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.systematic import Systematic
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
-from calib_pin.systematic import Systematic
+from calib_pin.validation.predicted import predicted_variance
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
 MORE = ("placement", "transmission", "compliance")

@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.configurations import observable_configurations
-from calib_pin.formulation import nominal_problem
-from calib_pin.scale import scale_deviation
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.scale import scale_deviation
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,

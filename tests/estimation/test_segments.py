@@ -8,12 +8,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
+from calib_pin.estimation.segments import Segments
 from calib_pin.io.urdf import load_chain
-from calib_pin.segments import Segments
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 
 GEOMETRY = ("placement", "link-transform", "dh", "dh-full", "joint-offset")
 ROBOTS = {

@@ -11,14 +11,14 @@ import pytest
 
 import calib_pin
 from benchmarks.recovery import CASES, Study
-from calib_pin.assessment import estimates, fitted_ranks
 from calib_pin.errors import OptionError
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.problem import Problem
 from calib_pin.setup import Setup, SolverSetup
 from calib_pin.solvers import Status
+from calib_pin.validation.assessment import estimates, fitted_ranks
 
 RANGER = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
 NOISE = 1e-4

@@ -8,13 +8,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.result import CalibrationResult
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
-from calib_pin.tip_drift import absorbed
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.tip_drift import absorbed
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 CHAIN = calib_pin.load_chain("space6")

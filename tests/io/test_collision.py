@@ -10,10 +10,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain, locate_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.setup import Obstacle
 
 # A tetrahedron with edges of 0.2 m, in the positive octant.

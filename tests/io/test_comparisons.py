@@ -9,9 +9,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.comparison import Comparison, compare
 from calib_pin.io.comparisons import comparison_document
 from calib_pin.io.documents import encode
+from calib_pin.validation.comparison import Comparison, compare
 
 
 @pytest.fixture(scope="module")

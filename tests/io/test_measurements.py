@@ -17,7 +17,6 @@ from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from calib_pin.chain import Chain, Robot
 from calib_pin.errors import InputError, OptionError, OutputError
 from calib_pin.io.measured_columns import COMPONENTS, VALUES
 from calib_pin.io.measurements import (
@@ -26,8 +25,9 @@ from calib_pin.io.measurements import (
     write_measurements,
 )
 from calib_pin.io.table import read_table
+from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
-from calib_pin.measurements import LAYOUT, Measurements
+from calib_pin.observations import LAYOUT, Measurements
 from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">

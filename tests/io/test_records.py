@@ -14,13 +14,13 @@ import pytest
 import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.records import read_record
 from calib_pin.io.results import read_accuracy
-from calib_pin.result import CalibrationResult
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.result import CalibrationResult
 
 
 @pytest.fixture(scope="module")

@@ -13,20 +13,18 @@ import numpy as np
 import pytest
 
 from calib_pin.calibration import calibrate
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, RobotError
-from calib_pin.evaluation import evaluate
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.problem import Problem, absent
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.results import read_accuracy, read_calibration, write_urdf
 from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
-from calib_pin.problem import Problem, absent
-from calib_pin.result import CalibratedModel, CalibrationResult
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -39,6 +37,8 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import simulate
+from calib_pin.validation.evaluation import evaluate
+from calib_pin.validation.result import CalibratedModel, CalibrationResult
 
 ARM = """<robot name="arm">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

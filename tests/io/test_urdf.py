@@ -18,7 +18,6 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.chain import Chain, Robot
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.io import urdf
 from calib_pin.io.files import read_bytes, write_atomically
@@ -30,6 +29,7 @@ from calib_pin.io.urdf import (
     parse_robot,
     write_corrected_urdf,
 )
+from calib_pin.kinematics.chain import Chain, Robot
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">

@@ -11,10 +11,10 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.collision import Collisions
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.urdf import load_chain, locate_robot, parse_robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
 
 CHAINS = {

@@ -6,7 +6,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.spatial import (
+from calib_pin.kinematics.spatial import (
     Floats,
     adjoint,
     from_quaternion,

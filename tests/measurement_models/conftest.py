@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 
 
 @pytest.fixture(scope="session")

@@ -12,14 +12,14 @@ import pytest
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import CurvedModel
 from calib_pin.measurement_models.camera import CameraModel, camera
 from calib_pin.measurement_models.camera_start import IMAGES, ROWS, Rays
 from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.pinhole import distort, turning_radius, undistort
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, PointSetup, Setup
-from calib_pin.spatial import Floats, invert
 
 ARM = load_chain("space6")
 LENS = (-0.2, 0.05, 0.002, -0.001, 0.01)

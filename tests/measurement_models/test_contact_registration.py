@@ -8,13 +8,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.contact_registration import (
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.contact_registration import (
     register_distances,
     register_relative_distances,
     register_sockets,
     register_touched_plane,
 )
-from calib_pin.spatial import Floats
 
 TRIALS = 20
 NAN = np.full(3, np.nan)

@@ -11,15 +11,16 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.fit import fit, register
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.fit import fit, register
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurement_models.mount import Mounted
-from calib_pin.measurements import Measurements
-from calib_pin.population import PopulationCost
-from calib_pin.problem import Problem
+from calib_pin.observations import Measurements
 from calib_pin.setup import (
     CameraSetup,
     DistanceSetup,
@@ -28,7 +29,6 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
-from calib_pin.spatial import Floats
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 Equipped = Callable[..., Problem]

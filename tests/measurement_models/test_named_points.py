@@ -12,16 +12,16 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.tool_point import split_names
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
-from calib_pin.spatial import Floats
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 

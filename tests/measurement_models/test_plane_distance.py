@@ -11,11 +11,11 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, RangerSetup, Setup
-from calib_pin.spatial import Floats, so3_exp
 
 FLOOR = Plane("floor", np.array([0.0, 0.0, 1.0]), 1.0)
 WALL = Plane("wall", np.array([0.6, 0.0, 0.8]), -2.0)

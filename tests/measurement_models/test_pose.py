@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models.pose import Pose
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats, so3_exp
+from calib_pin.observations import Measurements
 
 BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
 TOOL = pin.exp6(np.array([0.1, 0.0, 0.2, -2.0, 0.4, 1.0]))

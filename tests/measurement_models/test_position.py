@@ -7,9 +7,9 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats
+from calib_pin.observations import Measurements
 
 BASE = pin.exp6(np.array([1.0, -2.0, 0.5, 0.3, 2.0, -1.0]))
 POINT = np.array([0.02, -0.05, 0.12])

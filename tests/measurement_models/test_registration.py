@@ -9,14 +9,14 @@ import pytest
 from scipy.optimize import least_squares
 
 from calib_pin.io.urdf import load_chain
-from calib_pin.registration import (
+from calib_pin.kinematics.spatial import Floats, from_quaternion, so3_exp, so3_log
+from calib_pin.measurement_models.registration import (
     fit_pose,
     register_plane,
     register_points,
     register_poses,
     register_reached,
 )
-from calib_pin.spatial import Floats, from_quaternion, so3_exp, so3_log
 
 Poses = Callable[[np.random.Generator, int], Floats]
 ARM = load_chain("space6")

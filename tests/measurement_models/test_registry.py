@@ -12,16 +12,16 @@ import pytest
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
+from calib_pin.estimation.problem import absent
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import (
     MEASUREMENT_MODELS,
     MeasurementModel,
     Quantity,
     measurement_model,
 )
-from calib_pin.measurements import Measurements
-from calib_pin.problem import absent
+from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
-from calib_pin.spatial import Floats
 
 SETUP = Setup(
     planes={

@@ -11,14 +11,14 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import InputError, OptionError
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.compliance import DEFLECTION, LEAST, Compliance
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Payload, Setup
-from calib_pin.spatial import Floats
 
 UrdfOf = Callable[..., str]
 ChainOf = Callable[..., Chain]

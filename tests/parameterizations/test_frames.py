@@ -6,9 +6,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import load_chain
 from calib_pin.parameterizations import frame_screws
+from calib_pin.parameterizations.error_model import ErrorModel
 
 COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 

@@ -8,9 +8,9 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.parameterizations.error_model import ErrorModel
 
 CHAINS = [
     ("example:tiago_no_hand", None, "arm_7_link"),

@@ -9,13 +9,13 @@ from typing import Any
 import numpy as np
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations import PARAMETERIZATIONS, parameterization
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE, owner
 from calib_pin.parameterizations.compliance import Compliance
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Payload, Setup
 
 COMPONENTS = {

@@ -10,17 +10,17 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.transmission import (
     AMPLITUDE_SCALES,
     GAIN_SCALE,
     Transmission,
 )
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
 
 UrdfOf = Callable[..., str]
 ChainOf = Callable[..., Chain]

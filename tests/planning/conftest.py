@@ -9,8 +9,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.collision import Collisions
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.collision import Collisions
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 

@@ -17,8 +17,8 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Obstacle, Region, Setup
-from calib_pin.spatial import Floats
 
 DATA = Path(
     str(

@@ -9,10 +9,10 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from calib_pin.identifiability import observability
+from calib_pin.estimation.identifiability import observability
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, SHARPER, Criterion, Prediction
 from calib_pin.planning.information import Information
-from calib_pin.spatial import Floats
 
 COLUMNS, NUISANCES = 8, 3
 

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, Trials, whiten
 from calib_pin.planning.plan import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.spatial import Floats
 
 COLUMNS = 9
 SHAPES = [(d, f) for d in (1, 3, 6) for f in (0, 4)]

@@ -11,17 +11,17 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.identifiability import observability
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.identifiability import observability
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
-from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
 from calib_pin.solvers import Status
-from calib_pin.spatial import Floats
 
 COUNT = 12
 REGION = Region(box=((-0.9, -0.9, 0.0), (1.5, 1.5, 2.2)))
@@ -90,7 +90,7 @@ def check_set(plan: Plan, count: int, chain: Chain, setup: Setup = SETUP) -> Non
         lower[0], upper[0] = setup.limits["joint_1"]
     assert (plan.q >= lower).all() and (plan.q <= upper).all()
     if setup.region is not None:
-        tool = calib_pin.problem.frame_pose(setup.tool_frame).homogeneous
+        tool = calib_pin.estimation.problem.frame_pose(setup.tool_frame).homogeneous
         points = (chain.poses(plan.q) @ tool)[:, :3, 3]
         low, high = np.array(setup.region.box)
         assert (points >= low).all() and (points <= high).all()
@@ -193,7 +193,7 @@ def test_random_sets_are_those_of_the_candidates(criterion: str, chain: Chain) -
     values = []
     while len(values) < 40:
         q = chain.random_configurations(400, rng)
-        tool = calib_pin.problem.frame_pose(TOOL).homogeneous
+        tool = calib_pin.estimation.problem.frame_pose(TOOL).homogeneous
         inside = REGION.contains((chain.poses(q) @ tool)[:, :3, 3])
         inside &= (q[:, 0] >= -1.0) & (q[:, 0] <= 2.0)
         q = q[inside][:COUNT]

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.posterior import posterior
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
-from calib_pin.posterior import posterior
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.spatial import Floats
 
 FRAMES = {
     "base_frame": FrameSetup((0.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),

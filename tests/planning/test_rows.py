@@ -10,16 +10,16 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
 from calib_pin.errors import OptionError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, CurvedModel
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.problem import Problem
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 
 Equipped = Callable[..., Problem]
 Visited = Callable[..., tuple[Floats, tuple[str, ...]]]

@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.information import Information
 from calib_pin.planning.plan import identification
@@ -17,7 +18,6 @@ from calib_pin.planning.selection import DeterminantSelection, Selection
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status, exchange, greedy
-from calib_pin.spatial import Floats
 
 COLUMNS, NUISANCES = 5, 2
 

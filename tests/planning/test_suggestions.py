@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.formulation import nominal_problem
-from calib_pin.remedies import as_found, remedies
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.planning.suggestions import as_found, remedies
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 
 CHAIN = calib_pin.load_chain("space6")

@@ -16,13 +16,13 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.fit import fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
-from calib_pin.problem import Problem
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
 
 ROBOTS = 20
 COUNT = 15

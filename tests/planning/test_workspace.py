@@ -11,8 +11,8 @@ import pytest
 from scipy.stats import qmc
 
 import calib_pin
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError, RobotError
+from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.plan import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import (

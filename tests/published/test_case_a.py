@@ -11,9 +11,9 @@ import pytest
 
 import calib_pin
 from calib_pin.measurement_models.plane_distance import Plane
-from calib_pin.result import Identification
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.solvers.differential_evolution import TRADEOFF
+from calib_pin.validation.result import Identification
 from studies.liu2012_study import (
     LEAST_SQUARES,
     Case,

@@ -11,12 +11,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import analyze_structure, fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.fit import analyze_structure, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.true_errors import read_true_errors
-from calib_pin.problem import Problem
-from calib_pin.spatial import adjoint, invert
+from calib_pin.kinematics.spatial import adjoint, invert
 
 COMBINATIONS = """
 joint_1.link-transform.mz + joint_2.link-transform.mz

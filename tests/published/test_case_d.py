@@ -13,9 +13,9 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.setup import Setup
-from calib_pin.spatial import Floats
 from studies import klimchik_figures, shared
 from studies.klimchik import Report
 from studies.klimchik_arm import (

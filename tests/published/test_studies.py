@@ -18,7 +18,7 @@ import pytest
 import calib_pin
 from calib_pin.cli import main as run_command
 from calib_pin.io.measurements import read_configurations
-from calib_pin.spatial import Floats, adjoint
+from calib_pin.kinematics.spatial import Floats, adjoint
 from studies.__main__ import main
 from studies.liu2012_study import MUTATIONS, Settings, study
 from studies.liu2022_arm import Arm, SpatialTwist, condition

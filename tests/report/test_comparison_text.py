@@ -9,10 +9,10 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.comparison import Comparison, Displacement, compare
-from calib_pin.parameter_changes import Difference
 from calib_pin.report.comparison_text import comparison_report
 from calib_pin.report.terminal import plain_text
+from calib_pin.validation.comparison import Comparison, Displacement, compare
+from calib_pin.validation.parameter_changes import Difference
 
 
 @pytest.fixture(scope="module")

@@ -13,21 +13,21 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.urdf import parse_robot
-from calib_pin.remedies import as_found, remedies
+from calib_pin.kinematics.chain import Chain
+from calib_pin.planning.suggestions import as_found, remedies
 from calib_pin.report.blocks import Block, Cell, Table
 from calib_pin.report.figures import NAMES, calibration_figures
 from calib_pin.report.html import LISTED, SECTIONS, html_report
 from calib_pin.report.tables import accuracy_table, group_table, parameter_overview
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
-from calib_pin.result import CalibrationResult, Outlier
-from calib_pin.row_errors import RowErrors
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.result import CalibrationResult, Outlier
+from calib_pin.validation.row_errors import RowErrors
 
 ARM = """<robot name="{0}">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

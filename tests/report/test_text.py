@@ -10,19 +10,20 @@ import numpy as np
 import pytest
 from rich.console import Console
 
-from calib_pin.calibration import calibrate, identify
-from calib_pin.chain import Chain
-from calib_pin.evaluation import evaluate
-from calib_pin.formulation import nominal_problem
+from calib_pin.calibration import calibrate
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot, parse_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.identification import identified
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import laid_out, plain_text
 from calib_pin.report.text import format_report, report
-from calib_pin.result import Accuracy, CalibrationResult, Outlier
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.assessment import identify
+from calib_pin.validation.evaluation import evaluate
+from calib_pin.validation.result import Accuracy, CalibrationResult, Outlier
 
 ARM = """<robot name="arm">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

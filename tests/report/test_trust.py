@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 
 import calib_pin
-from calib_pin.evidence import (
+from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
     Gain,
@@ -17,7 +17,7 @@ from calib_pin.evidence import (
 )
 from calib_pin.report.tables import significant
 from calib_pin.report.text import format_report
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 WORKSPACE = ExpectedAccuracy(
     nominal=(2.47e-3, 3.1e-3),

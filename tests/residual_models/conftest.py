@@ -8,14 +8,14 @@ from dataclasses import dataclass
 import numpy as np
 import pytest
 
-from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.spatial import Floats, skew, so3_exp
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import (
     Linearized,
     ResidualModel,
     TrainingRows,
 )
-from calib_pin.spatial import Floats, skew, so3_exp
 
 SIGMA = 1e-4
 

@@ -3,8 +3,8 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import TrainedRegion
-from calib_pin.spatial import Floats
 
 TURNS = np.ones(3, bool)
 

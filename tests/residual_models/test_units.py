@@ -2,6 +2,7 @@ from __future__ import annotations
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.units import (
     BANDS,
     Inputs,
@@ -10,7 +11,6 @@ from calib_pin.residual_models.units import (
     series,
     unit_columns,
 )
-from calib_pin.spatial import Floats
 
 RNG = np.random.default_rng(0)
 ROWS, D, JOINTS, UNITS = 5, 3, 4, 3

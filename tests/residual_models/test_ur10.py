@@ -13,15 +13,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import make_problem
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import Linearized, ResidualModel, TrainingRows
 from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
     fit_gaussian_process,
 )
 from calib_pin.residual_models.network import NetworkOptions, fit_network
-from calib_pin.spatial import Floats
 
 
 @pytest.fixture(scope="module")

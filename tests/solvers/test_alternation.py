@@ -7,8 +7,8 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import Status, alternation, gauss_newton
-from calib_pin.spatial import Floats
 
 
 class Bent:

@@ -11,6 +11,7 @@ import pytest
 from scipy import optimize
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import (
     DifferentialEvolution,
     EvolutionResult,
@@ -18,7 +19,6 @@ from calib_pin.solvers import (
     differential_evolution,
 )
 from calib_pin.solvers.differential_evolution import MUTATIONS, STRATEGIES, TRADEOFF
-from calib_pin.spatial import Floats
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 QUICK = DifferentialEvolution(population_size=20, maxiter=30)

@@ -8,6 +8,7 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, Status
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
@@ -16,7 +17,6 @@ from calib_pin.solvers.evolution import (
     evolve,
     three_others,
 )
-from calib_pin.spatial import Floats
 
 UNIT = Box(np.zeros(1), np.ones(1))
 NEVER = {"target": -np.inf, "tol": 0.0, "atol": 0.0}

@@ -8,8 +8,8 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import Status, exchange, greedy
-from calib_pin.spatial import Floats
 
 
 class Volume:

@@ -8,8 +8,8 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult, Status, gauss_newton
-from calib_pin.spatial import Floats
 
 DATA = Path(__file__).parents[1] / "data"
 

@@ -10,10 +10,10 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import Genetic, SelectionResult, Status, genetic_selection
 from calib_pin.solvers.evolution import Indices
 from calib_pin.solvers.genetic import _Nursery
-from calib_pin.spatial import Floats
 
 QUICK = Genetic(population_size=30, generations=40)
 

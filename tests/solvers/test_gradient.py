@@ -11,10 +11,10 @@ import pytest
 from scipy import optimize
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DescentResult, Status, projected_descent
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.gradient import _Pairs, _Problem
-from calib_pin.spatial import Floats
 
 Smooth = Callable[[Floats], tuple[float, Floats]]
 

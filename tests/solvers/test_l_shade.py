@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DifferentialEvolution, Status, differential_evolution
 from calib_pin.solvers.l_shade import MEMORY, TERMINAL, LShade
-from calib_pin.spatial import Floats
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 

@@ -11,10 +11,10 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, ParticleSwarm, Status, particle_swarm
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.particle_swarm import _Swarm
-from calib_pin.spatial import Floats
 
 WIDE = np.tile([-5.0, 5.0], (5, 1))
 QUICK = ParticleSwarm(particles=20, iterations=30)

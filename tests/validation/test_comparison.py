@@ -11,17 +11,17 @@ import pytest
 from scipy.optimize import least_squares
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.comparison import compare
 from calib_pin.errors import InputError
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import parse_robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import se3_exp
 from calib_pin.measurement_models import measurement_model
-from calib_pin.parameter_changes import Difference
-from calib_pin.result import ParameterEstimate
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.simulation import draw_errors
-from calib_pin.spatial import se3_exp
+from calib_pin.validation.comparison import compare
+from calib_pin.validation.parameter_changes import Difference
+from calib_pin.validation.result import ParameterEstimate
 
 SEEDS = 12
 

@@ -8,15 +8,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.evidence import Gain
-from calib_pin.formulation import nominal_problem
-from calib_pin.gains import gains
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.estimation.evidence import Gain
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.student import student_tail
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
-from calib_pin.student import student_tail
-from calib_pin.unseen import Unseen
+from calib_pin.validation.gains import gains
+from calib_pin.validation.unseen import Unseen
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 

@@ -10,12 +10,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.formulation import nominal_problem
-from calib_pin.held_out import check
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.spatial import Floats
-from calib_pin.training import Trained, train
+from calib_pin.validation.held_out import check
+from calib_pin.validation.training import Trained, train
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 CHAIN = calib_pin.load_chain("space6")

@@ -11,17 +11,17 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
 from calib_pin.errors import InputError, OptionError
-from calib_pin.formulation import nominal_problem
-from calib_pin.ladder import Climbed, climb
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
-from calib_pin.result import Rung
 from calib_pin.setup import FrameSetup, Payload, Setup
-from calib_pin.spatial import Floats
-from calib_pin.splits import FOLDS
-from calib_pin.training import cross_validate
+from calib_pin.validation.model_selection import Climbed, climb
+from calib_pin.validation.result import Rung
+from calib_pin.validation.splits import FOLDS
+from calib_pin.validation.training import cross_validate
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -282,7 +282,7 @@ def test_a_repeated_row_is_never_on_both_sides(
         seen.append(masks)
         return cross_validate(chain, rows, setup, masks, *rest)
 
-    monkeypatch.setattr("calib_pin.ladder.cross_validate", watched)
+    monkeypatch.setattr("calib_pin.validation.model_selection.cross_validate", watched)
     climb(chain, thrice, Setup(), 0)
     assert len(seen) == len(RUNGS)
     for masks in seen:

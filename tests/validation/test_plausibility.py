@@ -10,13 +10,13 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.evidence import Finding
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.measurements import Measurements
-from calib_pin.plausibility import plausibility
-from calib_pin.problem import Problem
-from calib_pin.scale import growth
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.scale import growth
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import (
     AnchorSetup,
     DistanceSetup,
@@ -25,7 +25,7 @@ from calib_pin.setup import (
     Setup,
 )
 from calib_pin.simulation import simulate
-from calib_pin.spatial import Floats
+from calib_pin.validation.plausibility import plausibility
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)

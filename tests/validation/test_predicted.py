@@ -9,15 +9,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.gains import press_check
-from calib_pin.measurements import Measurements
-from calib_pin.predicted import predicted_variance, press
-from calib_pin.problem import Problem
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import least_squares
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.solve import least_squares
-from calib_pin.spatial import Floats
+from calib_pin.validation.gains import press_check
+from calib_pin.validation.predicted import predicted_variance, press
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 NOISE = 5e-5
@@ -65,7 +65,7 @@ def test_press_of_refits(model: str, repeats: int) -> None:
             found.after[left], there.errors(theta), rtol=0, atol=1e-8
         )
         rest = rest.register(np.zeros(len(theta)))
-        registered = calib_pin.fit.register(rest, np.zeros(len(theta)))
+        registered = calib_pin.estimation.fit.register(rest, np.zeros(len(theta)))
         nominal = replace(registered[0], data=rows.rows(left))
         np.testing.assert_allclose(
             found.before[left], nominal.errors(registered[1].x), rtol=0, atol=2e-5

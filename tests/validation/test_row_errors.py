@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
-from calib_pin.result import Accuracy, CalibrationResult
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.validation.result import Accuracy, CalibrationResult
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 BASE = FrameSetup((1.0, -2.0, 0.3), (0.4, -0.3, 2.0))

@@ -7,9 +7,9 @@ from itertools import pairwise
 import numpy as np
 import pytest
 
-from calib_pin.measurements import Measurements
-from calib_pin.spatial import Floats
-from calib_pin.stretches import stretches
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
+from calib_pin.validation.stretches import stretches
 
 
 def rows(q: Floats, files: tuple[str, ...] = ()) -> Measurements:

@@ -10,18 +10,18 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
-from calib_pin.fit import fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
+from calib_pin.observations import Measurements
 from calib_pin.progress import portion
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
-from calib_pin.spatial import Floats
-from calib_pin.splits import FOLDS, folds, places, validation_name
-from calib_pin.training import cross_validate, train, training_rows
+from calib_pin.validation.splits import FOLDS, folds, places, validation_name
+from calib_pin.validation.training import cross_validate, train, training_rows
 
 Measured = Callable[..., Problem]
 

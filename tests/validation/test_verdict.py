@@ -19,11 +19,11 @@ from benchmarks.verdict import components, coverage, defects, real, workspace
 from benchmarks.verdict.jobs import Job, draw, stream
 from benchmarks.verdict.truth import judged
 from calib_pin.errors import InputError
-from calib_pin.fit import fit
-from calib_pin.formulation import make_problem, nominal_problem
-from calib_pin.measurements import PART
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.observations import PART
 from calib_pin.setup import AnchorSetup, Setup
-from calib_pin.splits import folds
+from calib_pin.validation.splits import folds
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")

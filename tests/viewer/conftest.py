@@ -10,13 +10,13 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.error_model import ErrorModel
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MeasurementModel
-from calib_pin.measurements import Measurements
-from calib_pin.result import CalibratedModel
+from calib_pin.observations import Measurements
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
+from calib_pin.validation.result import CalibratedModel
 
 
 @pytest.fixture(scope="session")

@@ -10,20 +10,20 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.chain import Chain
-from calib_pin.evaluation import prepared
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
 from calib_pin.measurement_models.features import Plane, Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurements import Measurements
-from calib_pin.result import CalibratedModel
+from calib_pin.observations import Measurements
 from calib_pin.setup import Payload
-from calib_pin.spatial import invert
+from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.result import CalibratedModel
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import Plan, Scene, bodies_of, floor_height, tip_path

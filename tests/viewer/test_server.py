@@ -16,10 +16,10 @@ import numpy as np
 import pytest
 import viser
 
-from calib_pin.chain import Chain
 from calib_pin.cli import main
-from calib_pin.evaluation import prepared
+from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.position import Position
+from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.colors import STAGES, scaled
 from calib_pin.viewer.controls import Controls
 from calib_pin.viewer.drawings import lines

@@ -10,10 +10,10 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.measurements import AT, PART
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
-from calib_pin.studentized import Studentized
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.robust.studentized import Studentized
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import AT, PART
 
 __all__ = ["causes"]
 

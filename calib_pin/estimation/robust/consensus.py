@@ -17,8 +17,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["consensus"]
 

@@ -19,9 +19,9 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chi_square import chi_square_quantile
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Studentized", "spectrum", "squared_or_infinite", "studentized"]
 

@@ -29,17 +29,21 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.causes import causes
-from calib_pin.consensus import consensus
 from calib_pin.errors import require_known
-from calib_pin.evidence import Outlier
+from calib_pin.estimation.evidence import Outlier
+from calib_pin.estimation.problem import EXACT, SAMPLE, Expected, Problem
+from calib_pin.estimation.robust.causes import causes
+from calib_pin.estimation.robust.consensus import consensus
+from calib_pin.estimation.robust.studentized import (
+    Studentized,
+    squared_or_infinite,
+    studentized,
+)
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.problem import EXACT, SAMPLE, Expected, Problem
-from calib_pin.spatial import Floats
-from calib_pin.studentized import Studentized, squared_or_infinite, studentized
 
 if TYPE_CHECKING:
-    from calib_pin.fit import Fit
+    from calib_pin.estimation.fit import Fit
 
 __all__ = ["LOSSES", "robustly"]
 

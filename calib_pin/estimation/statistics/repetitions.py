@@ -19,10 +19,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chi_square import chi_square_tail, f_tail
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.chi_square import chi_square_tail, f_tail
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
-from calib_pin.problem import Problem
-from calib_pin.spatial import Floats
 
 __all__ = ["PureError", "pure_errors", "repetitions"]
 

@@ -7,7 +7,7 @@ from __future__ import annotations
 
 from math import inf, isnan, nan
 
-from calib_pin.chi_square import incomplete_beta
+from calib_pin.estimation.statistics.chi_square import incomplete_beta
 
 __all__ = ["student_tail"]
 

@@ -20,9 +20,17 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.directions import Directions, half_covariance
-from calib_pin.error_model import ErrorModel
 from calib_pin.errors import OptionError
+from calib_pin.estimation.directions import Directions, half_covariance
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    EXACT,
+    Groups,
+    Variances,
+    estimate_variances,
+)
+from calib_pin.estimation.statistics.variance_components import current_units, grouped
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import (
     NOTHING,
     Screw,
@@ -31,16 +39,8 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.compliance import DEFLECTION
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.transmission import AMPLITUDE_SCALES
-from calib_pin.problem import Problem
-from calib_pin.restricted_likelihood import (
-    EXACT,
-    Groups,
-    Variances,
-    estimate_variances,
-)
-from calib_pin.spatial import Floats
-from calib_pin.variance_components import current_units, grouped
 
 __all__ = ["Systematic", "systematic"]
 

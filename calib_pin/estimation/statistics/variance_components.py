@@ -19,22 +19,22 @@ from typing import TYPE_CHECKING
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.chi_square import chi_square_quantile
-from calib_pin.directions import half_covariance
-from calib_pin.evidence import VarianceComponent
-from calib_pin.measurement_models.base import Quantity
-from calib_pin.problem import EXACT, Problem
-from calib_pin.repetitions import PureError, pure_errors
-from calib_pin.restricted_likelihood import (
+from calib_pin.estimation.directions import half_covariance
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.repetitions import PureError, pure_errors
+from calib_pin.estimation.statistics.restricted_likelihood import (
     Groups,
     Variances,
     estimate_variances,
 )
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.base import Quantity
 from calib_pin.solvers import LeastSquaresResult, Status
-from calib_pin.spatial import Floats
 
 if TYPE_CHECKING:
-    from calib_pin.fit import Fit
+    from calib_pin.estimation.fit import Fit
 
 __all__ = [
     "balanced",

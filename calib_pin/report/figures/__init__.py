@@ -23,8 +23,8 @@ from calib_pin.report.figures.tip_accuracy import (
     tip_by_count,
     tip_in_workspace,
 )
-from calib_pin.result import CalibrationResult
-from calib_pin.tip_drift import TipDrift
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.tip_drift import TipDrift
 
 __all__ = [
     "COLORS",

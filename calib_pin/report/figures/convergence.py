@@ -8,7 +8,7 @@ from matplotlib.figure import Figure
 from calib_pin.report.figures.canvas import AFTER, WIDTH, Drawn, panels
 from calib_pin.report.figures.labels import log_axis, log_limits
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["convergence"]
 

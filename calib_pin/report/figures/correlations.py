@@ -10,12 +10,12 @@ from matplotlib.path import Path
 from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import MUTED, WIDTH, Drawn, note, panel
 from calib_pin.report.figures.estimated import Estimate, correlation, of_robot
 from calib_pin.report.figures.lists import beside
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["MOST", "TOGETHER", "correlations", "shown"]
 

@@ -7,10 +7,10 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.error_model import ErrorModel
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.figures.labels import shortened
-from calib_pin.result import CoupledGroup, ParameterEstimate
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
 __all__ = ["Estimate", "correlation", "of_robot"]
 

@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.report.figures.canvas import AFTER, INK, MUTED, Drawn, key, marks
 from calib_pin.report.figures.estimated import Estimate, of_robot
 from calib_pin.report.figures.lists import LEFT, Listed, lists
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["parameter_intervals"]
 

@@ -9,7 +9,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 
 __all__ = ["log_axis", "log_limits", "log_ticks", "plain", "shortened", "unit_of"]

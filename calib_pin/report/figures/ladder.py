@@ -17,7 +17,7 @@ from calib_pin.report.figures.labels import (
 )
 from calib_pin.report.figures.lists import beside
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult, Ladder, Rung
+from calib_pin.validation.result import CalibrationResult, Ladder, Rung
 
 __all__ = ["model_ladder"]
 

@@ -10,10 +10,10 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import GRID, INK, WIDTH, panel
 from calib_pin.report.figures.estimated import Estimate
 from calib_pin.report.figures.labels import unit_of
-from calib_pin.spatial import Floats
 
 __all__ = ["LEFT", "MOST", "Listed", "beside", "lists"]
 

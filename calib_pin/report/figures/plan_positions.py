@@ -6,6 +6,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import (
     AFTER,
@@ -17,7 +18,6 @@ from calib_pin.report.figures.canvas import (
     marks,
 )
 from calib_pin.report.figures.views import FOOT, SIDES, Sides
-from calib_pin.spatial import Floats
 
 __all__ = ["planned_positions", "tool_positions"]
 

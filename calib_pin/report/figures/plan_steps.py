@@ -8,6 +8,7 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import (
     AFTER,
@@ -20,7 +21,6 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.tables import number
-from calib_pin.spatial import Floats
 
 __all__ = ["criterion_by_count"]
 

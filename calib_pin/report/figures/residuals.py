@@ -10,6 +10,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     GROUPS,
     INK,
@@ -20,8 +21,7 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.strokes import Marks
-from calib_pin.result import CalibrationResult
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["residuals", "whitened"]
 

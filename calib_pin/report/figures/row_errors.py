@@ -11,6 +11,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
@@ -25,9 +26,8 @@ from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.figures.strokes import Marks
 from calib_pin.report.figures.thinning import thinned, thinning
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult
-from calib_pin.row_errors import RowErrors
-from calib_pin.spatial import Floats
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.row_errors import RowErrors
 
 __all__ = ["errors_per_measurement"]
 

@@ -19,7 +19,7 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, plain
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult, Identifiability
+from calib_pin.validation.result import CalibrationResult, Identifiability
 
 __all__ = ["singular_values"]
 

@@ -13,7 +13,7 @@ from matplotlib.path import Path
 from matplotlib.transforms import IdentityTransform
 from numpy.typing import NDArray
 
-from calib_pin.spatial import Floats
+from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["Marks", "arrows", "dots"]
 

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 from matplotlib.figure import Figure
 
-from calib_pin.assessment import chi2_interval
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     AFTER,
     INK,
@@ -18,9 +18,9 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.figures.views import FOOT, SCALE, Sides, colored
 from calib_pin.report.tables import number
-from calib_pin.result import CalibrationResult
-from calib_pin.spatial import Floats
-from calib_pin.tip_drift import TipDrift
+from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.tip_drift import TipDrift
 
 __all__ = ["drift_in_workspace", "tip_by_count", "tip_in_workspace"]
 

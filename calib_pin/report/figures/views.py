@@ -12,9 +12,9 @@ from matplotlib.figure import Figure
 from matplotlib.patches import Rectangle
 from matplotlib.ticker import MaxNLocator
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import WIDTH, note, panel
 from calib_pin.report.figures.strokes import dots
-from calib_pin.spatial import Floats
 
 __all__ = ["FOOT", "LEFT", "SCALE", "SIDES", "Sides", "colored"]
 

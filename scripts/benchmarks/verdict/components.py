@@ -10,8 +10,8 @@ import numpy as np
 import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between, missing
 from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, log_uniform, stream
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import PART
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.observations import PART
 from calib_pin.setup import AnchorSetup, Setup
 
 __all__ = ["CRITERION", "TRUTH"]

@@ -15,9 +15,9 @@ import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between, square
 from benchmarks.verdict.jobs import Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
-from calib_pin.formulation import nominal_problem
-from calib_pin.result import CalibrationResult
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["CRITERION", "far"]
 

@@ -11,9 +11,9 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from benchmarks.verdict.jobs import MODELS, Job, draw, log_uniform, stream
-from calib_pin.measurements import Measurements
+from calib_pin.kinematics.spatial import Floats, se3_exp
+from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, PointSetup, Setup
-from calib_pin.spatial import Floats, se3_exp
 
 __all__ = ["DEFECTS", "Case", "exchanged", "narrow", "path", "spoil", "stuck"]
 

@@ -14,12 +14,13 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.configurations import brought_to_contact
-from calib_pin.fit import analyze_structure
-from calib_pin.formulation import nominal_problem
-from calib_pin.measurements import Measurements
+from calib_pin.estimation.configurations import brought_to_contact
+from calib_pin.estimation.fit import analyze_structure
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
-from calib_pin.problem import Problem
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -30,7 +31,6 @@ from calib_pin.setup import (
     Setup,
     Triple,
 )
-from calib_pin.spatial import Floats
 
 __all__ = [
     "MODELS",

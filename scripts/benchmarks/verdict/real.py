@@ -14,8 +14,8 @@ import numpy as np
 
 import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between, missing
-from calib_pin.result import CalibrationResult
 from calib_pin.setup import DistanceSetup, Setup
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["CRITERION", "known_distances", "panda_2"]
 

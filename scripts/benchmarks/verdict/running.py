@@ -87,7 +87,7 @@ def _run(
 
 def _quietly(job: Callable[[int], Any], number: int) -> Any:
     """Outcome of a job, by a process of its own."""
-    from calib_pin.threads import serial_blas
+    from calib_pin.compiled.threads import serial_blas
 
     with serial_blas:
         return job(number)

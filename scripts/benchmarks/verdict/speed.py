@@ -12,7 +12,7 @@ import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import Job, draw, log_uniform, stream
-from calib_pin.measurements import Measurements
+from calib_pin.observations import Measurements
 
 __all__ = ["CRITERION"]
 

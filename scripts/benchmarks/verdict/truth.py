@@ -12,9 +12,9 @@ from dataclasses import dataclass
 import numpy as np
 
 from benchmarks.verdict.jobs import Job, stream
-from calib_pin.result import CalibratedModel, CalibrationResult
-from calib_pin.spatial import Floats
-from calib_pin.tip_drift import absorbed
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.validation.result import CalibratedModel, CalibrationResult
+from calib_pin.validation.tip_drift import absorbed
 
 __all__ = ["WORKSPACE", "Outcome", "judged", "position_error", "refused"]
 

@@ -14,11 +14,11 @@ from numpy.typing import NDArray
 import calib_pin
 from benchmarks.recovery import CASES, Study
 from calib_pin.errors import OptionError
-from calib_pin.fit import Fit, fit
-from calib_pin.measurements import Measurements
-from calib_pin.problem import Problem
-from calib_pin.robust import LOSSES
-from calib_pin.spatial import Floats
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.robust.weights import LOSSES
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Measurements
 
 GROSS = (5e-3, 1.0)
 """Sizes of gross errors, equally often in every factor [m, rad, kpx]."""

@@ -5,7 +5,11 @@ from __future__ import annotations
 import pytest
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from calib_pin.chi_square import chi_square_quantile, chi_square_tail, f_tail
+from calib_pin.estimation.statistics.chi_square import (
+    chi_square_quantile,
+    chi_square_tail,
+    f_tail,
+)
 
 
 @pytest.mark.parametrize("tail", [0.975, 0.5, 0.025, 1e-4, 1e-8])

@@ -8,9 +8,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.evidence import VarianceComponent
-from calib_pin.fit import fit
-from calib_pin.formulation import nominal_problem
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, Setup
 
 CHAIN = calib_pin.load_chain("space6")

@@ -5,9 +5,12 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.restricted_likelihood import Groups, estimate_variances
-from calib_pin.spatial import Floats
-from calib_pin.variance_components import variance_interval
+from calib_pin.estimation.statistics.restricted_likelihood import (
+    Groups,
+    estimate_variances,
+)
+from calib_pin.estimation.statistics.variance_components import variance_interval
+from calib_pin.kinematics.spatial import Floats
 
 
 def groups_of(

@@ -8,12 +8,12 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.fit import fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.systematic import MOST, _candidates, systematic
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Payload, Setup
-from calib_pin.spatial import Floats
-from calib_pin.systematic import MOST, _candidates, systematic
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 

@@ -8,15 +8,18 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin import problem as problem_module
-from calib_pin.directions import half_covariance
-from calib_pin.evidence import VarianceComponent
-from calib_pin.fit import Fit, fit
-from calib_pin.formulation import nominal_problem
-from calib_pin.problem import Problem
+from calib_pin.estimation import problem as problem_module
+from calib_pin.estimation.directions import half_covariance
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.variance_components import (
+    balanced,
+    variance_components,
+)
+from calib_pin.kinematics.spatial import Floats, so3_exp, to_quaternion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
-from calib_pin.spatial import Floats, so3_exp, to_quaternion
-from calib_pin.variance_components import balanced, variance_components
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
 CHAIN = calib_pin.load_chain("space6")
@@ -33,7 +36,9 @@ class Solve:
         self.calls += 1
         plain = replace(problem, setup=replace(problem.setup, loss="squared"))
         with pytest.MonkeyPatch.context() as patch:
-            patch.setattr("calib_pin.fit.balanced", lambda some, solve, _: solve(some))
+            patch.setattr(
+                "calib_pin.estimation.fit.balanced", lambda some, solve, _: solve(some)
+            )
             return fit(plain, np.random.default_rng(0))
 
     def balanced(self, problem: Problem) -> Fit:

@@ -12,8 +12,8 @@ import pytest
 import calib_pin
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import Drawn, drawing
-from calib_pin.result import CalibrationResult, Ladder, Outlier, Rung
-from calib_pin.row_errors import RowErrors
+from calib_pin.validation.result import CalibrationResult, Ladder, Outlier, Rung
+from calib_pin.validation.row_errors import RowErrors
 
 
 @pytest.fixture(scope="session")

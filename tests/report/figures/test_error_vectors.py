@@ -16,7 +16,7 @@ from calib_pin.report.figures.error_vectors import (
     magnification,
 )
 from calib_pin.report.figures.views import SIDES
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def test_arrows_end_where_the_error_does(

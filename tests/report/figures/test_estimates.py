@@ -15,7 +15,7 @@ from calib_pin.report.figures.estimated import Estimate, correlation, of_robot
 from calib_pin.report.figures.intervals import parameter_intervals
 from calib_pin.report.figures.lists import MOST as LINES
 from calib_pin.report.figures.lists import lists
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def estimates(result: CalibrationResult) -> list[Estimate]:

@@ -13,8 +13,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.chain import Chain
 from calib_pin.io.urdf import parse_robot
+from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures import (
     COLORS,
@@ -25,7 +25,7 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures.correlations import correlations
 from calib_pin.report.figures.intervals import parameter_intervals
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 # What has a direction is drawn as arrows, the rest in color.
 DRAWN = [name for name in NAMES["calibration"] if name != "errors-in-workspace"]

@@ -10,7 +10,7 @@ import pytest
 
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.residuals import residuals, whitened
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def test_residuals_are_in_units_of_their_deviation(

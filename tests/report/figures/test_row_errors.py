@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.row_errors import LIMIT, errors_per_measurement
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def line(axes: Axes, label: str) -> tuple[Any, Any]:

@@ -10,7 +10,7 @@ import numpy as np
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.labels import plain
 from calib_pin.report.figures.singular_values import singular_values
-from calib_pin.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def test_the_gap_is_at_the_rank(

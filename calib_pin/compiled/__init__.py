@@ -1,0 +1,1 @@
+"""Kernels compiled by numba, and the threads that run them."""

@@ -1,0 +1,1 @@
+"""From residuals to estimated parameters, their covariance and identifiability."""

@@ -1,0 +1,1 @@
+"""Robust estimation: measurements that do not fit are found and set aside."""

@@ -1,0 +1,1 @@
+"""Statistics of the residuals: distributions, variance components, repeated rows."""

@@ -14,7 +14,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
-from calib_pin.estimation.joint_conventions import suggest_readings
+from calib_pin.estimation.joint_conventions import suggest_conventions
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import AT, Measurements
@@ -23,7 +23,7 @@ from calib_pin.setup import Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks
 from calib_pin.validation.expected_accuracy import expected_accuracy
 from calib_pin.validation.held_out import Checked, check, counting, split
-from calib_pin.validation.model_selection import climb
+from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.plausibility import plausibility
 from calib_pin.validation.result import (
     Accuracy,
@@ -75,7 +75,7 @@ def calibrate(
             by cross-validation.
         ladder: Judge models from joint offsets to a learned correction by
             cross-validation, and calibrate with the simplest of the best; see
-            `ladder.climb`.
+            `ladder.select_model`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
 
@@ -105,7 +105,7 @@ def calibrate(
     _require_ends(
         setup, (measurements,) if validation is None else (measurements, validation)
     )
-    climbed = climb(chain, training, setup, seed, progress) if ladder else None
+    climbed = select_model(chain, training, setup, seed, progress) if ladder else None
     alone = unseen is not None or not validate
     share = 1.0 if alone else 1.0 / (1 + FOLDS)
     if climbed is not None:
@@ -182,11 +182,11 @@ def calibrate(
         ),
         ladder=None if climbed is None else climbed.ladder,
         urdf=urdf,
-        silent=trained.silent,
+        rejected=trained.rejected,
         distances=trained.distances
         + tuple(distance for part in checks for distance in part.distances),
         placed=tuple(dict.fromkeys(name for part in checks for name in part.placed)),
-        spoiled=checked.skipped,
+        skipped=checked.skipped,
         gains=checked.gains,
         findings=judged.findings,
         noise=fitted.noise,
@@ -291,7 +291,7 @@ def _judged(
     advice = CHECK
     if unexplained(fitted, errors):
         setup = fitted.problem.setup
-        if suggestion := suggest_readings(chain, data, setup, progress):
+        if suggestion := suggest_conventions(chain, data, setup, progress):
             advice = suggestion.text(chain.joints, setup.joints)
     findings = checked.findings + plausibility(fitted)
     measured = workspace = None

@@ -23,7 +23,7 @@ def normal_equations(
     chain: Floats,
     motion: Floats,
     starts: Indices,
-    by_twist: Floats,
+    J_pose: Floats,
     others: Floats,
     weights: Floats,
     result: Floats,
@@ -34,7 +34,7 @@ def normal_equations(
         chain: Links, shape (n + 1, 12).
         motion: Joint motions, shape (blocks, n, 3 BLOCK).
         starts: First row of every block, shape (blocks + 1,).
-        by_twist: Derivatives by the tool's body twist, shape (N, d, 6).
+        J_pose: Derivatives by the tool's body twist, shape (N, d, 6).
         others: Further columns of the same rows, shape (N, d, K).
         weights: Factors of the rows' components, shape (N, d).
         result: Filled, lower half, shape (M, M), M >= 6 (n + 1) + K a multiple of 4:
@@ -44,7 +44,7 @@ def normal_equations(
     result[:] = 0.0
     for block in range(len(motion)):
         rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
+        _fill(chain, motion[block], J_pose[rows], others[rows], weights[rows], panel)
         _gram(panel, starts[block + 1] - starts[block], result)
 
 
@@ -53,7 +53,7 @@ def triangular_factor(
     chain: Floats,
     motion: Floats,
     starts: Indices,
-    by_twist: Floats,
+    J_pose: Floats,
     others: Floats,
     weights: Floats,
     result: Floats,
@@ -66,7 +66,7 @@ def triangular_factor(
     result[:] = 0.0
     for block in range(len(motion)):
         rows = slice(starts[block], starts[block + 1])
-        _fill(chain, motion[block], by_twist[rows], others[rows], weights[rows], panel)
+        _fill(chain, motion[block], J_pose[rows], others[rows], weights[rows], panel)
         # One column after the other: the loops over them are many and short.
         size = starts[block + 1] - starts[block]
         columns = panel[:, :, :size].transpose(1, 0, 2).copy()
@@ -77,7 +77,7 @@ def triangular_factor(
 def _fill(
     chain: Floats,
     motion: Floats,
-    by_twist: Floats,
+    J_pose: Floats,
     others: Floats,
     weights: Floats,
     panel: Floats,
@@ -89,7 +89,7 @@ def _fill(
         for k in range(size):
             weight = weights[k, c]
             for i in range(6):
-                panel[c, 6 * joints + i, k] = weight * by_twist[k, c, i]
+                panel[c, 6 * joints + i, k] = weight * J_pose[k, c, i]
             for i in range(others.shape[2]):
                 panel[c, first + i, k] = weight * others[k, c, i]
         flat = panel[c].reshape(-1)

@@ -143,7 +143,7 @@ def brought_to_contact(
         touches[left[size < TOUCHING]] = True
         # A stretched arm turns around its singularity and never gets there.
         on = (size >= TOUCHING) & np.isfinite(size)
-        left, short, J = left[on], short[on], (linear.by_twist @ J_q)[on]
+        left, short, J = left[on], short[on], (linear.J_pose @ J_q)[on]
         if not len(left):
             break
         damped = J @ np.swapaxes(J, 1, 2)

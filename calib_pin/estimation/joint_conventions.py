@@ -22,7 +22,7 @@ from calib_pin.observations import Measurements
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
 
-__all__ = ["Reading", "Suggestion", "suggest_readings"]
+__all__ = ["Reading", "Suggestion", "suggest_conventions"]
 
 ROWS = 60
 """Rows that readings are tried on."""
@@ -129,7 +129,7 @@ class Suggestion:
 
 
 @serial_blas
-def suggest_readings(
+def suggest_conventions(
     chain: Chain,
     rows: Measurements,
     setup: Setup,

@@ -130,14 +130,14 @@ class ManyRows:
         def reduced(chunk: _Chunk) -> Floats:
             linear = self._measurement.linearize(chunk.poses(chain), own, chunk.data)
             others = np.concatenate(
-                [linear.by_own, linear.residual[:, :, None]], axis=2
+                [linear.J_instrument, linear.residual[:, :, None]], axis=2
             )
             result = np.empty((size, size))
             kernel(
                 chain,
                 chunk.motion,
                 chunk.starts,
-                linear.by_twist,
+                linear.J_pose,
                 others,
                 chunk.weights,
                 result,

@@ -294,14 +294,14 @@ class Problem:
             T = T.copy()
             T[begun] = invert(start.T) @ T[begun]
         linear = self.measurement.linearize(T, own, self.data)
-        by_twist = self._kept(linear.by_twist) * weight
-        blocks = [poses.derivative(by_twist)]
+        J_pose = self._kept(linear.J_pose) * weight
+        blocks = [poses.derivative(J_pose)]
         if begun.any():
             # The twist of T_0^-1 T is that of T without that of T_0, carried there.
-            carried = by_twist[begun] @ adjoint(invert(T[begun]))
+            carried = J_pose[begun] @ adjoint(invert(T[begun]))
             blocks[0][begun] -= start.derivative(carried)
         if len(own):
-            blocks.append(self._kept(linear.by_own) * weight)
+            blocks.append(self._kept(linear.J_instrument) * weight)
         J = _joined(blocks, axis=2).reshape(-1, len(theta))
         r = (self._kept(linear.residual) / self.sigma).reshape(-1)
         return self._with_further(theta, r, J)
@@ -370,9 +370,9 @@ class Problem:
         if not further:
             return r, J
         own = self.split(theta)[1]
-        by_own = self._distances.jacobian(own)
-        blocks = [np.zeros((len(by_own), len(theta)))]
-        blocks[0][:, len(theta) - len(own) :] = by_own
+        J_instrument = self._distances.jacobian(own)
+        blocks = [np.zeros((len(J_instrument), len(theta)))]
+        blocks[0][:, len(theta) - len(own) :] = J_instrument
         if self.expected is not None:
             blocks.append(self.expected.rows(np.diag(1.0 / self.parameters.scales)).T)
         blocks.append(np.diag(1.0 / self.parameters.priors)[self._prior])
@@ -465,7 +465,7 @@ class Problem:
         moved = replace(
             self,
             error=error.with_frames(*frames),
-            measurement=self.measurement.about(own),
+            measurement=self.measurement.rebased(own),
         )
         return moved, np.where(self.parameters.nuisance, 0.0, theta)
 
@@ -481,7 +481,7 @@ class Problem:
             instrument are zero.
         """
         of_robot, own = self.split(theta)
-        known = self.measurement.about(own)
+        known = self.measurement.rebased(own)
         there = replace(self, data=rows, measurement=known)
         T = there.poses(np.concatenate([of_robot, 0.0 * own]))
         measurement = known.extended(T, rows)

@@ -100,8 +100,8 @@ def growth(problem: Problem, theta: Floats) -> Floats:
         # The twist of T_0^-1 T is that of T without that of T_0, carried there.
         begins = _grown(start, start.to_base @ invert(start.to_tip))
         grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
-    by_twist = problem.measurement.linearize(T, own, data).by_twist
-    changes = (by_twist @ grown[:, :, None])[:, :, 0] / problem.sigma
+    J_pose = problem.measurement.linearize(T, own, data).J_pose
+    changes = (J_pose @ grown[:, :, None])[:, :, 0] / problem.sigma
     return np.asarray(changes.reshape(-1))
 
 

@@ -31,10 +31,10 @@ __all__ = [
     "SOLVERS",
     "Solved",
     "Solver",
+    "alternating_least_squares",
     "descend",
     "least_squares",
     "refine",
-    "take_turns",
 ]
 
 SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
@@ -137,7 +137,7 @@ class Solver:
         """
         start = nominal if previous is None else previous
         if self.name == "two-step":
-            return take_turns(problem, directions, start)
+            return alternating_least_squares(problem, directions, start)
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -198,7 +198,9 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solved:
     return Solved(result, "kernel" if problem.many else "pinocchio")
 
 
-def take_turns(problem: Problem, directions: Directions, start: Floats) -> Solved:
+def alternating_least_squares(
+    problem: Problem, directions: Directions, start: Floats
+) -> Solved:
     """Base, tool and instrument, then the robot, by turns until they agree."""
     scales = problem.parameters.scales[:, None]
     result = alternation(

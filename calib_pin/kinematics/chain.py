@@ -71,7 +71,7 @@ class Chain:
         lower: Lower position limits, shape (n,) [rad, m]; where there is none, half a
             turn back, or `FREE_TRAVEL` for a joint that slides.
         upper: Upper position limits, shape (n,) [rad, m]; the same forward.
-        crossed: Names of joints whose limits in the URDF cross; they count as none.
+        inverted: Names of joints whose limits in the URDF cross; they count as none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in the frame of the chain's joint before
             them in the tree, else in the root link at zero joint positions, n SE3.
@@ -155,7 +155,7 @@ class Chain:
         # Two zeros are what people write who mean no limit.
         stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
         limited = ~self._continuous & stated & (np.abs(upper - lower) < 1e6)
-        self.crossed: tuple[str, ...] = tuple(
+        self.inverted: tuple[str, ...] = tuple(
             name
             for name, wrong in zip(
                 self.joints, ~self._continuous & (lower > upper), strict=True

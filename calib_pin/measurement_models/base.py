@@ -20,11 +20,11 @@ __all__ = [
     "BatchedModel",
     "Curvature",
     "CurvedModel",
-    "Featured",
-    "FreeInstrument",
+    "ExternalInstrument",
     "Linearization",
     "MeasurementModel",
     "Quantity",
+    "ReferenceObjects",
     "References",
     "rotation_curvature",
     "tool_references",
@@ -64,13 +64,13 @@ class Linearization:
 
     Attributes:
         residual: Predicted minus measured, shape (N, d).
-        by_twist: Derivative by the body twist of the tool, shape (N, d, 6).
-        by_own: Derivative by the model's own parameters, shape (N, d, K).
+        J_pose: Derivative by the body twist of the tool, shape (N, d, 6).
+        J_instrument: Derivative by the model's own parameters, shape (N, d, K).
     """
 
     residual: Floats
-    by_twist: Floats
-    by_own: Floats
+    J_pose: Floats
+    J_instrument: Floats
 
 
 class MeasurementModel(Protocol):
@@ -161,7 +161,7 @@ class MeasurementModel(Protocol):
         """The model's own parameters."""
         ...
 
-    def about(self, own: Floats) -> MeasurementModel:
+    def rebased(self, own: Floats) -> MeasurementModel:
         """The same model with its own parameters moved into its references.
 
         Args:
@@ -280,13 +280,13 @@ class Curvature:
     """How a linearization at noise-free values changes as the tool moves.
 
     Attributes:
-        by_twist: Derivative of `Linearization.by_twist` by the tool's body twist,
+        J_pose: Derivative of `Linearization.J_pose` by the tool's body twist,
             shape (N, d, 6, 6), the twist last.
-        by_own: The same of `Linearization.by_own`, shape (N, d, K, 6).
+        J_instrument: The same of `Linearization.J_instrument`, shape (N, d, K, 6).
     """
 
-    by_twist: Floats
-    by_own: Floats
+    J_pose: Floats
+    J_instrument: Floats
 
 
 @runtime_checkable
@@ -312,7 +312,7 @@ def rotation_curvature(R: Floats) -> Floats:
     return result
 
 
-class Featured:
+class ReferenceObjects:
     """What models share that have features: parameters, and moves into references."""
 
     @property
@@ -329,12 +329,12 @@ class Featured:
         """Those of the features."""
         return tuple(p for feature in self.features for p in feature.parameters)
 
-    def about(self, own: Floats) -> Self:
+    def rebased(self, own: Floats) -> Self:
         """Every feature moved by its own parameters."""
         features = self.features
         return self.with_features(
             [
-                feature.about(own[part])
+                feature.rebased(own[part])
                 for feature, part in zip(features, slices(features), strict=True)
             ]
         )
@@ -354,7 +354,7 @@ class Featured:
         return False
 
 
-class FreeInstrument(Featured):
+class ExternalInstrument(ReferenceObjects):
     """What models share whose instrument stands anywhere.
 
     It measures in a frame of its own, at every pose.

@@ -23,9 +23,9 @@ from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
-    Featured,
     Linearization,
     Quantity,
+    ReferenceObjects,
     References,
     rotation_curvature,
 )
@@ -89,7 +89,7 @@ class Camera:
             for name, unit, scale in INTRINSICS
         )
 
-    def about(self, own: Floats) -> Camera:
+    def rebased(self, own: Floats) -> Camera:
         """With other intrinsics."""
         return replace(self, intrinsics=self.intrinsics + own)
 
@@ -134,7 +134,7 @@ class Marker(Point):
 
 
 @dataclass(frozen=True)
-class CameraModel(Featured):
+class CameraModel(ReferenceObjects):
     """Predicted minus measured pixel.
 
     Attributes:
@@ -246,20 +246,22 @@ class CameraModel(Featured):
         hand = self.camera.mount == "hand"
         h = -g if hand else np.einsum("din,ijn->djn", g, view.R)
         lever = view.image.points if hand else view.place
-        by_twist = np.empty((len(T), 2, 6))
-        by_twist[:, :, :3] = h.transpose(2, 0, 1)
+        J_pose = np.empty((len(T), 2, 6))
+        J_pose[:, :, :3] = h.transpose(2, 0, 1)
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
-            by_twist[:, :, 3 + k] = (lever[i] * h[:, j] - lever[j] * h[:, i]).T
-        by_own = np.zeros((len(T), 2, len(own)))
-        by_own[:, :, : len(INTRINSICS)] = view.image.by_intrinsics.transpose(2, 0, 1)
+            J_pose[:, :, 3 + k] = (lever[i] * h[:, j] - lever[j] * h[:, i]).T
+        J_instrument = np.zeros((len(T), 2, len(own)))
+        J_instrument[:, :, : len(INTRINSICS)] = view.image.by_intrinsics.transpose(
+            2, 0, 1
+        )
         column = self._columns[index]
         rows = np.flatnonzero(column >= 0)
         if len(rows):
             by_point = np.einsum("djn,ijn->din", g, view.R) if hand else h
             for k in range(3):
-                by_own[rows, :, column[rows] + k] = by_point[:, k, rows].T
-        return Linearization(view.image.pixels - data.values, by_twist, by_own)
+                J_instrument[rows, :, column[rows] + k] = by_point[:, k, rows].T
+        return Linearization(view.image.pixels - data.values, J_pose, J_instrument)
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the points into the camera."""
@@ -313,14 +315,14 @@ class CameraModel(Featured):
                 np.einsum("ndcb,nca->ndab", H, M) + np.einsum("ndc,ncab->ndab", g, by_M)
             )
 
-        by_own = np.zeros((len(T), 2, len(own), 6))
-        by_own[:, :, : len(INTRINSICS)] = image.bend_by_intrinsics @ M[:, None]
+        J_instrument = np.zeros((len(T), 2, len(own), 6))
+        J_instrument[:, :, : len(INTRINSICS)] = image.bend_by_intrinsics @ M[:, None]
         column = self._columns[index]
         rows = np.flatnonzero(column >= 0)
         by_point = carried(P, by_P)
         for k in range(3):
-            by_own[rows, :, column[rows] + k] = by_point[rows, :, k]
-        return Curvature(carried(M, by_M), by_own)
+            J_instrument[rows, :, column[rows] + k] = by_point[rows, :, k]
+        return Curvature(carried(M, by_M), J_instrument)
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

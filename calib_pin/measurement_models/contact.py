@@ -23,9 +23,9 @@ from calib_pin.measurement_models.features import (
     turned_planes,
 )
 from calib_pin.measurement_models.tool_point import (
-    Bend,
     PlaceModel,
-    Touch,
+    PointCurvature,
+    PointMeasurement,
     Touching,
 )
 from calib_pin.observations import Measurements
@@ -57,26 +57,28 @@ class PlaneContact(Contact):
     name: str = "plane-contact"
     comparison = "height"
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """The height, with the plane turned by (u, v) and shifted by f."""
         n, f, by_turn = self._planes(place, own)
         height = np.einsum("ni,ni->n", n, p) + f
         by_plane = np.concatenate(
             [np.einsum("ni,nik->nk", p, by_turn), np.ones((len(p), 1))], axis=1
         )
-        return Touch(height[:, None], n[:, None], by_plane[:, None])
+        return PointMeasurement(height[:, None], n[:, None], by_plane[:, None])
 
     def seen(self, own: Floats) -> Floats:
         """Normals and offsets."""
         planes = [plane for plane in self.places if isinstance(plane, Plane)]
         return turned_planes(planes, own)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """A plane is flat; what it turns about is as far as the point."""
         _, _, by_turn = self._planes(place, own)
         by_plane = np.zeros((len(p), 1, 3, 3))
         by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
-        return Bend(np.zeros((len(p), 1, 3, 3)), by_plane)
+        return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
 
     def reached(
         self, F: Floats, data: Measurements, point: Floats | None, place: Feature
@@ -118,12 +120,14 @@ class SphereContact(Contact):
 
     name: str = "sphere-contact"
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """The height."""
         e, distance = rays(p, self.places, place, own)
         height = distance - self._radii[place] - own[:, 3]
         by_sphere = np.concatenate([-e, np.full((len(p), 1), -1.0)], axis=1)
-        return Touch(height[:, None], e[:, None], by_sphere[:, None])
+        return PointMeasurement(height[:, None], e[:, None], by_sphere[:, None])
 
     def seen(self, own: Floats) -> Floats:
         """Centers, and radii to be subtracted."""
@@ -135,7 +139,7 @@ class SphereContact(Contact):
         spheres = [s for s in self.places if isinstance(s, Sphere)]
         return np.array([sphere.radius for sphere in spheres], float)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """As round as the point is far from the center."""
         e, distance = rays(p, self.places, place, own)
         return round_bend(e, distance)
@@ -190,9 +194,9 @@ def directions(x: Floats) -> tuple[Floats, Floats]:
         return x / length[:, None], length
 
 
-def round_bend(e: Floats, distance: Floats) -> Bend:
+def round_bend(e: Floats, distance: Floats) -> PointCurvature:
     """How a distance bends; its place has three coordinates and one number more."""
     across = np.eye(3) - e[:, :, None] * e[:, None, :]
     H = across / distance[:, None, None]
     by_place = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
-    return Bend(H[:, None], by_place[:, None])
+    return PointCurvature(H[:, None], by_place[:, None])

@@ -19,10 +19,10 @@ from calib_pin.measurement_models.contact_registration import (
 )
 from calib_pin.measurement_models.features import Anchor, Feature
 from calib_pin.measurement_models.tool_point import (
-    Bend,
     PlaceModel,
+    PointCurvature,
+    PointMeasurement,
     PointModel,
-    Touch,
     placed_tool,
     split_names,
     tip_points,
@@ -48,13 +48,15 @@ class PointDistance(PlaceModel):
         """The distance."""
         return 1
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """The reading."""
         e, distance = rays(p, self.places, place, own)
         bias = self._biases[place]
         by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
         reading = distance + bias + own[:, 3]
-        return Touch(reading[:, None], e[:, None], by_anchor[:, None])
+        return PointMeasurement(reading[:, None], e[:, None], by_anchor[:, None])
 
     def seen(self, own: Floats) -> Floats:
         """Anchors and biases."""
@@ -64,7 +66,7 @@ class PointDistance(PlaceModel):
     def _biases(self) -> Floats:
         return np.array([a.bias for a in self.places if isinstance(a, Anchor)])
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """As round as the point is far from the anchor."""
         return round_bend(*rays(p, self.places, place, own))
 
@@ -126,19 +128,21 @@ class RelativeDistance(PointModel):
         """Points, each before the name of a start that is yet to come."""
         return tuple(f"{name}{AT}" if name else "" for name in super().targets)
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """The length of the way."""
         e, distance = directions(p)
-        return Touch(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
+        return PointMeasurement(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
 
     def seen(self, own: Floats) -> Floats:
         """The start, from which on the kernel counts."""
         return np.zeros((len(own), 1, 4))
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """As round as the way is long."""
         across = round_bend(*directions(p)).by_point
-        return Bend(across, np.zeros((len(p), 1, 0, 3)))
+        return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

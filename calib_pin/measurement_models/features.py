@@ -77,7 +77,7 @@ class Feature(Protocol):
         """Its parameters, deviations from the reference."""
         ...
 
-    def about(self, own: Floats) -> Self:
+    def rebased(self, own: Floats) -> Self:
         """The same about moved references; own has shape (K,)."""
         ...
 
@@ -144,7 +144,7 @@ class Point:
         assert self.xyz is not None
         return np.asarray(self.xyz + own)
 
-    def about(self, own: Floats) -> Point:
+    def rebased(self, own: Floats) -> Point:
         """Moved by (x, y, z)."""
         return replace(self, xyz=self.at(own))
 
@@ -221,7 +221,7 @@ class Plane:
         )
         return np.column_stack([normals, self.offset + own[:, 2]])
 
-    def about(self, own: Floats) -> Plane:
+    def rebased(self, own: Floats) -> Plane:
         """Turned and shifted by (u, v, f)."""
         normal, offset, _ = self.turned(own)
         return replace(self, normal=normal, offset=offset)
@@ -265,7 +265,7 @@ class Sphere:
         radius = ("r", "m", self.estimate_radius)
         return nuisances(self.name, "sphere", [*center, radius])
 
-    def about(self, own: Floats) -> Sphere:
+    def rebased(self, own: Floats) -> Sphere:
         """Moved by (x, y, z) and larger by r."""
         assert self.xyz is not None and self.radius is not None
         radius = self.radius + float(own[3])
@@ -311,7 +311,7 @@ class Anchor:
             self.name, "anchor", [*place, ("bias", "m", self.estimate_bias)]
         )
 
-    def about(self, own: Floats) -> Anchor:
+    def rebased(self, own: Floats) -> Anchor:
         """Moved by (x, y, z), with another bias."""
         assert self.xyz is not None
         return replace(self, xyz=self.xyz + own[:3], bias=self.bias + float(own[3]))
@@ -357,7 +357,7 @@ class Frame:
         components = ((c, u, self.estimate) for c, u in units)
         return nuisances(self.name, self.kind, components, self.kind == "base")
 
-    def about(self, own: Floats) -> Frame:
+    def rebased(self, own: Floats) -> Frame:
         """Moved by the screws."""
         assert self.pose is not None
         pose = self.pose

@@ -15,9 +15,9 @@ from calib_pin.measurement_models.contact_registration import register_sockets
 from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.registration import register_points
 from calib_pin.measurement_models.tool_point import (
-    Bend,
+    PointCurvature,
+    PointMeasurement,
     PointModel,
-    Touch,
     Touching,
     placed_tool,
     tip_points,
@@ -44,20 +44,22 @@ class FixedPoint(Touching, PointModel):
         """One: the distance of the ball's center from its socket."""
         return (Quantity("position", "m", slice(0, 3), 1e-4),)
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """From the socket to the ball."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
         centers = self._centers[place] + own
-        return Touch(p - centers, identity, -identity)
+        return PointMeasurement(p - centers, identity, -identity)
 
     def seen(self, own: Floats) -> Floats:
         """Centers of the sockets."""
         return self._centers + own.reshape(len(own), -1, 3)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """Nothing bends."""
         flat = np.zeros((len(p), 3, 3, 3))
-        return Bend(flat, flat)
+        return PointCurvature(flat, flat)
 
     @property
     def _centers(self) -> Floats:

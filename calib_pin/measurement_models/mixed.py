@@ -23,10 +23,10 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    Featured,
     Linearization,
     MeasurementModel,
     Quantity,
+    ReferenceObjects,
 )
 from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurement_models.mount import Mounted
@@ -36,7 +36,7 @@ __all__ = ["Mixed", "qualified"]
 
 
 @dataclass(frozen=True)
-class Mixed(Featured):
+class Mixed(ReferenceObjects):
     """Parts with their rows told apart by their targets.
 
     Attributes:
@@ -192,17 +192,17 @@ class Mixed(Featured):
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """Linearizations of all parts side by side."""
         shape = (len(T), self._components)
-        residual, by_twist = np.zeros(shape), np.zeros((*shape, 6))
-        by_own = np.zeros((*shape, len(own)))
+        residual, J_pose = np.zeros(shape), np.zeros((*shape, 6))
+        J_instrument = np.zeros((*shape, len(own)))
         for name, (rows, seen) in data.by_part.items():
             index, components = self._own[name], self._layout[name][1]
             found = self.parts[name].linearize(T[rows], own[index], seen)
             residual[rows, components] = found.residual
-            by_twist[rows, components] = found.by_twist
+            J_pose[rows, components] = found.J_pose
             block = np.zeros((*found.residual.shape, len(own)))
-            block[:, :, index] = found.by_own
-            by_own[rows, components] = block
-        return Linearization(residual, by_twist, by_own)
+            block[:, :, index] = found.J_instrument
+            J_instrument[rows, components] = block
+        return Linearization(residual, J_pose, J_instrument)
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Those of all parts; none where one has none."""

@@ -13,10 +13,10 @@ from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    Featured,
     Linearization,
     MeasurementModel,
     Quantity,
+    ReferenceObjects,
     References,
 )
 from calib_pin.measurement_models.features import Feature, Frame
@@ -26,7 +26,7 @@ __all__ = ["Mounted"]
 
 
 @dataclass(frozen=True)
-class Mounted(Featured):
+class Mounted(ReferenceObjects):
     """A model that sees the poses `D T E` where others see T.
 
     Attributes:
@@ -117,13 +117,15 @@ class Mounted(Featured):
         TE = T @ E
         linear = self.model.linearize(D @ TE, inner, data)
         # D = D_0 Exp(d), so that a twist d stands before T E.
-        at_stand = linear.by_twist @ adjoint(invert(TE))
+        at_stand = linear.J_pose @ adjoint(invert(TE))
         by_stand = at_stand @ self.stand.twists(own[-12:-6])
-        by_place = linear.by_twist @ self.place.twists(own[-6:])
+        by_place = linear.J_pose @ self.place.twists(own[-6:])
         return replace(
             linear,
-            by_twist=linear.by_twist @ adjoint(invert(E[None])),
-            by_own=np.concatenate([linear.by_own, by_stand, by_place], axis=2),
+            J_pose=linear.J_pose @ adjoint(invert(E[None])),
+            J_instrument=np.concatenate(
+                [linear.J_instrument, by_stand, by_place], axis=2
+            ),
         )
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
@@ -166,6 +168,6 @@ class Mounted(Featured):
 
     def _split(self, own: Floats) -> tuple[Floats, Floats, Floats]:
         """Parameters of the model, and both frames, shape (4, 4)."""
-        stand, place = self.stand.about(own[-12:-6]), self.place.about(own[-6:])
+        stand, place = self.stand.rebased(own[-12:-6]), self.place.rebased(own[-6:])
         assert stand.pose is not None and place.pose is not None
         return own[:-12], stand.pose.homogeneous, place.pose.homogeneous

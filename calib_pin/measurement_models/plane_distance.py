@@ -13,9 +13,9 @@ from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
-    Featured,
     Linearization,
     Quantity,
+    ReferenceObjects,
     References,
 )
 from calib_pin.measurement_models.features import (
@@ -35,7 +35,7 @@ GRAZING = 1e-3
 
 
 @dataclass(frozen=True)
-class PlaneDistance(Featured):
+class PlaneDistance(ReferenceObjects):
     """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
 
     Attributes:
@@ -134,15 +134,15 @@ class PlaneDistance(Featured):
             slope = 1.0 / c
             # n . R (w x e_z) = -n . R [e_z]x w
             by_turn_of_beam = h[:, None] * (n_tool @ skew(np.array([0.0, 0.0, 1.0])))
-        by_twist = np.concatenate([-n_tool, by_turn_of_beam], axis=1)[:, None, :]
-        by_own = np.zeros((len(T), 1, 3 * len(self.planes)))
+        J_pose = np.concatenate([-n_tool, by_turn_of_beam], axis=1)[:, None, :]
+        J_instrument = np.zeros((len(T), 1, 3 * len(self.planes)))
         row = np.arange(len(T))
         for k in range(2):
-            by_own[row, 0, 3 * index + k] = -np.einsum(
+            J_instrument[row, 0, 3 * index + k] = -np.einsum(
                 "ni,ni->n", hit, by_turn[:, :, k]
             )
-        by_own[row, 0, 3 * index + 2] = -slope
-        return Linearization(h[:, None] - data.values, by_twist, by_own)
+        J_instrument[row, 0, 3 * index + 2] = -slope
+        return Linearization(h[:, None] - data.values, J_pose, J_instrument)
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
         """Second derivatives of the distance.
@@ -162,10 +162,10 @@ class PlaneDistance(Featured):
         by_c = turned[:, 2]  # dc / c by w
         by_m = turned - m[:, :, None] * by_c[:, None, :]
         by_h = np.concatenate([-m, h * (m @ e_z)], axis=1)
-        by_twist = np.zeros((len(T), 1, 6, 6))
-        by_twist[:, 0, :3, 3:] = -by_m
-        by_twist[:, 0, 3:] = (m @ e_z)[:, :, None] * by_h[:, None, :]
-        by_twist[:, 0, 3:, 3:] += h[:, None] * (e_z.T @ by_m)
+        J_pose = np.zeros((len(T), 1, 6, 6))
+        J_pose[:, 0, :3, 3:] = -by_m
+        J_pose[:, 0, 3:] = (m @ e_z)[:, :, None] * by_h[:, None, :]
+        J_pose[:, 0, 3:, 3:] += h[:, None] * (e_z.T @ by_m)
         # Of the hit point over c.
         hit = (p + h * b) / c
         by_hit = b[:, :, None] * by_h[:, None, :]
@@ -173,13 +173,13 @@ class PlaneDistance(Featured):
         by_hit[:, :, 3:] -= h[:, None] * (R @ e_z)
         by_hit /= c[:, None]
         by_hit[:, :, 3:] -= hit[:, :, None] * by_c[:, None, :]
-        by_own = np.zeros((len(T), 1, 3 * len(self.planes), 6))
+        J_instrument = np.zeros((len(T), 1, 3 * len(self.planes), 6))
         for k in range(2):
-            by_own[row, 0, 3 * index + k] = -np.einsum(
+            J_instrument[row, 0, 3 * index + k] = -np.einsum(
                 "ni,nij->nj", by_turn[:, :, k], by_hit
             )
-        by_own[row, 0, 3 * index + 2, 3:] = by_c / c
-        return Curvature(by_twist, by_own)
+        J_instrument[row, 0, 3 * index + 2, 3:] = by_c / c
+        return Curvature(J_pose, J_instrument)
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the origin and the beam of the tool to the base."""

@@ -19,7 +19,7 @@ from calib_pin.kinematics.spatial import (
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
-    FreeInstrument,
+    ExternalInstrument,
     Linearization,
     Quantity,
     rotation_curvature,
@@ -32,7 +32,7 @@ __all__ = ["Pose"]
 
 
 @dataclass(frozen=True)
-class Pose(FreeInstrument):
+class Pose(ExternalInstrument):
     """Position residual in the measuring frame [m], rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
@@ -71,16 +71,16 @@ class Pose(FreeInstrument):
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """`dp = R v` and `dlog = J_log w` for a body twist (v, w)."""
         residual = self.residual(T, own, data)
-        by_twist = np.zeros((len(T), 6, 6))
-        by_twist[:, :3, :3] = T[:, :3, :3]
-        by_twist[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
-        return Linearization(residual, by_twist, np.zeros((len(T), 6, 0)))
+        J_pose = np.zeros((len(T), 6, 6))
+        J_pose[:, :3, :3] = T[:, :3, :3]
+        J_pose[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
+        return Linearization(residual, J_pose, np.zeros((len(T), 6, 0)))
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
         """The position's rows turn with the tool; those of the rotation stay."""
-        by_twist = np.zeros((len(T), 6, 6, 6))
-        by_twist[:, :3, :3] = rotation_curvature(T[:, :3, :3])
-        return Curvature(by_twist, np.zeros((len(T), 6, 0, 6)))
+        J_pose = np.zeros((len(T), 6, 6, 6))
+        J_pose[:, :3, :3] = rotation_curvature(T[:, :3, :3])
+        return Curvature(J_pose, np.zeros((len(T), 6, 0, 6)))
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Carries the origin and the axes of the tool to the base."""

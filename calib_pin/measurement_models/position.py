@@ -13,9 +13,9 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.registration import register_points, register_reached
 from calib_pin.measurement_models.tool_point import (
-    Bend,
+    PointCurvature,
+    PointMeasurement,
     PointModel,
-    Touch,
     placed_tool,
     tip_points,
 )
@@ -56,18 +56,20 @@ class Position(PointModel):
         """Coordinates x y z."""
         return 3
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """The point itself."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-        return Touch(p, identity, np.zeros((len(p), 3, 0)))
+        return PointMeasurement(p, identity, np.zeros((len(p), 3, 0)))
 
     def seen(self, own: Floats) -> Floats:
         """Nothing: values alone."""
         return np.zeros((len(own), 1, 3))
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """Nothing bends."""
-        return Bend(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
+        return PointCurvature(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -20,8 +20,8 @@ from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
-    Featured,
     Linearization,
+    ReferenceObjects,
     References,
     rotation_curvature,
 )
@@ -32,10 +32,10 @@ from calib_pin.observations import AT, Measurements
 from calib_pin.setup import PointSetup
 
 __all__ = [
-    "Bend",
     "PlaceModel",
+    "PointCurvature",
+    "PointMeasurement",
     "PointModel",
-    "Touch",
     "Touching",
     "named_points",
     "placed_tool",
@@ -45,7 +45,7 @@ __all__ = [
 
 
 @dataclass(frozen=True)
-class Touch:
+class PointMeasurement:
     """What is measured of N points, and its derivatives.
 
     Attributes:
@@ -60,12 +60,12 @@ class Touch:
 
 
 @dataclass(frozen=True)
-class Bend:
-    """How the derivatives of a `Touch` change with the point.
+class PointCurvature:
+    """How the derivatives of a `PointMeasurement` change with the point.
 
     Attributes:
-        by_point: Of `Touch.by_point`, shape (N, d, 3, 3), the point last.
-        by_place: Of `Touch.by_place`, shape (N, d, k, 3).
+        by_point: Of `PointMeasurement.by_point`, shape (N, d, 3, 3), the point last.
+        by_place: Of `PointMeasurement.by_place`, shape (N, d, k, 3).
     """
 
     by_point: Floats
@@ -73,7 +73,7 @@ class Bend:
 
 
 @dataclass(frozen=True)
-class PointModel(Featured):
+class PointModel(ReferenceObjects):
     """A measurement of a point of the tool, against a place or by itself.
 
     A member says what is measured of a point (`compare`) and how that bends; this does
@@ -161,50 +161,52 @@ class PointModel(Featured):
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
         view = self._look(T, own, data.target)
-        touch, by_twist = view.touch, view.by_twist(T)
-        by_own = np.zeros((len(T), touch.value.shape[1], len(own)))
+        touch, J_pose = view.touch, view.J_pose(T)
+        J_instrument = np.zeros((len(T), touch.value.shape[1], len(own)))
         row = np.arange(len(T))
         named = view.point < len(self.points)
         by_offset = touch.by_point @ view.by_offset
         for c in range(3):
             column = 3 * view.point[named] + c
-            by_own[row[named], :, column] = by_offset[named, :, c]
+            J_instrument[row[named], :, column] = by_offset[named, :, c]
         width = touch.by_place.shape[2]
         for c in range(width if self.places else 0):
             column = 3 * len(self.points) + width * view.place + c
-            by_own[row, :, column] = touch.by_place[:, :, c]
+            J_instrument[row, :, column] = touch.by_place[:, :, c]
         residual = touch.value if self.contact else touch.value - data.values
-        return Linearization(residual, touch.by_point @ by_twist, by_own)
+        return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
         """Second derivatives: the point moves, and its own motion turns."""
         view = self._look(T, own, target)
         bend = self.bend(view.p, view.place, view.of_place)
-        G, P, rows = view.touch.by_point, view.by_twist(T), np.arange(len(T))
+        G, P, rows = view.touch.by_point, view.J_pose(T), np.arange(len(T))
         turning = rotation_curvature(T[:, :3, :3])
         # P = (R, -R [t]x)
         by_P = np.concatenate(
             [turning, -np.einsum("nacb,ncd->nadb", turning, skew(view.offset))], axis=2
         )
         H = bend.by_point @ P[:, None]
-        by_twist = np.einsum("ndcb,nca->ndab", H, P)
-        by_twist += np.einsum("ndc,ncab->ndab", G, by_P)
-        by_own = np.zeros((*G.shape[:2], len(own), 6))
+        J_pose = np.einsum("ndcb,nca->ndab", H, P)
+        J_pose += np.einsum("ndc,ncab->ndab", G, by_P)
+        J_instrument = np.zeros((*G.shape[:2], len(own), 6))
         named = view.point < len(self.points)
         R = view.by_offset
         by_offset = np.einsum("ndcb,nca->ndab", H, R)
         by_offset += np.einsum("ndc,ncab->ndab", G, turning)
         for c in range(3):
             column = 3 * view.point[named] + c
-            by_own[rows[named], :, column] = by_offset[named, :, c]
+            J_instrument[rows[named], :, column] = by_offset[named, :, c]
         width = bend.by_place.shape[2]
         by_place = bend.by_place @ P[:, None]
         for c in range(width if self.places else 0):
             column = 3 * len(self.points) + width * view.place + c
-            by_own[rows, :, column] = by_place[:, :, c]
-        return Curvature(by_twist, by_own)
+            J_instrument[rows, :, column] = by_place[:, :, c]
+        return Curvature(J_pose, J_instrument)
 
-    def compare(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Touch:
+    def compare(
+        self, p: Floats, place: NDArray[np.int64], own: Floats
+    ) -> PointMeasurement:
         """What is measured of points.
 
         Args:
@@ -214,7 +216,7 @@ class PointModel(Featured):
         """
         raise NotImplementedError
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> Bend:
+    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
         """How that changes with the points; arguments as for `compare`."""
         raise NotImplementedError
 
@@ -366,9 +368,9 @@ class _View:
     of_place: Floats
     p: Floats
     by_offset: Floats
-    touch: Touch
+    touch: PointMeasurement
 
-    def by_twist(self, T: Floats) -> Floats:
+    def J_pose(self, T: Floats) -> Floats:
         """Derivative of p by the body twist of the tool, shape (N, 3, 6)."""
         R = T[:, :3, :3]
         return np.concatenate([R, -R @ skew(self.offset)], axis=2)

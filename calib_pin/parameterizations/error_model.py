@@ -118,43 +118,43 @@ class PoseLinearization:
         behind = self.to_tip if self.learned is None else self.to_tip @ self.learned
         return np.asarray(adjoint(invert(behind)) @ at_tip)
 
-    def derivative(self, by_twist: Floats) -> Floats:
+    def derivative(self, J_pose: Floats) -> Floats:
         """Derivative by the parameters of something that depends on the tool pose.
 
         The few rows per configuration go through the chain from the left; the twists
         themselves, twice as large for a position, are never formed.
 
         Args:
-            by_twist: Its derivative by the tool's body twist, shape (N, d, 6).
+            J_pose: Its derivative by the tool's body twist, shape (N, d, 6).
 
         Returns:
             Derivative, shape (N, d, P).
         """
         if self.fading is not None:
             of_plain, of_whole, whole = self.fading
-            plain = replace(self, fading=None).derivative(by_twist @ of_plain)
-            return plain + whole.derivative(by_twist @ of_whole)
+            plain = replace(self, fading=None).derivative(J_pose @ of_plain)
+            return plain + whole.derivative(J_pose @ of_whole)
         if self.learned is not None:
-            by_twist = by_twist @ adjoint(invert(self.learned))
-        rows, size = by_twist.shape[:2]
+            J_pose = J_pose @ adjoint(invert(self.learned))
+        rows, size = J_pose.shape[:2]
         width = self.regressor.shape[2]
         base, joints, tip = np.searchsorted(
             self.places, [0, width // 6, width // 6 + 1], side="right"
         )
         result = np.empty((rows, size, len(self.places)))
-        at_base = by_twist @ adjoint(invert(self.to_base))
+        at_base = J_pose @ adjoint(invert(self.to_base))
         result[:, :, :base] = at_base @ self.columns[:, :base]
         # The parameters of the joints: one block of six rows for each place.
         B = np.zeros((width, joints - base))
         for k in range(base, joints):
             row = 6 * (self.places[k] - 1)
             B[row : row + 6, k - base] = self.columns[:, k]
-        at_joints = by_twist @ adjoint(invert(self.to_tip)) @ self.regressor
+        at_joints = J_pose @ adjoint(invert(self.to_tip)) @ self.regressor
         of_joints = at_joints.reshape(-1, width) @ B
         result[:, :, base:joints] = of_joints.reshape(rows, size, -1)
-        at_tip = by_twist @ adjoint(invert(self.to_tool))
+        at_tip = J_pose @ adjoint(invert(self.to_tool))
         result[:, :, joints:tip] = at_tip @ self.columns[:, joints:tip]
-        result[:, :, tip:] = by_twist @ self.columns[:, tip:]
+        result[:, :, tip:] = J_pose @ self.columns[:, tip:]
         result[:, :, self.corrections] *= self.factors[:, None, :]
         return result
 

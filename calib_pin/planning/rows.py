@@ -95,11 +95,11 @@ class IdentificationRows:
         Returns:
             Rows, shape (N, d, m).
         """
-        poses, by_twist, by_own = self._linear(q, target)
-        count, size = by_twist.shape[:2]
+        poses, J_pose, J_instrument = self._linear(q, target)
+        count, size = J_pose.shape[:2]
         of_robot, of_own = self._bases
-        rows = poses.derivative(by_twist).reshape(count * size, -1) @ of_robot
-        rows += by_own.reshape(count * size, -1) @ of_own
+        rows = poses.derivative(J_pose).reshape(count * size, -1) @ of_robot
+        rows += J_instrument.reshape(count * size, -1) @ of_own
         return np.asarray(rows.reshape(count, size, -1))
 
     def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
@@ -122,10 +122,10 @@ class IdentificationRows:
                 "the method 'gradient' needs",
                 allowed="exchange, greedy, pso, ga",
             )
-        poses, by_twist, by_own = self._linear(q, target)
+        poses, J_pose, J_instrument = self._linear(q, target)
         of_robot, of_own = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
-        rows = by_twist @ (V @ of_robot) + by_own @ of_own
+        rows = J_pose @ (V @ of_robot) + J_instrument @ of_own
         curvature = measurement.curvature(poses.T, self._own, target)
         xi = poses.joint_twists()
 
@@ -134,10 +134,10 @@ class IdentificationRows:
             weighted = by_rows / self.sigma[:, None]
             # The instrument's rows change with the pose, whichever joint moves it.
             by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
-            e = np.einsum("nab,nabc->nc", by_L, curvature.by_twist)
-            e += np.einsum("nak,nakc->nc", weighted @ of_own.T, curvature.by_own)
+            e = np.einsum("nab,nabc->nc", by_L, curvature.J_pose)
+            e += np.einsum("nak,nakc->nc", weighted @ of_own.T, curvature.J_instrument)
             # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
-            F = np.swapaxes(by_twist, 1, 2) @ G
+            F = np.swapaxes(J_pose, 1, 2) @ G
             by_place = np.cumsum(_coadjoint(V, F), axis=2)
             ahead = np.concatenate([np.zeros_like(by_place[:, :, :1]), by_place], 2)
             e = e[:, :, None] + ahead[:, :, self._carried]
@@ -181,7 +181,7 @@ class IdentificationRows:
         )
         linear = measurement.linearize(poses.T, self._own, data)
         weight = self.sigma[:, None]
-        return poses, linear.by_twist / weight, linear.by_own / weight
+        return poses, linear.J_pose / weight, linear.J_instrument / weight
 
 
 def _coadjoint(V: Floats, F: Floats) -> Floats:

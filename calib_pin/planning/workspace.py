@@ -260,9 +260,9 @@ class Workspace:
 def _limits(problem: Problem) -> tuple[Floats, Floats]:
     """Joint limits of the chain, narrowed by the setup."""
     chain, setup = problem.error.chain, problem.setup
-    if chain.crossed:
+    if chain.inverted:
         raise RobotError(
-            f"the limits of joint '{chain.crossed[0]}' cross, lower is above upper",
+            f"the limits of joint '{chain.inverted[0]}' cross, lower is above upper",
             file=chain.robot.file,
         )
     # Controllers complain at the very limit.

@@ -135,9 +135,9 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         if len(result.placed) > 2 * LISTED_OWNERS:
             names = f"{len(result.placed)} of them"
         yield f"Placed by the unseen rows that name them: {names}."
-    if result.spoiled:
-        reasons = " and ".join(dict.fromkeys(result.spoiled))
-        count = len(result.spoiled)
+    if result.skipped:
+        reasons = " and ".join(dict.fromkeys(result.skipped))
+        count = len(result.skipped)
         parts = "part of the check is" if count == 1 else "parts of the check are"
         yield f"{count} {parts} left out, for in the fit without: {reasons}."
 
@@ -165,10 +165,10 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
 
 def beyond(result: CalibrationResult) -> Iterator[Block]:
     """What a URDF cannot hold, and how good it is without."""
-    if result.silent:
+    if result.rejected:
         yield Line(
-            f"The {TITLES[result.silent]} found nothing that holds on rows it had not "
-            "seen: nothing is corrected.",
+            f"The {TITLES[result.rejected]} found nothing that holds on held-out "
+            "measurements: nothing is corrected.",
             "note",
         )
     if result.urdf is None or result.verdict == "no-gain":

@@ -71,7 +71,7 @@ class Network:
         series: Amplitudes of sines and cosines of each joint's own multiples, shape
             (K, n, 2, M) [rad, m].
         typical: Size of the corrections in training, shape (n,) [rad, m].
-        caution: Factor on the deviations, at least one, by which they explain the
+        inflation: Factor on the deviations, at least one, by which they explain the
             errors of held-out rows.
         held_out: Root mean square of the whitened residuals of rows that a network had
             not learned from, before and after.
@@ -84,7 +84,7 @@ class Network:
     outputs: Floats
     series: Floats
     typical: Floats
-    caution: float
+    inflation: float
     held_out: tuple[float, float]
 
     @property
@@ -145,7 +145,7 @@ class Network:
             if by_shift is not None:
                 each = each + _effects(by_shift, self.shifts[:, None])
             size = np.sqrt((by_correction**2 @ size[:, :, None] ** 2)[:, :, 0])
-        inside = self.caution * _jackknife(each)
+        inside = self.inflation * _jackknife(each)
         if len(each) == 1:
             before, after = self.held_out
             inside = size * min(after / max(before, 1e-300), 1.0)
@@ -173,7 +173,7 @@ class Network:
             "outputs": self.outputs.tolist(),
             "series": self.series.tolist(),
             "typical": self.typical.tolist(),
-            "caution": self.caution,
+            "caution": self.inflation,
             "held_out": list(self.held_out),
         }
 
@@ -198,7 +198,7 @@ class Network:
             outputs=numbers(parts, "outputs", (members, units, joints, 2)),
             series=numbers(parts, "series", (members, joints, 2, None), empty=True),
             typical=numbers(parts, "typical", (joints,)),
-            caution=float(numbers(parts, "caution", (), positive=True)),
+            inflation=float(numbers(parts, "caution", (), positive=True)),
             held_out=(float(before), float(after)),
         )
 
@@ -285,7 +285,7 @@ def fit_network(
         outputs=np.stack([w.outputs * unit[:, None] for w in weights]),
         series=np.stack([w.series * unit[:, None, None] for w in weights]),
         typical=np.sqrt((correction**2).mean(axis=0)),
-        caution=_caution(
+        inflation=_caution(
             _jackknife(effects),
             float((after**2).mean() - np.mean([m.noise**2 for m in kept])),
         ),

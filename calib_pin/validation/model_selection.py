@@ -38,7 +38,7 @@ from calib_pin.validation.training import (
 )
 from calib_pin.validation.unseen import Unseen
 
-__all__ = ["Climbed", "climb"]
+__all__ = ["Climbed", "select_model"]
 
 OFFSETS = "joint-offset"
 
@@ -83,7 +83,7 @@ class _Tried:
 
 
 @serial_blas
-def climb(
+def select_model(
     chain: Chain,
     rows: Measurements,
     setup: Setup,

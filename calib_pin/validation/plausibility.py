@@ -295,16 +295,16 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     )
 
 
-def _decided_by_others(fitted: Fit, by_own: Floats) -> Floats:
+def _decided_by_others(fitted: Fit, J_instrument: Floats) -> Floats:
     """Part 1 - h of each known distance that is not decided by itself, shape (D,).
 
     Args:
         fitted: The fit.
-        by_own: Derivative of the whitened distances by the instrument's own
+        J_instrument: Derivative of the whitened distances by the instrument's own
             parameters, shape (D, K).
     """
-    D = np.zeros((len(by_own), len(fitted.theta)))
-    D[:, len(fitted.theta) - by_own.shape[1] :] = by_own
+    D = np.zeros((len(J_instrument), len(fitted.theta)))
+    D[:, len(fitted.theta) - J_instrument.shape[1] :] = J_instrument
     # By noise alone, or what a distance decides would be more than all.
     _, result, moved = fitted.held
     half = half_covariance(result.jac, moved, fitted.problem.parameters)

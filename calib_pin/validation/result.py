@@ -392,11 +392,11 @@ class CalibrationResult(Identification):
         files: Measurement files.
         ladder: The model ladder, if one was climbed.
         urdf: The geometry alone, where the model is more than that.
-        silent: Name of the residual model that found nothing to correct, if one did.
+        rejected: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
         placed: Names of places that only the rows of the validation name: they stand
             where these rows put them.
-        spoiled: Why parts of a cross-validation were left out: what was fitted without
+        skipped: Why parts of a cross-validation were left out: what was fitted without
             them says nothing of the robot.
         noise: Variance components.
         gains: Paired tests on held-out configurations, the first of all quantities.
@@ -436,10 +436,10 @@ class CalibrationResult(Identification):
     files: tuple[str, ...] = ()
     ladder: Ladder | None = None
     urdf: UrdfResult | None = None
-    silent: str = ""
+    rejected: str = ""
     distances: tuple[FoundDistance, ...] = ()
     placed: tuple[str, ...] = ()
-    spoiled: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
     noise: tuple[VarianceComponent, ...] = ()
     gains: tuple[Gain, ...] = ()
     measured: ExpectedAccuracy | None = None

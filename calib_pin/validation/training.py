@@ -62,13 +62,13 @@ class Trained:
         fit: The fit of the parameters.
         problem: Its problem about the solution, with what was learned.
         theta: Parameter values about that, shape (P,).
-        silent: Name of the residual model that found nothing to correct, if one did.
+        rejected: Name of the residual model that found nothing to correct, if one did.
     """
 
     fit: Fit
     problem: Problem
     theta: Floats
-    silent: str = ""
+    rejected: str = ""
 
     @serial_blas
     def unseen(
@@ -203,7 +203,7 @@ def train(
     if not (found.shift.any() or found(problem.data.q).any()):
         # Nothing held on rows that it had not seen.
         nothing = replace(problem, setup=replace(setup, learned=None))
-        return Trained(fitted, nothing, theta, silent=setup.learned)
+        return Trained(fitted, nothing, theta, rejected=setup.learned)
     learned = LearnedCorrection(found, directions @ found.shift)
     error = problem.error.with_learned(learned)
     return Trained(fitted, replace(problem, error=error), theta)
@@ -263,14 +263,14 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
         error = replace(problem.error, learned=given)
         poses = error.linearize(problem.data.q, of_robot, factors)
         linear = problem.measurement.linearize(poses.T, own, problem.data)
-        by_twist = linear.by_twist / problem.sigma[:, :, None]
-        by_correction = by_twist
+        J_pose = linear.J_pose / problem.sigma[:, :, None]
+        by_correction = J_pose
         if space == "joint":
-            by_correction = by_twist @ poses.joint_twists()
+            by_correction = J_pose @ poses.joint_twists()
         return Linearized(
             residual=linear.residual / problem.sigma,
             by_correction=by_correction,
-            by_shift=poses.derivative(by_twist) @ directions,
+            by_shift=poses.derivative(J_pose) @ directions,
         )
 
     return TrainingRows(

@@ -40,9 +40,9 @@ __all__ = [
     "Seed",
     "Turns",
     "accuracies",
+    "alternating_least_squares",
     "elastostatics",
     "study",
-    "take_turns",
 ]
 
 GEOMETRY, BOTH = "geometry", "geometry + compliance"
@@ -80,7 +80,7 @@ class Turns:
     plain: tuple[float, ...]
 
 
-def take_turns(settings: Settings, rows: Measurements) -> Turns:
+def alternating_least_squares(settings: Settings, rows: Measurements) -> Turns:
     """Solve for base, points and robot jointly and by turns."""
     joint, turns = (
         fit(
@@ -359,7 +359,7 @@ def study(settings: Settings, planned: Floats, seed: int) -> Seed:
         repeats=settings.repeats,
     )
     return Seed(
-        turns=take_turns(settings, rows),
+        turns=alternating_least_squares(settings, rows),
         elastostatics=elastostatics(settings, of[1]),
         accuracies=accuracies(settings, of[2]),
         planned=at_test_poses(settings, planned, of[3]),

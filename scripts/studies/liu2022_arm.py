@@ -71,8 +71,8 @@ class SpatialTwist(Pose):
         turns = np.moveaxis(skew(np.eye(3)), 0, 2)
         brackets = np.zeros((6, 6, 6))
         brackets[:3, :3, 3:] = brackets[3:, 3:, 3:] = brackets[:3, 3:, :3] = turns
-        by_twist = np.einsum("nab,bcl->nacl", adjoint(T), brackets)
-        return Curvature(by_twist, np.zeros((len(T), 6, 0, 6)))
+        J_pose = np.einsum("nab,bcl->nacl", adjoint(T), brackets)
+        return Curvature(J_pose, np.zeros((len(T), 6, 0, 6)))
 
 
 @dataclass(frozen=True)

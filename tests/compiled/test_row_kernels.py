@@ -16,11 +16,11 @@ def test_reflections_of_few_rows_stay_finite(rows: int) -> None:
     rng = np.random.default_rng(9)
     chain = np.tile(np.eye(4)[:3].reshape(-1), (8, 1))
     motion, starts = blocks.motions(rng.normal(size=(rows, 7)), np.ones(7, bool))
-    by_twist, others = rng.normal(size=(rows, 1, 6)), rng.normal(size=(rows, 1, 4))
+    J_pose, others = rng.normal(size=(rows, 1, 6)), rng.normal(size=(rows, 1, 4))
     R, H = np.empty((52, 52)), np.empty((52, 52))
     weights = np.ones((rows, 1))
-    row_kernels.triangular_factor(chain, motion, starts, by_twist, others, weights, R)
-    row_kernels.normal_equations(chain, motion, starts, by_twist, others, weights, H)
+    row_kernels.triangular_factor(chain, motion, starts, J_pose, others, weights, R)
+    row_kernels.normal_equations(chain, motion, starts, J_pose, others, weights, H)
     np.testing.assert_allclose(np.tril(R.T @ R), np.tril(H), rtol=0, atol=1e-13)
 
 
@@ -28,18 +28,18 @@ def test_householder_agrees_with_numpy() -> None:
     """Rows of one joint that stands still: the kernel's columns are plain ones."""
     rng = np.random.default_rng(8)
     rows, d, own = 2 * BLOCK + 9, 2, 3
-    by_twist, others = rng.normal(size=(rows, d, 6)), rng.normal(size=(rows, d, own))
+    J_pose, others = rng.normal(size=(rows, d, 6)), rng.normal(size=(rows, d, own))
     weights = rng.uniform(0.5, 2.0, (rows, d))
     chain = np.tile(np.eye(4)[:3].reshape(-1), (2, 1))
     chain[1, 3] = 0.7  # The second link shifts along x.
     motion, starts = blocks.motions(np.zeros((rows, 1)), np.array([True]))
     size = 16  # 12 + 3, and a column of padding.
     R, H = np.empty((size, size)), np.empty((size, size))
-    row_kernels.triangular_factor(chain, motion, starts, by_twist, others, weights, R)
-    row_kernels.normal_equations(chain, motion, starts, by_twist, others, weights, H)
+    row_kernels.triangular_factor(chain, motion, starts, J_pose, others, weights, R)
+    row_kernels.normal_equations(chain, motion, starts, J_pose, others, weights, H)
 
     tool = pin.SE3(np.eye(3), np.array([0.7, 0.0, 0.0]))
-    columns = [by_twist @ tool.toActionMatrixInverse(), by_twist, others]
+    columns = [J_pose @ tool.toActionMatrixInverse(), J_pose, others]
     A = (np.concatenate(columns, axis=2) * weights[:, :, None]).reshape(-1, 15)
     np.testing.assert_allclose(np.tril(H[:15, :15]), np.tril(A.T @ A), atol=1e-10)
     assert not H[15].any() and not R[:, 15].any()

@@ -11,7 +11,11 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.joint_conventions import Reading, Suggestion, suggest_readings
+from calib_pin.estimation.joint_conventions import (
+    Reading,
+    Suggestion,
+    suggest_conventions,
+)
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -108,7 +112,7 @@ def test_what_is_wrong_is_found(
     rows: Measurements,
 ) -> None:
     wrong = misread(rows, change)
-    found = suggest_readings(arm, wrong, SETUP)
+    found = suggest_conventions(arm, wrong, SETUP)
     assert found is not None
     assert found.readings == readings
     assert found.after < 0.05 * found.before and found.before > 1e3
@@ -119,19 +123,19 @@ def test_what_is_wrong_is_found(
 
 
 def test_an_unknown_base_as_well(arm: Chain, rows: Measurements) -> None:
-    found = suggest_readings(arm, misread(rows, couple), Setup())
+    found = suggest_conventions(arm, misread(rows, couple), Setup())
     assert found is not None
     assert found.readings == (Reading(2, coupled=1),)
 
 
 def test_readings_that_are_right(arm: Chain, rows: Measurements) -> None:
-    assert suggest_readings(arm, rows, SETUP) is None
+    assert suggest_conventions(arm, rows, SETUP) is None
 
 
 def test_rows_of_something_else(arm: Chain, rows: Measurements) -> None:
     """Nothing helps decisively: better no advice than a wrong one."""
     order = np.random.default_rng(0).permutation(len(rows))
-    assert suggest_readings(arm, replace(rows, q=rows.q[order]), SETUP) is None
+    assert suggest_conventions(arm, replace(rows, q=rows.q[order]), SETUP) is None
 
 
 def test_without_a_measuring_frame(arm: Chain) -> None:
@@ -143,7 +147,7 @@ def test_without_a_measuring_frame(arm: Chain) -> None:
     zero = np.zeros(len(problem.parameters))
     exact = calib_pin.simulate(problem, zero, rng, count=40, noise=5e-5)
     wrong = misread(exact, reverse)
-    found = suggest_readings(arm, wrong, replace(setup, tool_frame=FrameSetup()))
+    found = suggest_conventions(arm, wrong, replace(setup, tool_frame=FrameSetup()))
     assert found is not None
     np.testing.assert_allclose(
         found.readings[0].position(wrong.q), exact.q[:, found.readings[0].joint]
@@ -158,14 +162,14 @@ def test_starts_are_read_like_the_rows(arm: Chain) -> None:
     q, start = rows.q.copy(), rows.start.copy()
     couple(q), couple(start)
     known = Setup(tool_frame=replace(TOOL, estimate=False))
-    found = suggest_readings(arm, replace(rows, q=q, start=start), known)
+    found = suggest_conventions(arm, replace(rows, q=q, start=start), known)
     assert found is not None and found.after < 10.0
     assert found.readings == (Reading(2, coupled=1),)
 
 
 def test_progress(arm: Chain, rows: Measurements) -> None:
     told: list[float] = []
-    suggest_readings(arm, misread(rows, reverse), SETUP, told.append)
+    suggest_conventions(arm, misread(rows, reverse), SETUP, told.append)
     assert told and told == sorted(told) and min(told) >= 0.0 and told[-1] < 1.0
 
 

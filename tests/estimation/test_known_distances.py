@@ -134,7 +134,7 @@ def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     wrong = (DistanceSetup(("s/0", "s/1"), apart + 1e-3, sigma),)
     told = replace(setup, distances=wrong)
     fitted = fit(make_problem(ARM, rows, told), rng)
-    places = fitted.problem.measurement.about(
+    places = fitted.problem.measurement.rebased(
         fitted.problem.split(fitted.theta)[1]
     ).places
     found = float(np.linalg.norm(places[0].xyz - places[1].xyz))

@@ -161,7 +161,7 @@ def test_behind_the_camera_there_is_no_pixel(mount: str) -> None:
     data = Measurements(("j",), T[:, 0, :1], "camera", T[:, :2, 0], None, target)
     linear = model.linearize(T, own, data)
     assert np.isfinite(linear.residual).all(axis=1).tolist() == [True, False, False]
-    assert np.isnan(linear.by_twist[1:]).any(axis=(1, 2)).all()
+    assert np.isnan(linear.J_pose[1:]).any(axis=(1, 2)).all()
 
 
 # Distortion.
@@ -241,19 +241,19 @@ def test_derivatives(mount: str, kind: str) -> None:
     own = np.random.default_rng(2).normal(size=len(scales)) * scales * 0.02
     linear = model.linearize(T, own, data)
     np.testing.assert_array_equal(linear.residual, model.residual(T, own, data))
-    assert linear.by_own.shape == (30, 2, len(own))
+    assert linear.J_instrument.shape == (30, 2, len(own))
     step = 1e-6
     for k in range(6):
         shift = pin.exp6(step * np.eye(6)[k])
         ahead = model.residual(T @ shift.homogeneous, own, data)
         behind = model.residual(T @ shift.inverse().homogeneous, own, data)
         difference = (ahead - behind) / (2 * step)
-        np.testing.assert_allclose(linear.by_twist[:, :, k], difference, atol=2e-5)
+        np.testing.assert_allclose(linear.J_pose[:, :, k], difference, atol=2e-5)
     for k, scale in enumerate(scales):
         shift = step * scale * np.eye(len(own))[k]
         ahead, behind = (model.residual(T, own + s, data) for s in (shift, -shift))
         difference = (ahead - behind) / (2 * step)
-        found = scale * linear.by_own[:, :, k]
+        found = scale * linear.J_instrument[:, :, k]
         np.testing.assert_allclose(found, difference, atol=2e-5)
 
 
@@ -272,8 +272,8 @@ def test_curvature(mount: str) -> None:
         ahead = model.linearize(T @ shift.homogeneous, own, data)
         behind = model.linearize(T @ shift.inverse().homogeneous, own, data)
         for found, plus, minus in (
-            (curvature.by_twist, ahead.by_twist, behind.by_twist),
-            (curvature.by_own, ahead.by_own, behind.by_own),
+            (curvature.J_pose, ahead.J_pose, behind.J_pose),
+            (curvature.J_instrument, ahead.J_instrument, behind.J_instrument),
         ):
             difference = (plus - minus) / (2 * step)
             np.testing.assert_allclose(found[..., k], difference, rtol=1e-7, atol=5e-4)
@@ -303,7 +303,7 @@ def test_own_parameters_move_into_the_references() -> None:
     model = model_of("world", SPACE, True, (2,))
     T, target = views(model, 20)
     own = np.array([5.0, -3.0, 2.0, 1.0, 0.01, -0.02, 1e-3, 2e-3, 0.01, 0.1, 0.2, 0.3])
-    moved = model.about(own)
+    moved = model.rebased(own)
     again = moved.predict(T, zero(moved), target)
     np.testing.assert_array_equal(again, model.predict(T, own, target))
     assert [p.name for p in moved.parameters] == [p.name for p in model.parameters]

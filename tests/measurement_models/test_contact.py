@@ -113,8 +113,11 @@ def test_rows_of_several_places_keep_their_own() -> None:
     moved = model.residual(T, own, data) - model.residual(T, 0.0 * own, data)
     of_a = np.array([name == "a" for name in data.target])
     assert np.abs(moved[of_a]).min() > 1e-3 and not moved[~of_a].any()
-    by_own = model.linearize(T, own, data).by_own
-    assert not by_own[of_a][:, :, 3:].any() and not by_own[~of_a][:, :, :3].any()
+    J_instrument = model.linearize(T, own, data).J_instrument
+    assert (
+        not J_instrument[of_a][:, :, 3:].any()
+        and not J_instrument[~of_a][:, :, :3].any()
+    )
     assert [p.unit for p in model.parameters] == ["rad", "rad", "m"] * 2
 
 

@@ -220,7 +220,7 @@ def test_sockets_from_nothing(simulated: Simulated) -> None:
     fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
     assert fitted.rank == 27 and fitted.structure.scaled
     assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
-    a, b = fitted.problem.measurement.about(
+    a, b = fitted.problem.measurement.rebased(
         fitted.problem.split(fitted.theta)[1]
     ).places
     assert np.linalg.norm(a.xyz - b.xyz) == pytest.approx(APART, abs=1e-10)

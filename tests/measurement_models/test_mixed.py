@@ -102,7 +102,7 @@ def test_what_several_parts_name_is_one_feature() -> None:
     model = mixed(setup, "position", "fixed-point", targets=rows)
     assert [feature.name for feature in model.features] == ["ball", "s/0", "s/1"]
     assert len(model.parameters) == 9
-    moved = model.about(np.array([0.1, 0, 0, 0, 0.2, 0, 0, 0, 0]))
+    moved = model.rebased(np.array([0.1, 0, 0, 0, 0.2, 0, 0, 0, 0]))
     for part in moved.parts.values():
         np.testing.assert_allclose(part.features[0].xyz, [0.15, 0.08, 0.12])
     np.testing.assert_allclose(moved.parts["fixed-point"].features[1].xyz[1], 0.5)
@@ -154,13 +154,13 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
         here = slice(start, start + size)
         start += size
         np.testing.assert_array_equal(linear.residual[rows, here], alone.residual)
-        np.testing.assert_array_equal(linear.by_twist[rows, here], alone.by_twist)
-        found = linear.by_own[rows, here]
-        np.testing.assert_array_equal(found[:, :, columns], alone.by_own)
+        np.testing.assert_array_equal(linear.J_pose[rows, here], alone.J_pose)
+        found = linear.J_instrument[rows, here]
+        np.testing.assert_array_equal(found[:, :, columns], alone.J_instrument)
         assert not np.delete(found, columns, axis=2).any()
         # Others have nothing in these components.
         others = np.setdiff1d(np.arange(len(data)), rows)
-        for array in (linear.residual, linear.by_twist, linear.by_own):
+        for array in (linear.residual, linear.J_pose, linear.J_instrument):
             assert not array[others, here].any()
         assert np.isinf(problem.sigma[others, here]).all()
         assert np.isfinite(problem.sigma[rows, here]).all()

@@ -121,16 +121,16 @@ def test_derivatives() -> None:
         ahead = model.residual(T @ shift.homogeneous, own, data)
         behind = model.residual(T @ shift.inverse().homogeneous, own, data)
         difference = (ahead - behind) / (2 * step)
-        np.testing.assert_allclose(linear.by_twist[:, :, k], difference, atol=1e-7)
+        np.testing.assert_allclose(linear.J_pose[:, :, k], difference, atol=1e-7)
         shift = step * np.eye(6)[k]
         ahead, behind = (model.residual(T, own + s, data) for s in (shift, -shift))
         difference = (ahead - behind) / (2 * step)
-        np.testing.assert_allclose(linear.by_own[:, :, k], difference, atol=1e-7)
+        np.testing.assert_allclose(linear.J_instrument[:, :, k], difference, atol=1e-7)
     # A turn about the beam changes nothing, and each row has one plane.
-    np.testing.assert_allclose(linear.by_twist[:, :, 5], 0.0, atol=1e-15)
+    np.testing.assert_allclose(linear.J_pose[:, :, 5], 0.0, atol=1e-15)
     on_wall = np.array(target) == "wall"
-    assert not linear.by_own[on_wall][:, :, :3].any()
-    assert not linear.by_own[~on_wall][:, :, 3:].any()
+    assert not linear.J_instrument[on_wall][:, :, :3].any()
+    assert not linear.J_instrument[~on_wall][:, :, 3:].any()
 
 
 def test_what_can_be_observed() -> None:

@@ -65,7 +65,7 @@ def test_large_residuals_keep_their_derivative() -> None:
         ahead = Pose().residual(T @ shift.homogeneous, own, data)
         behind = Pose().residual(T @ shift.inverse().homogeneous, own, data)
         np.testing.assert_allclose(
-            linear.by_twist[:, :, k], (ahead - behind) / (2 * step), rtol=0, atol=1e-8
+            linear.J_pose[:, :, k], (ahead - behind) / (2 * step), rtol=0, atol=1e-8
         )
 
 

@@ -29,9 +29,9 @@ def test_a_point_has_no_orientation() -> None:
     data = data_of(F[:, :3, 3] + 1.0)
     linear = model.linearize(F, np.zeros(0), data)
     np.testing.assert_allclose(linear.residual, -1.0, atol=1e-14)
-    np.testing.assert_array_equal(linear.by_twist[:, :, 3:], 0.0)
+    np.testing.assert_array_equal(linear.J_pose[:, :, 3:], 0.0)
     assert model.observable(F, np.zeros(0), data.target).all()
-    assert model.parameters == () and model.about(np.zeros(0)) == model
+    assert model.parameters == () and model.rebased(np.zeros(0)) == model
 
 
 @pytest.mark.parametrize("base", [None, BASE])

@@ -96,8 +96,8 @@ def test_shapes_and_names(model: MeasurementModel, request: Any) -> None:
     size = model.quantities[-1].columns.stop
     assert data.values.shape == (20, model.width)
     assert linear.residual.shape == (20, size)
-    assert linear.by_twist.shape == (20, size, 6)
-    assert linear.by_own.shape == (20, size, len(own))
+    assert linear.J_pose.shape == (20, size, 6)
+    assert linear.J_instrument.shape == (20, size, len(own))
     np.testing.assert_array_equal(linear.residual, model.residual(T, own, data))
     assert model.observable(T, own, data.target).shape == (20,)
     # The quantities cover the residual one after the other.
@@ -152,7 +152,7 @@ def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> N
 
 def test_own_parameters_move_into_the_references(model: MeasurementModel) -> None:
     T, own = poses(model), parameters_of(model)
-    moved = model.about(own)
+    moved = model.rebased(own)
     data = exact(model, T, own)
     zero = np.zeros_like(own)
     again = moved.predict(T, zero, data.target)

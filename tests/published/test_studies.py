@@ -195,20 +195,20 @@ def test_spatial_twists_against_central_differences() -> None:
     data = replace(empty, values=model.predict(T, own, target))
     linear = model.linearize(T, own, data)
     assert np.abs(linear.residual).max() < 1e-14
-    np.testing.assert_array_equal(linear.by_twist, adjoint(T))
+    np.testing.assert_array_equal(linear.J_pose, adjoint(T))
     curvature = model.curvature(T, own, target)
-    assert curvature.by_own.shape == (5, 6, 0, 6)
+    assert curvature.J_instrument.shape == (5, 6, 0, 6)
     for k in range(6):
         ahead, behind = (
             T @ pin.exp6(s * np.eye(6)[k]).homogeneous for s in (step, -step)
         )
         moved = model.residual(ahead, own, data) - model.residual(behind, own, data)
         np.testing.assert_allclose(
-            linear.by_twist[:, :, k], moved / (2 * step), atol=1e-8
+            linear.J_pose[:, :, k], moved / (2 * step), atol=1e-8
         )
         turned = adjoint(ahead) - adjoint(behind)
         np.testing.assert_allclose(
-            curvature.by_twist[..., k], turned / (2 * step), atol=1e-8
+            curvature.J_pose[..., k], turned / (2 * step), atol=1e-8
         )
 
 

@@ -61,12 +61,12 @@ class Study:
         def linearized(dq: Floats, xi: Floats, shift: Floats, tip: bool) -> Linearized:
             linear = self.error.linearize(q + dq, self.columns @ shift)
             T = moved(linear.T, xi)
-            by_twist = np.concatenate([T[:, :3, :3], np.zeros((count, 3, 3))], axis=2)
-            by_twist /= SIGMA
+            J_pose = np.concatenate([T[:, :3, :3], np.zeros((count, 3, 3))], axis=2)
+            J_pose /= SIGMA
             return Linearized(
                 residual=(T[:, :3, 3] - measured) / SIGMA,
-                by_correction=by_twist if tip else by_twist @ linear.joint_twists(),
-                by_shift=linear.derivative(by_twist) @ self.columns,
+                by_correction=J_pose if tip else J_pose @ linear.joint_twists(),
+                by_shift=linear.derivative(J_pose) @ self.columns,
             )
 
         return TrainingRows(

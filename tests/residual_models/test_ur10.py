@@ -46,11 +46,11 @@ def rows(fitted: Any) -> TrainingRows:
         of_robot, own = problem.split(found.theta + columns @ shift)
         poses = problem.error.linearize(problem.data.q + dq, of_robot)
         linear = problem.measurement.linearize(poses.T, own, problem.data)
-        by_twist = linear.by_twist / problem.sigma[:, :, None]
+        J_pose = linear.J_pose / problem.sigma[:, :, None]
         return Linearized(
             linear.residual / problem.sigma,
-            by_twist @ poses.joint_twists(),
-            poses.derivative(by_twist) @ columns,
+            J_pose @ poses.joint_twists(),
+            poses.derivative(J_pose) @ columns,
         )
 
     return TrainingRows(

@@ -18,7 +18,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.setup import FrameSetup, Payload, Setup
-from calib_pin.validation.model_selection import Climbed, climb
+from calib_pin.validation.model_selection import Climbed, select_model
 from calib_pin.validation.result import Rung
 from calib_pin.validation.splits import FOLDS
 from calib_pin.validation.training import cross_validate
@@ -70,7 +70,7 @@ def plain(chain: Chain) -> Climbed:
     """The ladder for 50 rows of a robot with errors of its geometry alone."""
     with pytest.MonkeyPatch.context() as patch:
         without_residual_models(patch)
-        return climb(chain, simulated(chain, ["placement"]), Setup(), 0)
+        return select_model(chain, simulated(chain, ["placement"]), Setup(), 0)
 
 
 def simulated(
@@ -161,7 +161,7 @@ def test_what_a_robot_has_is_kept(
 ) -> None:
     chain = calib_pin.load_chain("pa10")
     rows = simulated(chain, truth, joints=joints, count=80)
-    climbed = climb(chain, rows, LOADED, 0)
+    climbed = select_model(chain, rows, LOADED, 0)
     assert list(rungs(climbed)) == RUNGS
     found = kept(climbed)
     assert (found.name, found.parameters) == (expected, parameters)
@@ -188,7 +188,7 @@ def test_waves_under_a_larger_compliance_are_found() -> None:
     wall = replace(LOADED, gravity=(0.0, 9.81, 0.0))
     everything = ["placement", "transmission", "compliance"]
     rows = simulated(chain, everything, wall, count=80, seed=2)
-    climbed = climb(chain, rows, wall, 0)
+    climbed = select_model(chain, rows, wall, 0)
     assert kept(climbed).parameters == tuple(everything)
     assert kept(climbed).score < 2.0
 
@@ -211,7 +211,7 @@ def test_the_scores_are_those_of_unseen_rows(chain: Chain, plain: Climbed) -> No
 def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     rows = simulated(chain, ["dh"])
     setup = Setup(parameters=("compliance", "dh", "joint-offset"))
-    climbed = climb(chain, rows, setup, 0)
+    climbed = select_model(chain, rows, setup, 0)
     assert [rung.parameters for rung in climbed.ladder.rungs] == [
         ("joint-offset",),
         ("dh",),
@@ -220,7 +220,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
         ("dh", "transmission", "compliance"),
     ]
     # Nothing but offsets and corrections is no geometry.
-    climbed = climb(chain, rows, Setup(parameters=("joint-offset",)), 0)
+    climbed = select_model(chain, rows, Setup(parameters=("joint-offset",)), 0)
     assert climbed.ladder.rungs[1].parameters == ("placement",)
 
 
@@ -228,7 +228,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
 def test_gear_ratios_and_gravity_stay_on_every_rung(chain: Chain) -> None:
     gears = replace(LOADED, gear_ratios={"joint_2": 50.0}, gravity=(0.0, 9.81, 0.0))
     rows = simulated(chain, ["placement", "transmission", "compliance"], gears)
-    right, wrong = (climb(chain, rows, setup, 0) for setup in (gears, LOADED))
+    right, wrong = (select_model(chain, rows, setup, 0) for setup in (gears, LOADED))
     assert kept(right).parameters == ("placement", "transmission", "compliance")
     assert kept(right).score < 0.5 * kept(wrong).score
     names = right.trained.problem.parameters.names
@@ -259,7 +259,7 @@ def test_unseen_rows_of_a_file_check_what_the_ladder_kept(chain: Chain) -> None:
     assert result.ladder is not None
     assert (result.validation, result.validated) == ("file", 20)
     # They have no part in the choice.
-    alone = climb(chain, training, Setup(), 0).ladder
+    alone = select_model(chain, training, Setup(), 0).ladder
     assert alone == result.ladder
 
 
@@ -283,7 +283,7 @@ def test_a_repeated_row_is_never_on_both_sides(
         return cross_validate(chain, rows, setup, masks, *rest)
 
     monkeypatch.setattr("calib_pin.validation.model_selection.cross_validate", watched)
-    climb(chain, thrice, Setup(), 0)
+    select_model(chain, thrice, Setup(), 0)
     assert len(seen) == len(RUNGS)
     for masks in seen:
         # All rungs are judged in the same parts.
@@ -297,7 +297,7 @@ def test_repetitions_make_no_score_more_certain(chain: Chain, plain: Climbed) ->
     """A deviation counts configurations, however often each was read."""
     rows = simulated(chain, ["placement"])
     # Against the size that errors are expected to have, they do count.
-    often = climb(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
+    often = select_model(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
     for one, other in zip(plain.ladder.rungs[:2], often.ladder.rungs, strict=False):
         assert other.score == pytest.approx(one.score, rel=0.01)
         assert other.deviation == pytest.approx(one.deviation, rel=0.01)
@@ -307,7 +307,7 @@ def test_the_seed_divides(chain: Chain, plain: Climbed) -> None:
     rows = simulated(chain, ["placement"])
     first = [rung.score for rung in plain.ladder.rungs]
     again, other = (
-        [rung.score for rung in climb(chain, rows, Setup(), seed).ladder.rungs]
+        [rung.score for rung in select_model(chain, rows, Setup(), seed).ladder.rungs]
         for seed in (0, 1)
     )
     assert first == again
@@ -320,7 +320,7 @@ def test_the_seed_divides(chain: Chain, plain: Climbed) -> None:
 def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
     """Five of seven configurations tell of offsets, but not of all the geometry."""
     rows = simulated(chain, ["joint-offset"], count=7)
-    climbed = climb(chain, rows, Setup(), 0)
+    climbed = select_model(chain, rows, Setup(), 0)
     offset, geometric, transmission, compliance, both = climbed.ladder.rungs
     assert not offset.reason and kept(climbed) is offset
     assert not compliance.reason
@@ -335,13 +335,13 @@ def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) ->
     # However often they were read.
     for often in (1, 20):
         with refused(OptionError, ["no footing", "4 configurations are too few"]):
-            climb(chain, rows.rows(np.repeat(np.arange(4), often)), Setup(), 0)
+            select_model(chain, rows.rows(np.repeat(np.arange(4), often)), Setup(), 0)
 
 
 def test_without_masses_the_compliance_rung_says_why() -> None:
     chain = calib_pin.load_chain("space6")
     rows = simulated(chain, ["placement"], Setup())
-    climbed = climb(chain, rows, Setup(), 0)
+    climbed = select_model(chain, rows, Setup(), 0)
     rung = rungs(climbed)["+ compliance"]
     assert rung.reason == (
         "'compliance' needs something that gravity pulls at: there is no gravity, or "
@@ -350,16 +350,16 @@ def test_without_masses_the_compliance_rung_says_why() -> None:
     assert np.isnan(rung.score) and not rung.helps
     assert kept(climbed).name == "geometric"
     # A payload is enough.
-    assert not rungs(climb(chain, rows, LOADED, 0))["+ compliance"].reason
+    assert not rungs(select_model(chain, rows, LOADED, 0))["+ compliance"].reason
 
 
 def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
     payloads = {"a": Payload(1.0), "b": Payload(2.0)}
     rows = simulated(chain, ["placement"], Setup(), count=20)
     with pytest.raises(InputError, match="several payloads, and the row names none"):
-        climb(chain, rows, Setup(payloads=payloads), 0)
+        select_model(chain, rows, Setup(payloads=payloads), 0)
     told = replace(rows, payload=("a", "b") * 10)
-    climbed = climb(chain, told, Setup(payloads=payloads), 0)
+    climbed = select_model(chain, told, Setup(payloads=payloads), 0)
     rung = rungs(climbed)["+ compliance"]
     assert not rung.reason and np.isfinite(rung.score)
 
@@ -377,8 +377,8 @@ def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
         prior={"*.compliance.k": 1.0},
         base_frame=FrameSetup((0.0, 0.0, 0.0)),
     )
-    climbed = climb(chain, rows, setup, 0)
-    plain = climb(chain, rows, replace(setup, fixed=("base.frame.z",)), 0)
+    climbed = select_model(chain, rows, setup, 0)
+    plain = select_model(chain, rows, replace(setup, fixed=("base.frame.z",)), 0)
     names = ("joint offset", "+ transmission")
     fewer = [rungs(plain)[n].rank - rungs(climbed)[n].rank for n in names]
     assert fewer[0] == 0 and fewer[1] >= 10
@@ -406,15 +406,15 @@ def test_a_pattern_of_no_rung(
     rows = simulated(chain, ["placement"], Setup())
     reason = "'joint_3.placment.x'", "mean 'joint_3.placement.x'?"
     with refused(OptionError, reason, file="s.yaml"):
-        climb(chain, rows, Setup(file="s.yaml", **stated), 0)
+        select_model(chain, rows, Setup(file="s.yaml", **stated), 0)
 
 
 def test_motors_without_a_gear_ratio_are_on_no_rung(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup())
     fixed = ("joint_1.transmission.motor_*",)
     with pytest.raises(OptionError, match="no parameter matches 'joint_1"):
-        climb(chain, rows, Setup(fixed=fixed), 0)
-    climb(chain, rows, Setup(fixed=fixed, gear_ratios={"joint_1": 50.0}), 0)
+        select_model(chain, rows, Setup(fixed=fixed), 0)
+    select_model(chain, rows, Setup(fixed=fixed, gear_ratios={"joint_1": 50.0}), 0)
 
 
 # Learned rungs.
@@ -479,7 +479,7 @@ def waving(chain: Chain, rows: Measurements) -> Measurements:
 @pytest.mark.usefixtures("trainers")
 def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
     rows = waving(chain, simulated(chain, ["joint-offset"], Setup()))
-    climbed = climb(chain, rows, Setup(), 0)
+    climbed = select_model(chain, rows, Setup(), 0)
     found = rungs(climbed)
     assert list(found) == [*RUNGS, "+ lazy", "+ wrong", "+ right"]
     below = ("joint-offset",)
@@ -504,7 +504,7 @@ def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
 @pytest.mark.usefixtures("trainers")
 def test_what_need_not_be_learned_is_not(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup())
-    climbed = climb(chain, rows, Setup(learned="right"), 0)
+    climbed = select_model(chain, rows, Setup(learned="right"), 0)
     # Only what the setup asks for is tried.
     assert list(rungs(climbed)) == [*RUNGS, "+ right"]
     assert kept(climbed).name == "geometric"
@@ -518,7 +518,9 @@ def test_what_need_not_be_learned_is_not(chain: Chain) -> None:
 def test_progress_goes_up_the_ladder(chain: Chain) -> None:
     told: list[tuple[str, float]] = []
     rows = simulated(chain, ["placement"], Setup())
-    climb(chain, rows, Setup(), 0, lambda stage, part: told.append((stage, part)))
+    select_model(
+        chain, rows, Setup(), 0, lambda stage, part: told.append((stage, part))
+    )
     stages, parts = zip(*told, strict=True)
     assert list(dict.fromkeys(stages)) == [*RUNGS, "+ lazy", "+ wrong", "+ right"]
     assert list(parts) == sorted(parts)

@@ -13,8 +13,9 @@ import pytest
 
 import calib_pin
 from benchmarks.recovery import CASES, FRAMES, Study, Trials
-from calib_pin.estimation.fit import analyze_structure, fit
+from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import Payload

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 

@@ -12,9 +12,9 @@ import pinocchio as pin
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.directions import visible_directions, visible_nuisances
-from calib_pin.estimation.fit import register, structure_at
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import Structure
+from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.collision import Collisions

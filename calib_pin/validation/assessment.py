@@ -9,9 +9,10 @@ from typing import Protocol
 import numpy as np
 
 from calib_pin.estimation.directions import Directions
-from calib_pin.estimation.fit import Fit, analyze_structure
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile
 from calib_pin.kinematics.chain import Chain

@@ -8,8 +8,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.fit import register
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

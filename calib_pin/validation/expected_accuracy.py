@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import ExpectedAccuracy
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.spatial import Floats

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance, visible_nuisances
 from calib_pin.estimation.evidence import Gain
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.student import student_tail
 from calib_pin.kinematics.spatial import Floats

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.evidence import Finding, Gain
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements
 from calib_pin.progress import Stages

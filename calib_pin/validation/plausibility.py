@@ -22,8 +22,9 @@ import pinocchio as pin
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, projected
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import Fit, analyze_structure
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.scale import growth
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE

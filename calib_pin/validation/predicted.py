@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import spectrum
 from calib_pin.kinematics.spatial import Floats

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.stretches import stretches

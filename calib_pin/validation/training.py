@@ -16,7 +16,8 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.fit import Fit, fit, refitted, with_effects
+from calib_pin.estimation.fit import fit, refitted, with_effects
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, restricted
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain

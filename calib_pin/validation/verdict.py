@@ -16,7 +16,7 @@ from calib_pin.estimation.evidence import (
     Gain,
     VarianceComponent,
 )
-from calib_pin.estimation.fit import Fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY

@@ -16,8 +16,10 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.configurations import observable_configurations
-from calib_pin.estimation.fit import Fit, analyze_structure, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import (

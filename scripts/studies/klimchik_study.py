@@ -17,7 +17,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.solve import descend
 from calib_pin.kinematics.spatial import Floats, invert, so3_log

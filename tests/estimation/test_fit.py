@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.setup import FrameSetup, Setup

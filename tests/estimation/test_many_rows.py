@@ -11,7 +11,8 @@ import pytest
 import calib_pin
 from calib_pin.compiled.blocks import BLOCK
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.problem import Problem

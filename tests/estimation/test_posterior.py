@@ -8,7 +8,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import Fit, fit, with_effects
+from calib_pin.estimation.fit import fit, with_effects
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.posterior import Posterior, posterior
 from calib_pin.estimation.problem import Problem

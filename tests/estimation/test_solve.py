@@ -12,7 +12,8 @@ import pytest
 import calib_pin
 from benchmarks.recovery import CASES, Study
 from calib_pin.errors import OptionError
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance

@@ -11,8 +11,9 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.fit import fit, register
+from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.nominal import register
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats

@@ -11,8 +11,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import analyze_structure, fit
+from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import read_configurations
 from calib_pin.io.true_errors import read_true_errors

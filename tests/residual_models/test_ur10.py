@@ -13,7 +13,8 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models import Linearized, ResidualModel, TrainingRows

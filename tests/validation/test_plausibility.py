@@ -11,7 +11,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.scale import growth

@@ -24,13 +24,13 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import EXACT, SAMPLE, Expected, Problem
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -41,9 +41,6 @@ from calib_pin.estimation.robust.studentized import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
-
-if TYPE_CHECKING:
-    from calib_pin.estimation.fit import Fit
 
 __all__ = ["LOSSES", "robustly"]
 

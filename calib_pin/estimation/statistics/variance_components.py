@@ -12,16 +12,14 @@ what a fit leaves between configurations beyond it is lack of fit (see `repetiti
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import replace
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile
 from calib_pin.estimation.statistics.repetitions import PureError, pure_errors
 from calib_pin.estimation.statistics.restricted_likelihood import (
@@ -31,14 +29,11 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import Quantity
-from calib_pin.solvers import LeastSquaresResult, Status
-
-if TYPE_CHECKING:
-    from calib_pin.estimation.fit import Fit
+from calib_pin.solvers import LeastSquaresResult
 
 __all__ = [
-    "balanced",
     "by_quantity",
+    "component_units",
     "current_units",
     "grouped",
     "units",
@@ -54,17 +49,6 @@ estimated from one value may be anything."""
 
 LEAST = 1e-3
 """Least part of the largest unit weight: an exact quantity leaves the others a say."""
-
-STANDS = 0.01
-"""Change of the ratios of unit weights at which they stand: a third of the deviation
-with which five hundred values tell one, and a change of no weight that matters."""
-
-LIKE = 1.5
-"""Logarithm of the change of a ratio up to which a fit goes on where it stands, in the
-directions that it has chosen."""
-
-ROUNDS = 6
-"""Most fits of an alternation; two are usual."""
 
 
 def variance_components(
@@ -96,44 +80,6 @@ def units(components: tuple[VarianceComponent, ...], problem: Problem) -> Floats
     for component, quantity in pairs:
         result[quantity.columns] = component.factor
     return result
-
-
-def balanced(
-    problem: Problem,
-    solve: Callable[[Problem], Fit],
-    solve_again: Callable[[Fit, Floats], Fit],
-) -> Fit:
-    """Alternate fits and estimates of unit weights until their ratios stand.
-
-    A common factor of all rows changes no solution where nothing else is known; then
-    the fit is converted, not repeated.
-
-    Args:
-        problem: The problem.
-        solve: Fits a problem with given units; is called once where there is one
-            quantity and there are neither known distances nor priors.
-        solve_again: Fits the problem of a fit in other units, shape (d,), that are
-            `LIKE` its own.
-    """
-    fitted = solve(problem)
-    for _ in range(ROUNDS):
-        if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
-            return fitted
-        components = variance_components(*fitted.held)
-        current = _each(fitted.problem)
-        change = units(components, problem) / current
-        common = 1.0
-        if len(fitted.problem.further_rows(fitted.theta)) == 0:
-            common = float(np.exp(np.mean(np.log(change))))
-        relative = np.abs(np.log(change / common)).max()
-        # A search that was cut short, or told when to end, is not carried on.
-        if relative < STANDS or fitted.result.status is not Status.CONVERGED:
-            return _converted(fitted, common)
-        if relative < LIKE:
-            fitted = solve_again(fitted, current * change)
-        else:
-            fitted = solve(replace(problem, units=current * change))
-    return fitted
 
 
 def grouped(problem: Problem, rows: Floats) -> Groups:
@@ -172,7 +118,7 @@ def by_quantity(
     if not problem.many:
         return grouped(problem, np.column_stack([jac @ half, fun]))
     # Those of one quantity are what is left where the others weigh nothing.
-    quantities, current = problem.measurement.quantities, _each(problem)
+    quantities, current = problem.measurement.quantities, component_units(problem)
     further = len(problem.further_rows(theta))
     systems = [(fun, jac)]
     if len(quantities) > 1:
@@ -206,7 +152,7 @@ def _counts(problem: Problem) -> Floats:
     )
 
 
-def _each(problem: Problem) -> Floats:
+def component_units(problem: Problem) -> Floats:
     """Unit weight of every component, shape (d,)."""
     return problem.units if len(problem.units) else np.ones(problem.components)
 
@@ -214,7 +160,7 @@ def _each(problem: Problem) -> Floats:
 def current_units(problem: Problem) -> Floats:
     """Standard deviation of unit weight of every quantity, shape (K,)."""
     quantities = problem.measurement.quantities
-    return _each(problem)[[quantity.columns.start for quantity in quantities]]
+    return component_units(problem)[[quantity.columns.start for quantity in quantities]]
 
 
 def _stated(problem: Problem, quantity: Quantity) -> bool:
@@ -330,22 +276,4 @@ def _component(
         unmodeled=None if unmodeled is None else size * unmodeled**0.5,
         lack_of_fit=lack,
         pure_test=None if pure is None else pure.test,
-    )
-
-
-def _converted(fitted: Fit, factor: float) -> Fit:
-    """A fit in units that are all multiplied by one factor."""
-    result = fitted.result
-    return replace(
-        fitted,
-        problem=replace(fitted.problem, units=factor * _each(fitted.problem)),
-        result=replace(
-            result,
-            fun=result.fun / factor,
-            jac=result.jac / factor,
-            cost=result.cost / factor**2,
-        ),
-        sigma0=fitted.sigma0 / factor,
-        unit=1.0,
-        singular_values=fitted.singular_values / factor,
     )

@@ -15,8 +15,8 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.configurations import brought_to_contact
-from calib_pin.estimation.fit import analyze_structure
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements

@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 import calib_pin
 from benchmarks.recovery import CASES, Study
 from calib_pin.errors import OptionError
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.kinematics.spatial import Floats

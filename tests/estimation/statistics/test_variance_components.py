@@ -11,13 +11,12 @@ import calib_pin
 from calib_pin.estimation import problem as problem_module
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.variance_components import (
-    balanced,
-    variance_components,
-)
+from calib_pin.estimation.statistics.variance_components import variance_components
+from calib_pin.estimation.unit_weights import balanced
 from calib_pin.kinematics.spatial import Floats, so3_exp, to_quaternion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 

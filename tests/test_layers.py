@@ -12,7 +12,16 @@ import pytest
 PACKAGE = Path(__file__).parents[1] / "calib_pin"
 
 ROOMS = (
-    *("errors", "units", "progress", "setup", "kinematics", "compiled", "parameters"),
+    *(
+        "errors",
+        "plugins",
+        "units",
+        "progress",
+        "setup",
+        "kinematics",
+        "compiled",
+        "parameters",
+    ),
     *("observations", "parameterizations", "measurement_models", "solvers"),
     *("residual_models", "estimation", "validation", "planning", "control"),
     *("simulation", "calibration", "io", "report", "viewer", "cli"),

@@ -1,0 +1,102 @@
+"""Members of families that other packages add, found by their entry points.
+
+A package names its members in its own metadata:
+
+    [project.entry-points."calib_pin.measurement_models"]
+    theodolite = "my_package:Theodolite"
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+from functools import cache
+from typing import Any, TypeVar
+
+from calib_pin.errors import CalibPinError
+
+__all__ = ["extensions", "members"]
+
+T = TypeVar("T")
+
+
+def members(group: str, bundled: Mapping[str, T]) -> Mapping[str, T]:
+    """The members of a family by name: the bundled ones, then those of entry points.
+
+    Entry points are loaded at the first look at the mapping, not before: their modules
+    import the family that they extend.
+
+    Args:
+        group: Group of the entry points, such as `calib_pin.measurement_models`.
+        bundled: The members that come with calib-pin.
+
+    Raises:
+        CalibPinError: At the first look, if an entry point cannot be loaded, or has
+            the name of another member.
+    """
+    return _Family(group, bundled)
+
+
+@cache
+def extensions(group: str) -> Mapping[str, Any]:
+    """The objects of all entry points of a group, by name and in its order.
+
+    Raises:
+        CalibPinError: If one cannot be loaded, or two have the same name.
+    """
+    # Its import takes a tenth of a second, and not every command asks.
+    from importlib.metadata import entry_points
+
+    found: dict[str, Any] = {}
+    sources: dict[str, str] = {}
+    for entry in sorted(entry_points(group=group), key=lambda entry: entry.name):
+        package = entry.dist.name if entry.dist else "an unknown package"
+        if entry.name in found:
+            # An editable installation may show the same package twice.
+            if sources[entry.name] == entry.value:
+                continue
+            raise CalibPinError(
+                f"the plug-in '{entry.name}' of {group} is there twice: "
+                f"{sources[entry.name]} and {entry.value} (of {package}); uninstall one"
+            )
+        try:
+            found[entry.name] = entry.load()
+        except Exception as error:
+            reason = " ".join(f"{type(error).__name__}: {error}".split())
+            raise CalibPinError(
+                f"the plug-in '{entry.name}' of {package} ({group}) cannot be loaded: "
+                f"{reason}"
+            ) from error
+        sources[entry.name] = entry.value
+    return found
+
+
+class _Family(Mapping[str, T]):
+    """The bundled members and those of entry points."""
+
+    def __init__(self, group: str, bundled: Mapping[str, T]) -> None:
+        """See `members`."""
+        self._group = group
+        self._bundled = bundled
+
+    @property
+    def _all(self) -> Mapping[str, T]:
+        outside = extensions(self._group)
+        if not outside:
+            return self._bundled
+        for name in outside:
+            if name in self._bundled:
+                raise CalibPinError(
+                    f"the plug-in '{name}' of {self._group} has the name of a bundled "
+                    "member; it needs another"
+                )
+        return {**self._bundled, **outside}
+
+    def __getitem__(self, name: str) -> T:
+        # What is bundled needs no other package, broken or not.
+        return self._bundled[name] if name in self._bundled else self._all[name]
+
+    def __iter__(self) -> Iterator[str]:
+        return iter(self._all)
+
+    def __len__(self) -> int:
+        return len(self._all)

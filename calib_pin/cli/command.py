@@ -41,7 +41,25 @@ class Command(TyperCommand):
                 topics.setdefault("Arguments", []).append(row)
             elif record := param.get_help_record(ctx):
                 topic = getattr(param, "rich_help_panel", None) or "Other"
-                topics.setdefault(topic, []).append(record)
+                topics.setdefault(topic, []).append((record[0], _filled(record[1])))
         for topic, rows in topics.items():
             with formatter.section(topic):
                 formatter.write_dl(rows)
+
+
+def _filled(text: str) -> str:
+    """A help text with the names of all members of a family in its braces."""
+    if "{parameterizations}" in text:
+        # Its import takes long, and only this help asks.
+        from calib_pin.parameterizations import PARAMETERIZATIONS, beyond_geometry
+        from calib_pin.setup import Setup
+
+        beyond = beyond_geometry()
+        geometric = [
+            f"{name} (default)" if name in Setup.parameters else name
+            for name in PARAMETERIZATIONS
+            if name not in beyond
+        ]
+        names = f"{', '.join(geometric)}; beyond geometry {', '.join(beyond)}"
+        text = text.replace("{parameterizations}", names)
+    return text

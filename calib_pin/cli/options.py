@@ -120,8 +120,7 @@ Parameters = Annotated[
     typer.Option(
         "--parameters",
         metavar="P,...",
-        help="placement (default), link-transform, dh, dh-full, joint-offset; beyond "
-        "geometry transmission, compliance; several may be combined.",
+        help="{parameterizations}; several may be combined.",
         rich_help_panel=ROBOT,
     ),
 ]

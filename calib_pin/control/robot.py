@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from typing import Literal, TypeAlias
 
 import numpy as np
@@ -39,7 +40,7 @@ def kinematics(
     """
     error, theta = model.error, model.theta
     if nominal:
-        error, theta = error.with_learned(None), np.zeros_like(theta)
+        error, theta = replace(error, learned=None), np.zeros_like(theta)
 
     def evaluate(q: Floats) -> tuple[Floats, Floats]:
         T, J = error.kinematics(q, theta)

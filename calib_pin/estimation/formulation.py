@@ -14,7 +14,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.observations import Measurements
-from calib_pin.parameterizations import NOTHING, frame_pose
+from calib_pin.parameterizations import NOTHING, frame_pose, required_keys
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
@@ -109,7 +109,7 @@ def _require_payloads(data: Measurements, setup: Setup) -> None:
     Raises:
         InputError: If there are such rows, and what they carry matters.
     """
-    if not setup.payloads and "compliance" not in setup.parameters:
+    if not setup.payloads and "payloads" not in required_keys(setup.parameters):
         return
     known = ("", NOTHING, *setup.payloads)
     row = next((k for k, name in enumerate(data.payload) if name not in known), None)

@@ -86,7 +86,7 @@ class _Part:
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
         error, start = problem.error, problem.data.start
         payload = [problem.data.payload[k] for k in batch.rows]
-        joints = [error.screws[k].place - 1 for k in error.joint_corrections]
+        joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
         # From base to tool the joints come in the other order and move back.
         forward = slice(None, None, -1 if batch.inward else 1)
         signs = -segments.signs if batch.inward else segments.signs
@@ -94,7 +94,7 @@ class _Part:
 
         def moving(q: Floats) -> tuple[Floats, NDArray[np.int64], Floats]:
             motion, starts = motions((q * signs)[:, forward], revolute)
-            factors = error.factors(q, payload) * signs[joints]
+            factors = error.basis(q, payload) * signs[joints]
             return motion, starts, factors.T.copy()
 
         motion, starts, factors = moving(problem.data.q[batch.rows])

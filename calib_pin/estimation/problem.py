@@ -331,14 +331,14 @@ class Problem:
     @cached_property
     def _factors(self) -> Floats:
         """Those of the joint corrections, which depend on commands alone, (N, C)."""
-        return self.error.factors(self.data.q, self.data.payload)
+        return self.error.basis(self.data.q, self.data.payload)
 
     @cached_property
     def _start_factors(self) -> Floats:
         """The same where relative measurements start."""
         rows = np.flatnonzero(self._begun)
         loads = [self.data.payload[k] for k in rows]
-        return self.error.factors(self.data.start[rows], loads)
+        return self.error.basis(self.data.start[rows], loads)
 
     @cached_property
     def _begun(self) -> NDArray[np.bool_]:

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
-from calib_pin.parameterizations.error_model import PoseLinearization
+from calib_pin.parameterizations.linearization import PoseLinearization
 
 __all__ = ["growth", "scale_deviation", "scale_observable"]
 
@@ -47,7 +47,7 @@ def scale_deviation(problem: Problem, theta: Floats) -> float:
     of_robot, _ = problem.split(theta)
     free, data = problem.parameters.free, problem.data
     _, J = problem.linearize_rows(theta)
-    factors = problem.error.factors(data.q, data.payload)
+    factors = problem.error.basis(data.q, data.payload)
     poses = problem.error.linearize(data.q, of_robot, factors)
     count = len(poses.T)
     twists = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
@@ -88,12 +88,12 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     """
     of_robot, own = problem.split(theta)
     error, data = problem.error, problem.data
-    poses = error.linearize(data.q, of_robot, error.factors(data.q, data.payload))
+    poses = error.linearize(data.q, of_robot, error.basis(data.q, data.payload))
     T, grown = poses.T, _grown(poses, poses.to_base @ invert(poses.to_tip))
     begun = np.isfinite(data.start[:, 0]) if data.start.size else np.zeros(len(T), bool)
     if begun.any():
         loads = [data.payload[k] for k in np.flatnonzero(begun)]
-        factors = error.factors(data.start[begun], loads)
+        factors = error.basis(data.start[begun], loads)
         start = error.linearize(data.start[begun], of_robot, factors)
         T = T.copy()
         T[begun] = invert(start.T) @ T[begun]

@@ -21,7 +21,8 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import Screw
-from calib_pin.parameterizations.error_model import ErrorModel, ordered_screws
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameterizations.linearization import ordered_screws
 
 __all__ = ["Segments"]
 
@@ -66,7 +67,7 @@ class Segments:
                     continue
                 k, sign = factor
                 twist = behind.toActionMatrixInverse() @ model.screws[k].twist
-                screw = replace(model.screws[k], place=segment, twist=sign * twist)
+                screw = replace(model.screws[k], frame=segment, twist=sign * twist)
                 found.append((k, screw))
             constants.append(behind)
             order += [k for k, _ in reversed(found)]
@@ -83,7 +84,7 @@ class Segments:
     @cached_property
     def places(self) -> NDArray[np.int64]:
         """Segment of each screw, shape (P,)."""
-        return np.array([screw.place for screw in self.screws], np.int64)
+        return np.array([screw.frame for screw in self.screws], np.int64)
 
     @cached_property
     def twists(self) -> Floats:
@@ -114,7 +115,7 @@ class Segments:
         twists, _ = ordered_screws(self.screws, theta[self.parameter], count)
         result = np.zeros((6 * count, len(theta)))
         for k, (screw, column) in enumerate(zip(self.screws, twists.T, strict=True)):
-            rows = slice(6 * screw.place, 6 * screw.place + 6)
+            rows = slice(6 * screw.frame, 6 * screw.frame + 6)
             result[rows, self.parameter[k]] = column
         return result
 
@@ -122,10 +123,10 @@ class Segments:
 def _split(model: ErrorModel) -> Iterator[list[Factor]]:
     """Factors of `T(q, theta)` from base to tool, split at the joint motions."""
     chain = model.chain
-    at: list[list[int]] = [[] for _ in range(model.places)]
+    at: list[list[int]] = [[] for _ in range(len(model.chain.joints) + 3)]
     for k, screw in enumerate(model.screws):
-        if screw.factor is None:
-            at[screw.place].append(k)
+        if screw.basis is None:
+            at[screw.frame].append(k)
     base, tip = chain.ends
     factors: list[Factor] = [model.base, *_applied(at[0]), base.inverse()]
     for i in range(len(chain.joints)):

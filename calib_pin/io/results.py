@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import replace
-from itertools import permutations
+from itertools import permutations, product
 from pathlib import Path
 from typing import Any
 
@@ -33,7 +33,7 @@ from calib_pin.io.result_folder import (
     opened,
     require_one_run,
 )
-from calib_pin.io.setup import CONDITIONS, setup_of
+from calib_pin.io.setup import setup_of
 from calib_pin.io.urdf import corrected_urdf, locate_robot, parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
@@ -109,7 +109,7 @@ def _read(
         return model
     name, content = learned
     found = read_residual_model(path.parent / name, model.error, content, read)
-    return replace(model, error=model.error.with_learned(found))
+    return replace(model, error=replace(model.error, learned=found))
 
 
 def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -249,10 +249,13 @@ def _model(document: Json, robot: Robot) -> CalibratedModel:
     fitted = replace(fitted, ranger=setup.ranger)
     measurement = _measurement(document["measurements"], fitted, frames)
     values = _values(document["parameters"])
-    for kind in {_kind(name) for name in values} & CONDITIONS.keys():
-        for key in CONDITIONS[kind]:
+    kinds = {_kind(name) for name in values}
+    for member in PARAMETERIZATIONS.values():
+        for key in member.requires if member.kind in kinds else ():
             if key not in document.get("setup", {}):
-                raise ValueError(f"'setup.{key}' is missing, which '{kind}' needs")
+                raise ValueError(
+                    f"'setup.{key}' is missing, which '{member.kind}' needs"
+                )
     own = {parameter.name for parameter in measurement.parameters}
     names = [name for name in values if name not in own]
     error = _error_model(chain, names, setup, free_base, free_tool)
@@ -370,11 +373,17 @@ def _error_model(
     The order matters: it is that of the screws at a place, so also that in which the
     user named the parameterizations.
     """
-    kinds = dict.fromkeys(map(_kind, names))
-    if any(name.removesuffix(".dh.beta") + ".dh.d" in names for name in names):
-        kinds = {"dh-full" if kind == "dh" else kind: None for kind in kinds}
-    found = [kind for kind in kinds if kind in PARAMETERIZATIONS]
-    for order in permutations(found):
+    kinds = [
+        [name for name, member in PARAMETERIZATIONS.items() if member.kind == kind]
+        for kind in dict.fromkeys(map(_kind, names))
+    ]
+    # Several parameterizations may share a kind of parameters.
+    orders = [
+        order
+        for members in product(*filter(None, kinds))
+        for order in permutations(members)
+    ]
+    for order in orders:
         error = ErrorModel.create(
             chain,
             order,

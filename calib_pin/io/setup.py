@@ -22,7 +22,7 @@ if TYPE_CHECKING:
 
     from calib_pin.io.yaml_tree import Tree
 
-__all__ = ["CONDITIONS", "read_setup", "setup_document", "setup_of"]
+__all__ = ["read_setup", "setup_document", "setup_of"]
 
 ALLOWED: Mapping[str, str] = {
     "model_type": "a mapping of keys to values",
@@ -30,13 +30,6 @@ ALLOWED: Mapping[str, str] = {
     "list_type": "a list in square brackets",
 }
 """What is allowed where pydantic itself found the wrong type."""
-
-
-CONDITIONS: Mapping[str, tuple[str, ...]] = {
-    "transmission": ("gear_ratios",),
-    "compliance": ("gravity", "payloads"),
-}
-"""Keys without which the parameters of a parameterization mean nothing."""
 
 
 def read_setup(path: str | Path) -> Setup:
@@ -99,6 +92,9 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
         {'tip': 'tool0', 'parameters': ['placement'], 'fixed': ['*.placement.z']}
     """
+    from calib_pin.parameterizations import required_keys
+
+    required = required_keys(setup.parameters)
     data = {
         "base": setup.base,
         "tip": setup.tip,
@@ -119,7 +115,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "distances": [_stated(distance) for distance in setup.distances],
         "joints": {name: asdict(joint) for name, joint in setup.joints.items()},
         "gravity": list(setup.gravity)
-        if setup.gravity != Setup.gravity or "compliance" in setup.parameters
+        if setup.gravity != Setup.gravity or "gravity" in required
         else [],
         "payloads": {name: asdict(load) for name, load in setup.payloads.items()},
         "gear_ratios": dict(setup.gear_ratios),
@@ -136,8 +132,7 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         "limits": dict(setup.limits),
         "ranger": {} if setup.ranger == RangerSetup() else asdict(setup.ranger),
     }
-    used = {key for name in setup.parameters for key in CONDITIONS.get(name, ())}
-    return {key: value for key, value in data.items() if value or key in used}
+    return {key: value for key, value in data.items() if value or key in required}
 
 
 def setup_of(document: Mapping[str, Any]) -> Setup:

@@ -2,47 +2,55 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Iterable, Mapping
 
 from calib_pin.errors import require_known
 from calib_pin.parameterizations.base import (
-    Factor,
-    JointFunctions,
+    BasisFunction,
+    BasisFunctions,
+    Effects,
     Parameterization,
     Screw,
 )
 from calib_pin.parameterizations.compliance import NOTHING, Compliance
-from calib_pin.parameterizations.dh import DenavitHartenberg
+from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
 from calib_pin.parameterizations.frames import frame_pose, frame_screws, frame_setup
 from calib_pin.parameterizations.joint_offset import JointOffset
 from calib_pin.parameterizations.placement import LinkTransform, Placement
 from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.plugins import members
 from calib_pin.setup import Setup
 
 __all__ = [
     "NOTHING",
     "PARAMETERIZATIONS",
-    "Factor",
-    "JointFunctions",
+    "BasisFunction",
+    "BasisFunctions",
+    "Effects",
     "Parameterization",
     "Screw",
+    "beyond_geometry",
     "frame_pose",
     "frame_screws",
     "frame_setup",
     "parameterization",
+    "required_keys",
 ]
 
+_BUNDLED: tuple[type[Parameterization], ...] = (
+    Placement,
+    LinkTransform,
+    DenavitHartenberg,
+    FullDenavitHartenberg,
+    JointOffset,
+    Transmission,
+    Compliance,
+)
 
-PARAMETERIZATIONS: Mapping[str, Callable[[Setup], Parameterization]] = {
-    "placement": lambda setup: Placement(),
-    "link-transform": lambda setup: LinkTransform(),
-    "dh": lambda setup: DenavitHartenberg(),
-    "dh-full": lambda setup: DenavitHartenberg(full=True),
-    "joint-offset": lambda setup: JointOffset(),
-    "transmission": lambda setup: Transmission(setup.gear_ratios),
-    "compliance": lambda setup: Compliance(setup.gravity, setup.payloads),
-}
-"""How each parameterization is made from a setup."""
+PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = members(
+    "calib_pin.parameterizations", {member.name: member for member in _BUNDLED}
+)
+"""All parameterizations by name, those of other packages last."""
 
 
 def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
@@ -50,10 +58,22 @@ def parameterization(name: str, setup: Setup | None = None) -> Parameterization:
 
     Args:
         name: Name of the parameterization.
-        setup: What the user states about the robot, such as its payload.
+        setup: The user's statements about the robot, such as its payload.
 
     Raises:
         OptionError: If there is none; names the nearest.
     """
     require_known("parameterization", name, PARAMETERIZATIONS)
-    return PARAMETERIZATIONS[name](setup or Setup())
+    return PARAMETERIZATIONS[name].of_setup(setup or Setup())
+
+
+def beyond_geometry() -> tuple[str, ...]:
+    """Names of the parameterizations that a URDF cannot hold."""
+    return tuple(
+        name for name, member in PARAMETERIZATIONS.items() if not member.geometric
+    )
+
+
+def required_keys(names: Iterable[str]) -> set[str]:
+    """Keys of a setup file without which these parameterizations mean nothing."""
+    return {key for name in names for key in PARAMETERIZATIONS[name].requires}

@@ -1,21 +1,24 @@
-"""What a parameterization is."""
+"""Parameterization, the base of all: error parameters as screws along a chain."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from typing import ClassVar, Protocol, Self
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import Parameter
+from calib_pin.setup import Setup
 
 __all__ = [
     "ANGLE_SCALE",
     "COMPONENTS",
     "LENGTH_SCALE",
-    "Factor",
-    "JointFunctions",
+    "BasisFunction",
+    "BasisFunctions",
+    "Effects",
     "Parameterization",
     "Screw",
     "expected_size",
@@ -40,15 +43,15 @@ COMPONENTS = ("x", "y", "z", "rx", "ry", "rz")
 """Names of the six unit twists, in the order (linear, angular)."""
 
 
-class JointFunctions(Protocol):
-    """Functions of the commanded joint positions, and of what the robot carries."""
+class BasisFunctions(Protocol):
+    """Basis functions of the commanded joint positions and of the payload."""
 
     def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
-        """Their values.
+        """The values of all functions.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
-            payload: Name of what the robot carries in each row; default the only
+            payload: Name of the payload of each configuration; default the only
                 payload that there is.
 
         Returns:
@@ -61,50 +64,88 @@ class JointFunctions(Protocol):
 
 
 @dataclass(frozen=True)
-class Factor:
-    """One of several functions, which are evaluated together.
+class BasisFunction:
+    """One of several basis functions, which are evaluated together.
 
     Attributes:
         functions: The functions.
         column: Which of them.
     """
 
-    functions: JointFunctions
+    functions: BasisFunctions
     column: int
 
 
 @dataclass(frozen=True)
 class Screw:
-    """One error parameter as a unit screw at one place of the chain.
+    """One error parameter as a unit screw in one frame of the chain.
 
     Attributes:
         parameter: The parameter whose value is the amount of the screw.
-        place: 0 for the base, 1..n for the joints from base to tip, n + 1 for the tip,
-            n + 2 for the tool. At a joint the screw follows the nominal placement, in
-            the joint frame; screws of one place apply in the order they are listed.
+        frame: Frame index: 0 for the base, 1..n for the joints from base to tip, n + 1
+            for the tip, n + 2 for the tool. At a joint the screw follows the nominal
+            placement, in the joint frame; screws of one frame apply in the order they
+            are listed.
         twist: Unit twist (linear, angular), shape (6,), per unit of the parameter.
-        factor: What the amount is multiplied by at a configuration, for a joint
+        basis: The basis function phi_p that multiplies the amount, for a joint
             correction `dq_j = sum_p theta_p phi_p(q)`; its twist is the joint's own
             motion, with which it commutes. None for an error of the geometry.
     """
 
     parameter: Parameter
-    place: int
+    frame: int
     twist: Floats
-    factor: Factor | None = None
+    basis: BasisFunction | None = None
 
 
-class Parameterization(Protocol):
-    """Error parameters of a robot: of its geometry, or of its joints' motions."""
+@dataclass(frozen=True)
+class Effects:
+    """Components of a parameterization that act as random effects unless estimated.
 
-    @property
-    def name(self) -> str:
-        """Name as users write it."""
-        ...
+    Attributes:
+        components: Names of the components.
+        size: Expected size of one, in the unit of a revolute joint's correction [rad].
+    """
 
+    components: tuple[str, ...]
+    size: float
+
+
+class Parameterization(ABC):
+    """Error parameters of a robot: of its geometry, or of its joints' motions.
+
+    A member is one file with one subclass, and one line in `PARAMETERIZATIONS` or, in
+    another package, one entry point of the group `calib_pin.parameterizations`.
+
+    Attributes:
+        name: Name as users write it.
+        kind: The middle word of parameter names, `<owner>.<kind>.<component>`; default
+            the name.
+        geometric: Whether a URDF can hold all of it.
+        requires: Keys of a setup file without which the parameters mean nothing.
+        effects: Components that act as random effects unless they are estimated.
+    """
+
+    name: ClassVar[str]
+    kind: ClassVar[str]
+    geometric: ClassVar[bool] = True
+    requires: ClassVar[tuple[str, ...]] = ()
+    effects: ClassVar[Effects | None] = None
+
+    def __init_subclass__(cls) -> None:
+        """Name the parameters after the parameterization unless stated."""
+        super().__init_subclass__()
+        if "kind" not in vars(cls):
+            cls.kind = cls.name
+
+    @classmethod
+    def of_setup(cls, setup: Setup) -> Self:
+        """The parameterization with what the user states about the robot."""
+        return cls()
+
+    @abstractmethod
     def screws(self, chain: Chain) -> Sequence[Screw]:
-        """The screws of a chain, place by place in the order they apply."""
-        ...
+        """The screws of a chain, frame by frame in the order they apply."""
 
 
 def owner(joint: str) -> str:

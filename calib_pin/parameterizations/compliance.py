@@ -1,16 +1,23 @@
-"""Joints that give way under gravity and a payload (elastostatic errors)."""
+"""Joint compliance under gravity and a payload (elastostatic errors)."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar, Self
 
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.base import Factor, Screw, owner
+from calib_pin.parameterizations.base import (
+    BasisFunction,
+    Effects,
+    Parameterization,
+    Screw,
+    owner,
+)
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Payload, Setup
 
@@ -26,14 +33,14 @@ An axis along gravity has none but rounding, which must not become its scale.
 """
 
 NOTHING = "none"
-"""Payload of rows in which the robot carries nothing."""
+"""Payload of measurements in which the robot carries nothing."""
 
 SAMPLES = 200
 """Configurations that the usual torques are taken from."""
 
 
 @dataclass(frozen=True)
-class Compliance:
+class Compliance(Parameterization):
     """`<joint>.compliance.k`: `dq_j = k tau_j(q)` [rad/Nm, m/N].
 
     tau is the torque that gravity exerts on the joint at the commanded configuration
@@ -43,13 +50,21 @@ class Compliance:
 
     Attributes:
         gravity: Acceleration of gravity in the base link [m/s^2].
-        payloads: What the robot carries, by the names that rows give; a single one is
-            carried in all rows that name none.
+        payloads: Payloads by the names that measurements give; a single one is carried
+            in all measurements that name none.
     """
 
     gravity: tuple[float, float, float] = Setup.gravity
     payloads: Mapping[str, Payload] = field(default_factory=dict)
     name = "compliance"
+    geometric = False
+    requires = ("gravity", "payloads")
+    effects: ClassVar[Effects] = Effects(("k",), DEFLECTION)
+
+    @classmethod
+    def of_setup(cls, setup: Setup) -> Self:
+        """Compliance under the gravity and the payloads of a setup."""
+        return cls(setup.gravity, setup.payloads)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw along every joint's own motion, as large as its torque.
@@ -65,7 +80,7 @@ class Compliance:
         heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
         torques = functions(q, (heaviest,) * len(q))
         usual = np.sqrt(np.mean(torques**2, axis=0))
-        # A newton-meter for a joint that turns, a newton for one that slides.
+        # A newton-meter for a revolute joint, a newton for a prismatic one.
         if not usual.max() > 1e-6:
             raise OptionError(
                 "'compliance' needs something that gravity pulls at: there is no "
@@ -83,7 +98,7 @@ class Compliance:
                 ),
                 j + 1,
                 chain.motions[j],
-                Factor(functions, j),
+                BasisFunction(functions, j),
             )
             for j, joint in enumerate(chain.joints)
         ]
@@ -107,10 +122,10 @@ class _Torques:
         return result
 
     def _carried(self, name: str) -> Payload | None:
-        """What a row carries that names it so.
+        """The payload of a name in the measurements, None for nothing.
 
         Raises:
-            InputError: If that is unknown.
+            InputError: If it is unknown.
         """
         payloads = self.load.payloads
         if name in payloads:

@@ -16,22 +16,25 @@ The lines are read off the URDF; its own frames need not follow the convention.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from typing import ClassVar
 
 import numpy as np
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
-from calib_pin.parameterizations.base import Screw, robot_parameter
+from calib_pin.parameterizations.base import (
+    Parameterization,
+    Screw,
+    robot_parameter,
+)
 
-__all__ = ["DenavitHartenberg"]
+__all__ = ["DenavitHartenberg", "FullDenavitHartenberg"]
 
 PARALLEL = 0.05
 """Sine of the angle below which neighboring axes count as parallel (3 degrees)."""
 
 
-@dataclass(frozen=True)
-class DenavitHartenberg:
+class DenavitHartenberg(Parameterization):
     """`<joint>.dh.theta|d|a|alpha|beta`: errors of the joint's own matrix A_i.
 
     Attributes:
@@ -40,12 +43,8 @@ class DenavitHartenberg:
             the z axis of the tip, and d stays.
     """
 
-    full: bool = False
-
-    @property
-    def name(self) -> str:
-        """`dh`, or `dh-full`."""
-        return "dh-full" if self.full else "dh"
+    name = "dh"
+    full: ClassVar[bool] = False
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Four or five screws per moving joint, placed on the link behind it."""
@@ -65,26 +64,34 @@ class DenavitHartenberg:
             parallel = _sine(lines[i][0], lines[i + 1][0]) < PARALLEL and not last
             if not self.full:
                 twists.pop("d" if parallel else "beta")
-            # The link behind joint i ends in the placement of joint i + 1; before a
-            # joint that is passed backwards it begins with the inverse placement of
-            # joint i, where the product stands inverted.
+            # The link behind joint i ends in the placement of joint i + 1. If joint i
+            # is traversed from child to parent, the link begins with the inverse
+            # placement of joint i, where the product stands inverted.
             backwards = bool(chain.reversed[i])
-            place = i + 1 if backwards else i + 2
-            origin = tip if place == count + 1 else frames[place - 1]
-            to_place = adjoint(invert(origin))
+            index = i + 1 if backwards else i + 2
+            origin = tip if index == count + 1 else frames[index - 1]
+            to_frame = adjoint(invert(origin))
             sign = -1.0 if backwards else 1.0
             link = [
                 Screw(
                     robot_parameter(
-                        joint, "dh", component, "m" if component in "da" else "rad"
+                        joint, self.kind, component, "m" if component in "da" else "rad"
                     ),
-                    place,
-                    sign * to_place @ twist,
+                    index,
+                    sign * to_frame @ twist,
                 )
                 for component, twist in twists.items()
             ]
             result += reversed(link) if backwards else link
         return result
+
+
+class FullDenavitHartenberg(DenavitHartenberg):
+    """All five errors of every joint's matrix, redundant at neighboring joints."""
+
+    name = "dh-full"
+    kind = DenavitHartenberg.kind
+    full = True
 
 
 Line = tuple[Floats, Floats]

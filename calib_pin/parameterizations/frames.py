@@ -14,14 +14,14 @@ from calib_pin.setup import FrameSetup
 __all__ = ["frame_pose", "frame_screws", "frame_setup"]
 
 
-def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
+def frame_screws(name: str, frame: int, *, free: bool) -> Sequence[Screw]:
     """Screws `<name>.frame.x..rz` that follow the reference pose of a frame.
 
     Their scale is 1 m and 1 rad: an unknown tracker stand is not a robot error.
 
     Args:
         name: `base` or `tool`.
-        place: Place of the frame in the chain.
+        frame: Frame index in the chain.
         free: Whether the frame is estimated.
     """
     return [
@@ -33,7 +33,7 @@ def frame_screws(name: str, place: int, *, free: bool) -> Sequence[Screw]:
                 nuisance=True,
                 free=free,
             ),
-            place,
+            frame,
             np.eye(6)[k],
         )
         for k, component in enumerate(COMPONENTS)

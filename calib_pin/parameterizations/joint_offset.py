@@ -4,13 +4,19 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 
+import numpy as np
+
 from calib_pin.kinematics.chain import Chain
-from calib_pin.parameterizations.base import Screw, robot_parameter
+from calib_pin.parameterizations.base import (
+    Parameterization,
+    Screw,
+    robot_parameter,
+)
 
 __all__ = ["JointOffset"]
 
 
-class JointOffset:
+class JointOffset(Parameterization):
     """`<joint>.joint-offset.q`: a screw along the joint's own motion.
 
     It commutes with the motion, so `M_j Exp(S theta) J(q) = M_j J(q + theta)`.
@@ -20,11 +26,10 @@ class JointOffset:
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw at every moving joint."""
-        result = []
-        for place, (joint, motion) in enumerate(
-            zip(chain.joints, chain.motions, strict=True), start=1
-        ):
-            unit = "rad" if chain.revolute[place - 1] else "m"
-            parameter = robot_parameter(joint, self.name, "q", unit)
-            result.append(Screw(parameter, place, motion))
-        return result
+        units = np.where(chain.revolute, "rad", "m")
+        return [
+            Screw(robot_parameter(joint, self.name, "q", str(unit)), frame, motion)
+            for frame, (joint, unit, motion) in enumerate(
+                zip(chain.joints, units, chain.motions, strict=True), start=1
+            )
+        ]

@@ -7,18 +7,23 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.parameterizations.base import COMPONENTS, Screw, robot_parameter
+from calib_pin.parameterizations.base import (
+    COMPONENTS,
+    Parameterization,
+    Screw,
+    robot_parameter,
+)
 
 __all__ = ["LinkTransform", "Placement"]
 
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 
-class Placement:
+class Placement(Parameterization):
     """`<joint>.placement.x|y|z|rx|ry|rz`: screws along the axes of the joint frame.
 
     `M_j(theta) = M_j0 Tx Ty Tz Rx Ry Rz`. Redundant, but free of singularities and
-    the same for every robot; the rank analysis finds what of it can be known.
+    the same for every robot; the rank analysis finds which of it is identifiable.
     """
 
     name = "placement"
@@ -26,13 +31,13 @@ class Placement:
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Six screws at every moving joint."""
         return [
-            Screw(robot_parameter(joint, "placement", component, unit), place, twist)
-            for place, joint in enumerate(chain.joints, start=1)
+            Screw(robot_parameter(joint, self.name, component, unit), frame, twist)
+            for frame, joint in enumerate(chain.joints, start=1)
             for component, unit, twist in zip(COMPONENTS, UNITS, np.eye(6), strict=True)
         ]
 
 
-class LinkTransform:
+class LinkTransform(Parameterization):
     """`<joint>.link-transform.mx|my|mz|dx|dy|dz`: the error in the parent frame.
 
     To first order `M_j = (I + Delta) M_j0` with position part m and rotation part
@@ -49,15 +54,15 @@ class LinkTransform:
         # The chain's own placements reach back past joints that it does not contain.
         model = chain.robot.model
         links = [
-            (place, joint, model.jointPlacements[model.getJointId(joint)])
-            for place, joint in enumerate(chain.joints, start=1)
+            (frame, joint, model.jointPlacements[model.getJointId(joint)])
+            for frame, joint in enumerate(chain.joints, start=1)
         ]
         if chain.tip_joint is not None:
             links.append((count + 1, chain.tip_joint, chain.tip_placement))
         components = ("mx", "my", "mz", "dx", "dy", "dz")
         return [
-            Screw(robot_parameter(joint, self.name, component, unit), place, twist)
-            for place, joint, placement in links
+            Screw(robot_parameter(joint, self.name, component, unit), frame, twist)
+            for frame, joint, placement in links
             for component, unit, twist in zip(
                 components, UNITS, placement.toActionMatrixInverse().T, strict=True
             )

@@ -1,9 +1,10 @@
-"""Errors of gears and encoders: what a joint does with its own position."""
+"""Errors of gears and encoders: joint corrections by the joint's own position."""
 
 from __future__ import annotations
 
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import ClassVar, Self
 
 import numpy as np
 from numpy.typing import NDArray
@@ -11,8 +12,15 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.base import Factor, Screw, owner
+from calib_pin.parameterizations.base import (
+    BasisFunction,
+    Effects,
+    Parameterization,
+    Screw,
+    owner,
+)
 from calib_pin.parameters import Parameter, matching
+from calib_pin.setup import Setup
 
 __all__ = ["Transmission"]
 
@@ -27,13 +35,13 @@ HARMONICS = 2
 
 
 @dataclass(frozen=True)
-class Transmission:
+class Transmission(Parameterization):
     """`<joint>.transmission.gain|sin1|cos1|sin2|cos2`, and `motor_sin|motor_cos`.
 
     `dq = gain q + sum_k (sin_k sin(k q) + cos_k cos(k q))`: a gear ratio or a scale
     that is off, an eccentric wheel or encoder (once per turn), an elliptic one (twice).
     A motor behind a gear of ratio r adds the same once per turn of its own, r q. A
-    joint that slides has no turn; it has the gain, and the motor's where r is given.
+    prismatic joint has no turn; it has the gain, and the motor's where r is given.
 
     Attributes:
         gear_ratios: Joint name or glob to r [rad/rad, rad/m].
@@ -41,6 +49,16 @@ class Transmission:
 
     gear_ratios: Mapping[str, float] = field(default_factory=dict)
     name = "transmission"
+    geometric = False
+    requires = ("gear_ratios",)
+    effects: ClassVar[Effects] = Effects(
+        ("sin1", "cos1", "sin2", "cos2"), AMPLITUDE_SCALES["rad"]
+    )
+
+    @classmethod
+    def of_setup(cls, setup: Setup) -> Self:
+        """Transmission errors with the gear ratios of a setup."""
+        return cls(setup.gear_ratios)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Screws along every joint's own motion, as large as its position says.
@@ -70,7 +88,7 @@ class Transmission:
                 ),
                 j + 1,
                 chain.motions[j],
-                Factor(functions, column),
+                BasisFunction(functions, column),
             )
             for column, (j, component, unit, scale, _, _) in enumerate(parts)
         ]

@@ -27,7 +27,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel, MeasurementModel
 from calib_pin.observations import Measurements
-from calib_pin.parameterizations.error_model import PoseLinearization
+from calib_pin.parameterizations.linearization import PoseLinearization
 
 __all__ = ["IdentificationRows", "Pullback", "Rows"]
 
@@ -162,7 +162,7 @@ class IdentificationRows:
         A joint that is passed backwards turns before its own placement is passed.
         """
         error = self.problem.error
-        places = [screw.place for screw in error.screws]
+        places = [screw.frame for screw in error.screws]
         joints = np.arange(1, len(error.chain.joints) + 1)
         return np.searchsorted(places, joints - error.chain.reversed, side="right")
 

@@ -8,6 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.parameterizations import beyond_geometry
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
@@ -20,7 +21,6 @@ from calib_pin.report.tables import (
 from calib_pin.report.trust import advised, set_aside
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult, Evaluation
-from calib_pin.validation.training import BEYOND
 
 __all__ = [
     "accuracy",
@@ -174,7 +174,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     if result.urdf is None or result.verdict == "no-gain":
         return
     setup = result.model.setup
-    kinds: list[str] = [name for name in setup.parameters if name in BEYOND]
+    kinds: list[str] = [name for name in setup.parameters if name in beyond_geometry()]
     if setup.learned is not None:
         kinds.append(f"what the {TITLES[setup.learned]} has learned")
     said = f"A URDF cannot hold {' and '.join(kinds)}. "

@@ -21,6 +21,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.parameterizations import beyond_geometry
+from calib_pin.parameterizations.joint_offset import JointOffset
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
@@ -29,7 +31,6 @@ from calib_pin.validation.held_out import counting
 from calib_pin.validation.result import Ladder, Rung
 from calib_pin.validation.splits import FOLDS, clusters, folds
 from calib_pin.validation.training import (
-    BEYOND,
     Trained,
     cross_validate,
     parameter_names,
@@ -40,7 +41,7 @@ from calib_pin.validation.unseen import Unseen
 
 __all__ = ["Climbed", "select_model"]
 
-OFFSETS = "joint-offset"
+OFFSETS = JointOffset.name
 
 LEARNING = 10.0
 """Time that a training with a residual model takes, in those without."""
@@ -103,9 +104,10 @@ def select_model(
         OptionError: If a name in the setup belongs to no rung, or the rows do not even
             suffice to judge the first one.
     """
-    geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *BEYOND))
+    beyond = beyond_geometry()
+    geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *beyond))
     geometric = geometric or Setup.parameters
-    _require_patterns(chain, rows, setup, (OFFSETS, *geometric, *BEYOND))
+    _require_patterns(chain, rows, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     rungs = _Rungs(chain, rows, setup, seed, progress, len(learned))
 
@@ -116,10 +118,10 @@ def select_model(
     base = geometry if geometry.rung.helps else offset
     alone = [
         rungs.step(f"+ {name}", (*base.setup.parameters, name), on=(base,))
-        for name in BEYOND
+        for name in beyond
     ]
-    everything = (*base.setup.parameters, *BEYOND)
-    rungs.step(f"+ {' + '.join(BEYOND)}", everything, on=(base, *alone))
+    everything = (*base.setup.parameters, *beyond)
+    rungs.step(f"+ {' + '.join(beyond)}", everything, on=(base, *alone))
     base = rungs.tried[rungs.simplest()]
     for name in learned:
         rungs.step(f"+ {name}", base.setup.parameters, name, on=(base,))
@@ -150,7 +152,7 @@ class _Rungs:
         self.tried: list[_Tried] = []
         self._chain, self._rows, self._setup, self._seed = chain, rows, setup, seed
         self._progress = progress
-        self._done, self._all = 0.0, 3.0 + len(BEYOND) + LEARNING * learned
+        self._done, self._all = 0.0, 3.0 + len(beyond_geometry()) + LEARNING * learned
 
     def step(
         self,

@@ -307,7 +307,7 @@ class CalibratedModel:
         """
         theta = self.theta.copy()
         theta[self.error.joint_corrections] = 0.0
-        return replace(self, error=self.error.with_learned(None), theta=theta)
+        return replace(self, error=replace(self.error, learned=None), theta=theta)
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""

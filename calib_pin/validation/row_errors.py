@@ -57,7 +57,7 @@ class RowErrors:
             after: Those with the calibrated one, shape (N, d).
         """
         error, of_error = problem.error, problem.split(theta)[0]
-        T = error.poses(rows.q, of_error, error.factors(rows.q, rows.payload))
+        T = error.poses(rows.q, of_error, error.basis(rows.q, rows.payload))
         base = error.base * error.corrections(of_error)[0]
         to_base = base.inverse()
         return RowErrors(

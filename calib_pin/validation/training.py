@@ -23,6 +23,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.parameterizations import beyond_geometry
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
@@ -37,7 +38,6 @@ from calib_pin.validation.result import FoundDistance
 from calib_pin.validation.unseen import Unseen, found_distances, placed
 
 __all__ = [
-    "BEYOND",
     "Trained",
     "cross_validate",
     "geometry_alone",
@@ -47,9 +47,6 @@ __all__ = [
     "training_rows",
     "with_parameters",
 ]
-
-BEYOND = ("transmission", "compliance")
-"""Parameterizations of what a URDF cannot hold."""
 
 FIT_PART = 0.2
 """Part of the time of a training that the parameters take where more is learned."""
@@ -206,7 +203,7 @@ def train(
         nothing = replace(problem, setup=replace(setup, learned=None))
         return Trained(fitted, nothing, theta, rejected=setup.learned)
     learned = LearnedCorrection(found, directions @ found.shift)
-    error = problem.error.with_learned(learned)
+    error = replace(problem.error, learned=learned)
     return Trained(fitted, replace(problem, error=error), theta)
 
 
@@ -222,7 +219,8 @@ def geometry_alone(chain: Chain, rows: Measurements, setup: Setup) -> Setup:
         setup: What is estimated, what is known.
     """
     plain = replace(setup, learned=None)
-    names = tuple(name for name in setup.parameters if name not in BEYOND)
+    beyond = beyond_geometry()
+    names = tuple(name for name in setup.parameters if name not in beyond)
     if names == setup.parameters:
         return plain
     return with_parameters(chain, rows, plain, names)
@@ -257,7 +255,7 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
             along with the correction, shape (P', k).
     """
     of_robot, own = problem.split(theta)
-    factors = problem.error.factors(problem.data.q, problem.data.payload)
+    factors = problem.error.basis(problem.data.q, problem.data.payload)
 
     def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
         given = _Given(space, values, directions @ shift)

@@ -63,7 +63,7 @@ def stage_errors(robot: Prepared) -> StageErrors:
     error, data, of_robot = problem.error, problem.data, problem.split(theta)[0]
     residual = problem.shown(theta)
     # Of relative measurements as well: where the tool is, not how it has moved.
-    T = error.poses(data.q, of_robot, error.factors(data.q, data.payload))
+    T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
     vectors = np.full((len(data), 3), np.nan)
     sizes = {}
     for quantity in problem.measurement.quantities:

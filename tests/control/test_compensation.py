@@ -138,7 +138,7 @@ class Learned:
 
 def test_what_was_learned_of_the_tool_moves_the_tip(model, q):
     learned = Learned(np.zeros(len(model.theta)))
-    model = replace(model, error=model.error.with_learned(learned))
+    model = replace(model, error=replace(model.error, learned=learned))
     found = follow(model, q)
     assert found.reached.all()
     # The tool stands still on the tip.

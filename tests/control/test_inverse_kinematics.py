@@ -138,12 +138,12 @@ def test_what_was_learned_counts():
     chain = robot("ur10")
     model = calibrated(chain)
     learned = Bent(len(model.theta))
-    model = replace(model, error=model.error.with_learned(learned))
+    model = replace(model, error=replace(model.error, learned=learned))
     q = configurations(chain, 100)
     found = commands(model, model.poses(q), q + 1e-3)
     check(model, found, model.poses(q))
     T, _ = kinematics(model, nominal=True)(q)
-    expected = model.error.with_learned(None).poses(q, 0.0 * model.theta)
+    expected = replace(model.error, learned=None).poses(q, 0.0 * model.theta)
     np.testing.assert_allclose(T, expected, atol=1e-15)
 
 

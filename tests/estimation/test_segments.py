@@ -116,7 +116,7 @@ def test_screws_stand_in_the_order_they_apply() -> None:
     places: list[int] = []
     # Seven joints backwards end their segment, seven forwards begin it.
     for place, segment in enumerate([*range(8), *range(7, 14), 14, 14]):
-        found = [k for k, screw in enumerate(model.screws) if screw.place == place]
+        found = [k for k, screw in enumerate(model.screws) if screw.frame == place]
         order += found[::-1] if 1 <= place <= 7 else found
         places += [segment] * len(found)
     assert segments.parameter.tolist() == order

@@ -169,7 +169,7 @@ def test_of_another_calibration(
     network = learned.model.error.learned
     assert isinstance(network, LearnedCorrection)
     changed = replace(network, shift=2.0 * network.shift)
-    error = learned.model.error.with_learned(changed)
+    error = replace(learned.model.error, learned=changed)
     data = encode_residual_model(replace(learned.model, error=error))
     assert data is not None
     (folder / FILE_NAME).write_bytes(data)

@@ -288,11 +288,11 @@ def test_each_row_has_the_torques_of_its_payload() -> None:
     chain = calib_pin.load_chain("pa10")
     model = model_of(chain, payloads=LOADS)
     q = chain.random_configurations(6, np.random.default_rng(0))
-    torques = model.factors(q, CARRIED)
+    torques = model.basis(q, CARRIED)
     for k, name in enumerate(CARRIED):
         (alone,) = chain.gravity_torques(q[k : k + 1], Setup.gravity, LOADS.get(name))
         np.testing.assert_allclose(torques[k], alone, rtol=0, atol=1e-13)
-    assert np.abs(torques[1] - model.factors(q, ("heavy",) * 6)[1]).max() > 1.0
+    assert np.abs(torques[1] - model.basis(q, ("heavy",) * 6)[1]).max() > 1.0
     # The heaviest one sets the scale.
     names = [f"{joint}.compliance.k" for joint in chain.joints]
     several, heavy = (
@@ -307,17 +307,17 @@ def test_rows_that_name_no_payload(refused: Callable[..., Any]) -> None:
     q = chain.random_configurations(2, np.random.default_rng(0))
     one = model_of(chain, payloads={"only": LOADS["heavy"]})
     # The only one is carried, unless a row says that nothing is.
-    expected = one.factors(q, ("only", "only"))
-    np.testing.assert_array_equal(one.factors(q), expected)
-    np.testing.assert_array_equal(one.factors(q, ("", "only")), expected)
-    nothing = model_of(chain).factors(q)
-    np.testing.assert_array_equal(one.factors(q, ("none", "none")), nothing)
-    np.testing.assert_array_equal(model_of(chain).factors(q, ("none", "")), nothing)
+    expected = one.basis(q, ("only", "only"))
+    np.testing.assert_array_equal(one.basis(q), expected)
+    np.testing.assert_array_equal(one.basis(q, ("", "only")), expected)
+    nothing = model_of(chain).basis(q)
+    np.testing.assert_array_equal(one.basis(q, ("none", "none")), nothing)
+    np.testing.assert_array_equal(model_of(chain).basis(q, ("none", "")), nothing)
     allowed = "light, heavy, none"
     with refused(InputError, "several payloads", column="payload", allowed=allowed):
-        model_of(chain, payloads=LOADS).factors(q, ("light", ""))
+        model_of(chain, payloads=LOADS).basis(q, ("light", ""))
     with refused(InputError, ["'lihgt'", "mean 'light'?"], column="payload"):
-        model_of(chain, payloads=LOADS).factors(q, ("light", "lihgt"))
+        model_of(chain, payloads=LOADS).basis(q, ("light", "lihgt"))
 
 
 def test_payloads_of_a_problem() -> None:

@@ -235,7 +235,7 @@ def test_order_of_application(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     names = [screw.parameter.name for screw in screws]
     assert names == [f"j{k}.dh.{c}" for k in range(6) for c in COMPONENTS]
     # The link behind joint i ends in the placement of joint i + 1, or at the tip.
-    places = [screw.place for screw in screws]
+    places = [screw.frame for screw in screws]
     assert places == [k + 2 for k in range(6) for _ in COMPONENTS]
     # Passed backwards the link begins with the inverse placement of joint i, in
     # which the product stands the other way round.
@@ -243,7 +243,7 @@ def test_order_of_application(urdf_of: UrdfOf, chain_of: ChainOf) -> None:
     screws = full.screws(chain_of(backward, "base", "tip"))
     names = [screw.parameter.name for screw in screws]
     assert names == [f"j{k}.dh.{c}" for k in range(6) for c in reversed(COMPONENTS)]
-    places = [screw.place for screw in screws]
+    places = [screw.frame for screw in screws]
     assert places == [k + 1 for k in range(6) for _ in COMPONENTS]
 
 

@@ -287,10 +287,10 @@ def test_positions_of_joint_corrections(framed: Setup) -> None:
     assert found == (["transmission"] * 7 + ["compliance"]) * 6
     assert kinds.count("transmission") + kinds.count("compliance") == len(found)
     q, _ = some(model)
-    assert model.factors(q).shape == (len(q), len(found))
-    assert model.factors(q[:0]).shape == (0, len(found))
+    assert model.basis(q).shape == (len(q), len(found))
+    assert model.basis(q[:0]).shape == (0, len(found))
     none = model_of(model.chain, framed, None, ("placement",))
-    assert none.factors(q).shape == (len(q), 0)
+    assert none.basis(q).shape == (len(q), 0)
 
 
 @dataclass(frozen=True)
@@ -306,8 +306,8 @@ def test_what_was_learned_fades_with_its_shift(space: Space, framed: Setup) -> N
     """Far away the robot is as it was fitted; the shift alone would be worse."""
     plain = model_of(load_chain("space6"), framed)
     q, theta = some(plain, 4)
-    fading = plain.with_learned(Fading(space, 1e-3, 0.01 * theta))
-    whole = plain.with_learned(Wave(space, 1e-3, 0.01 * theta))
+    fading = replace(plain, learned=Fading(space, 1e-3, 0.01 * theta))
+    whole = replace(plain, learned=Wave(space, 1e-3, 0.01 * theta))
     q[:, 0] = 0.5, -0.5, -1e-9, -2.0
     before, after = plain.poses(q, theta), whole.poses(q, theta)
     found = fading.poses(q, theta)
@@ -330,7 +330,7 @@ def test_derivatives_where_what_was_learned_fades(space: Space, framed: Setup) -
     model = model_of(load_chain("space6"), framed)
     q, theta = some(model, 4)
     q[:, 0] = 0.5, -0.2, -0.8, -2.0
-    model = model.with_learned(Fading(space, 0.1, 0.5 * theta))
+    model = replace(model, learned=Fading(space, 0.1, 0.5 * theta))
     T, J = model.jacobian(q, theta)
     step = 1e-6
     for k in range(len(theta)):
@@ -350,7 +350,7 @@ def test_kinematics_are_those_of_the_linearization(
     model = model_of(special_chain, framed)
     q, theta = some(model, 4)
     if space is not None:
-        model = model.with_learned(Wave(space, 1e-3, 0.1 * theta))
+        model = replace(model, learned=Wave(space, 1e-3, 0.1 * theta))
     linear = model.linearize(q, theta)
     T, J = model.kinematics(q, theta)
     np.testing.assert_allclose(T, linear.T, atol=1e-12)

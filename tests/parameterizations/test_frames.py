@@ -21,7 +21,7 @@ def test_screws(free: bool) -> None:
     assert [screw.parameter.unit for screw in screws] == 3 * ["m"] + 3 * ["rad"]
     np.testing.assert_array_equal([screw.twist for screw in screws], np.eye(6))
     for screw in screws:
-        assert screw.place == 8
+        assert screw.frame == 8
         assert screw.parameter.nuisance
         assert screw.parameter.free == free
         assert screw.parameter.scale == 1.0

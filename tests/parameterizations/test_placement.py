@@ -129,7 +129,7 @@ def test_link_transform_names_the_fixed_joint_of_the_tip(
 ) -> None:
     urdf = urdf_of(*joints(1).values())
     member = parameterization("link-transform")
-    assert [s.place for s in member.screws(chain_of(urdf, "root", "foot"))[18:]] == (
+    assert [s.frame for s in member.screws(chain_of(urdf, "root", "foot"))[18:]] == (
         [4] * 6
     )
     assert len(member.screws(chain_of(urdf, "root", "l4"))) == 18

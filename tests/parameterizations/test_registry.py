@@ -38,8 +38,8 @@ ROBOTS = [
 
 def test_registry() -> None:
     assert set(PARAMETERIZATIONS) == set(COMPONENTS)
-    for name, make in PARAMETERIZATIONS.items():
-        assert make(Setup()).name == name
+    for name, member in PARAMETERIZATIONS.items():
+        assert member.of_setup(Setup()).name == name
         assert parameterization(name).name == name
 
 
@@ -83,8 +83,8 @@ def test_names(
         assert of_kind == kind
         assert component in COMPONENTS[name]
         assert joint in owners
-        assert 1 <= screw.place <= len(chain.joints) + 1
-        assert (screw.factor is None) == (name in GEOMETRY)
+        assert 1 <= screw.frame <= len(chain.joints) + 1
+        assert (screw.basis is None) == (name in GEOMETRY)
         assert not screw.parameter.nuisance and screw.parameter.free
     names = [screw.parameter.name for screw in screws]
     assert len(set(names)) == len(names)
@@ -122,7 +122,7 @@ def test_zero_is_the_nominal_robot(name: str, framed: Setup) -> None:
 def test_combinations_go_place_by_place() -> None:
     chain = load_chain("space6")
     model = ErrorModel.create(chain, ["joint-offset", "placement"])
-    places = [screw.place for screw in model.screws]
+    places = [screw.frame for screw in model.screws]
     assert places == sorted(places)
     names = model.parameters.names
     assert names[:6] == tuple(

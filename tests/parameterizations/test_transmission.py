@@ -117,7 +117,7 @@ def test_components_units_and_scales(arm: str, chain_of: ChainOf) -> None:
             expected = (unit, AMPLITUDE_SCALES[unit])
         assert (screw.parameter.unit, screw.parameter.scale) == expected
         motion = np.zeros(6)
-        axis = chain.axes[screw.place - 1]
+        axis = chain.axes[screw.frame - 1]
         motion[3:] = axis if turns else 0.0
         motion[:3] = 0.0 if turns else axis
         np.testing.assert_array_equal(screw.twist, motion)

@@ -33,19 +33,18 @@ from calib_pin.estimation.statistics.variance_components import current_units, g
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import (
     NOTHING,
+    PARAMETERIZATIONS,
     Screw,
     frame_screws,
     parameterization,
+    required_keys,
 )
 from calib_pin.parameterizations.base import owner
-from calib_pin.parameterizations.compliance import DEFLECTION
+from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameterizations.transmission import AMPLITUDE_SCALES
+from calib_pin.parameterizations.transmission import Transmission
 
 __all__ = ["Systematic", "systematic"]
-
-EFFECTS = {"transmission": ("sin1", "cos1", "sin2", "cos2"), "compliance": ("k",)}
-"""Components of the parameterizations that are random effects."""
 
 SIGNIFICANT = 5.41
 """Twice the gain in log-likelihood that an effect must bring: chance brings as much
@@ -159,10 +158,15 @@ def _candidates(problem: Problem) -> Systematic | None:
         if turns
     }
     payloads = {"", NOTHING, *setup.payloads}
-    kinds = [kind for kind in EFFECTS if kind not in setup.parameters]
+    effects = {
+        name: member.effects.components
+        for name, member in PARAMETERIZATIONS.items()
+        if member.effects is not None
+    }
+    kinds = [kind for kind in effects if kind not in setup.parameters]
     if not payloads.issuperset(data.payload):
         # Nothing is known of what was carried.
-        kinds = [kind for kind in kinds if kind != "compliance"]
+        kinds = [kind for kind in kinds if "payloads" not in required_keys([kind])]
     screws: list[Screw] = []
     for kind in kinds:
         try:
@@ -174,12 +178,12 @@ def _candidates(problem: Problem) -> Systematic | None:
     screws = [
         screw
         for screw, (joint, kind, component) in zip(screws, names, strict=True)
-        if joint in revolute and component in EFFECTS[kind]
+        if joint in revolute and component in effects[kind]
     ]
     if not screws:
         return None
     identity = pin.SE3.Identity()
-    screws = sorted(screws, key=lambda screw: screw.place)
+    screws = sorted(screws, key=lambda screw: screw.frame)
     ends = [
         frame_screws(name, place, free=False)
         for name, place in (("base", 0), ("tool", len(chain.joints) + 2))
@@ -191,8 +195,8 @@ def _candidates(problem: Problem) -> Systematic | None:
         error=error,
         columns=6 + np.arange(len(screws)),
         sizes=np.array([screw.parameter.scale for screw in screws]),
-        gear=AMPLITUDE_SCALES["rad"],
-        compliance=DEFLECTION,
+        gear=Transmission.effects.size,
+        compliance=Compliance.effects.size,
         noise=np.ones(0),
     )
 
@@ -220,8 +224,9 @@ def _significant(
 
     chosen: tuple[str, ...] = ()
     best = estimated(chosen)
-    for _ in EFFECTS:
-        left = [kind for kind in EFFECTS if kind in kind_of and kind not in chosen]
+    effective = [kind for kind in PARAMETERIZATIONS if kind in kind_of]
+    for _ in effective:
+        left = [kind for kind in effective if kind not in chosen]
         tried = {(*chosen, kind): estimated((*chosen, kind)) for kind in left}
         kinds = max(tried, key=lambda key: tried[key].likelihood, default=())
         if not kinds or tried[kinds].likelihood - best.likelihood < 0.5 * SIGNIFICANT:
@@ -241,8 +246,8 @@ def _significant(
         effects,
         columns=effects.columns[kept],
         sizes=sizes[kept],
-        gear=effects.gear * float(factors.get("transmission", 0.0)),
-        compliance=effects.compliance * float(factors.get("compliance", 0.0)),
+        gear=effects.gear * float(factors.get(Transmission.name, 0.0)),
+        compliance=effects.compliance * float(factors.get(Compliance.name, 0.0)),
         noise=noise / current,
     )
 

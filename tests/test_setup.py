@@ -5,10 +5,10 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.setup import Cone, RangerSetup, Region
+from calib_pin.setup import Ball, Cone, RangerSetup, Region
 
 BOX = ((0.0, -1.0, 0.5), (1.0, 1.0, 0.75))
-SPHERE = ((1.0, 0.0, 0.5), 0.5)
+SPHERE = Ball((1.0, 0.0, 0.5), 0.5)
 CONE = Cone((0.0, 0.0, 2.0), (0.0, 0.0, -3.0), 0.3, (0.5, 1.5))
 
 

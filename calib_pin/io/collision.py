@@ -71,7 +71,7 @@ def load_collisions(
 
     Example:
         >>> from calib_pin.io.urdf import load_chain
-        >>> table = Obstacle("box", (1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02))
+        >>> table = Obstacle(box=(1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02))
         >>> collisions = load_collisions(load_chain("space7"), [table])
         >>> ("link_7", "obstacle 1 (box)") in collisions.pairs
         True
@@ -218,18 +218,21 @@ def _obstacle(
 
 
 def _shape(obstacle: Obstacle, number: int, file: str) -> pin.coal.CollisionGeometry:
-    if obstacle.kind == "box":
-        return pin.coal.Box(*obstacle.size)
-    if obstacle.kind == "sphere":
-        return pin.coal.Sphere(*obstacle.size)
-    if obstacle.kind == "cylinder":
-        return pin.coal.Cylinder(*obstacle.size)
+    if obstacle.box is not None:
+        return pin.coal.Box(*obstacle.box)
+    if obstacle.sphere is not None:
+        return pin.coal.Sphere(obstacle.sphere)
+    if obstacle.cylinder is not None:
+        return pin.coal.Cylinder(*obstacle.cylinder)
+    assert obstacle.mesh is not None
     mesh = f"the mesh '{obstacle.mesh}' of obstacle {number}"
     if not Path(obstacle.mesh).is_file():
         raise InputError(f"{mesh} does not exist", file=file or None)
     try:
         with captured_stderr():
-            return pin.coal.MeshLoader().load(obstacle.mesh, np.array(obstacle.size))
+            return pin.coal.MeshLoader().load(
+                obstacle.mesh, np.array(obstacle.scale or (1.0, 1.0, 1.0))
+            )
     except Exception as failure:  # Whatever C++ throws.
         reason = f"{mesh} cannot be read: {_reason(str(failure))}"
         raise InputError(reason, file=file or None) from None

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import nearest
 from calib_pin.io.cell_numbers import read_numbers
+from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
 
 __all__ = [
     "ANGLE",
@@ -49,15 +50,13 @@ LENGTH = Kind(
     "m",
     {"m": 1.0, "mm": 1e-3, "um": 1e-6, "in": 0.0254},
     {"m": "mm", "in": "mm", "mm": "um"},
-    # No instrument here measures farther.
-    100.0,
+    LARGEST_LENGTH,
 )
 ANGLE = Kind(
     "rad",
     {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3},
     {"rad": "deg", "deg": "mrad"},
-    # Two turns either way, as far as joint counters commonly go.
-    4.0 * np.pi,
+    LARGEST_ANGLE,
 )
 PIXEL = Kind("px", {"px": 1.0}, {}, 1e5)
 PURE = Kind("", {}, {}, np.inf)

@@ -8,26 +8,17 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.setup import (
-    FrameSetup,
-    Obstacle,
-    RangerSetup,
-    Region,
-    Setup,
-    SolverSetup,
-)
+from calib_pin.setup import Setup
 
 if TYPE_CHECKING:
-    from _typeshed import DataclassInstance
-
     from calib_pin.io.yaml_tree import Tree
 
 __all__ = ["read_setup", "setup_document", "setup_of"]
 
 ALLOWED: Mapping[str, str] = {
-    "model_type": "a mapping of keys to values",
+    "dataclass_type": "a mapping of keys to values",
     "dict_type": "a mapping of names to values",
-    "list_type": "a list in square brackets",
+    "tuple_type": "a list in square brackets",
 }
 """What is allowed where pydantic itself found the wrong type."""
 
@@ -57,7 +48,7 @@ def read_setup(path: str | Path) -> Setup:
     # Both import slowly, and most commands read no setup file.
     from pydantic import ValidationError
 
-    from calib_pin.io.setup_schema import SetupFile
+    from calib_pin.io.setup_schema import adapter, context
     from calib_pin.io.yaml_tree import read_tree
 
     tree = read_tree(path)
@@ -66,7 +57,7 @@ def read_setup(path: str | Path) -> Setup:
     if not isinstance(tree.data, dict):
         raise tree.error("the file must be a mapping of keys to values", ())
     try:
-        setup = SetupFile.model_validate(tree.data).setup()
+        setup = adapter().validate_python(tree.data, context=context()).setup()
     except ValidationError as error:
         problems = error.errors(include_url=False)
         first = min(problems, key=lambda problem: tree.line(problem["loc"]))
@@ -77,9 +68,13 @@ def read_setup(path: str | Path) -> Setup:
     # The result may be read from another folder than the setup file.
     folder = Path(path).absolute().parent
     obstacles = tuple(
-        replace(obstacle, mesh=str(folder / obstacle.mesh))
-        if obstacle.mesh
-        else obstacle
+        obstacle
+        if obstacle.mesh is None
+        else replace(
+            obstacle,
+            mesh=str(folder / obstacle.mesh),
+            scale=obstacle.scale or (1.0, 1.0, 1.0),
+        )
         for obstacle in setup.obstacles
     )
     return replace(setup, obstacles=obstacles, file=str(path))
@@ -92,47 +87,16 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         >>> setup_document(Setup(tip="tool0", fixed=("*.placement.z",)))
         {'tip': 'tool0', 'parameters': ['placement'], 'fixed': ['*.placement.z']}
     """
+    from calib_pin.io.setup_schema import SetupFile
     from calib_pin.parameterizations import required_keys
 
-    required = required_keys(setup.parameters)
-    data = {
-        "base": setup.base,
-        "tip": setup.tip,
-        "model": setup.model,
-        "parameters": list(setup.parameters),
-        "learned": setup.learned,
-        "frames": {
-            name: _stated(frame)
-            for name, frame in (("base", setup.base_frame), ("tool", setup.tool_frame))
-            if frame != FrameSetup()
-        },
-        "planes": _named_documents(setup.planes),
-        "targets": _named_documents(setup.targets),
-        "sockets": _named_documents(setup.sockets),
-        "spheres": _named_documents(setup.spheres),
-        "anchors": _named_documents(setup.anchors),
-        "camera": {} if setup.camera is None else _stated(setup.camera),
-        "distances": [_stated(distance) for distance in setup.distances],
-        "joints": {name: asdict(joint) for name, joint in setup.joints.items()},
-        "gravity": list(setup.gravity)
-        if setup.gravity != Setup.gravity or "gravity" in required
-        else [],
-        "payloads": {name: asdict(load) for name, load in setup.payloads.items()},
-        "gear_ratios": dict(setup.gear_ratios),
-        "fixed": list(setup.fixed),
-        "bounds": dict(setup.bounds),
-        "prior": dict(setup.prior),
-        "noise": dict(setup.noise),
-        "solver": {}
-        if setup.solver == SolverSetup()
-        else {"name": setup.solver.name, **setup.solver.evolution},
-        "loss": "" if setup.loss == Setup.loss else setup.loss,
-        "obstacles": [_obstacle_document(obstacle) for obstacle in setup.obstacles],
-        "region": {} if setup.region is None else _region_document(setup.region),
-        "limits": dict(setup.limits),
-        "ranger": {} if setup.ranger == RangerSetup() else asdict(setup.ranger),
+    file, empty = SetupFile.of(setup), SetupFile()
+    required = {"parameters", *required_keys(setup.parameters)}
+    return {
+        key: value
+        for key, value in _plain(asdict(file)).items()
+        if getattr(file, key) != getattr(empty, key) or key in required
     }
-    return {key: value for key, value in data.items() if value or key in required}
 
 
 def setup_of(document: Mapping[str, Any]) -> Setup:
@@ -149,38 +113,21 @@ def setup_of(document: Mapping[str, Any]) -> Setup:
     """
     from pydantic import ValidationError
 
-    from calib_pin.io.setup_schema import SetupFile
+    from calib_pin.io.setup_schema import adapter, context
 
-    known = {key: document[key] for key in SetupFile.model_fields if key in document}
+    names = context(lenient=True)
     try:
-        return SetupFile.model_validate(known).setup()
+        return adapter().validate_python(document, context=names).setup()
     except ValidationError as error:
         place = _dotted(error.errors(include_url=False)[0]["loc"])
         raise ValueError(f"'setup.{place}' cannot have this value") from None
 
 
-def _named_documents(members: Mapping[str, DataclassInstance]) -> dict[str, Any]:
-    return {name: _stated(member) for name, member in members.items()}
-
-
-def _stated(member: DataclassInstance) -> dict[str, Any]:
-    """The keys of a section that have a value."""
-    return {key: value for key, value in asdict(member).items() if value is not None}
-
-
-def _obstacle_document(obstacle: Obstacle) -> dict[str, Any]:
-    pose = {"xyz": obstacle.xyz, "rpy": obstacle.rpy}
-    if obstacle.kind == "mesh":
-        return {"mesh": obstacle.mesh, "scale": obstacle.size, **pose}
-    size = obstacle.size[0] if obstacle.kind == "sphere" else obstacle.size
-    return {obstacle.kind: size, **pose}
-
-
-def _region_document(region: Region) -> dict[str, Any]:
-    shapes = {key: shape for key, shape in asdict(region).items() if shape is not None}
-    if region.sphere is not None:
-        shapes["sphere"] = dict(zip(("center", "radius"), region.sphere, strict=True))
-    return shapes
+def _plain(value: Any) -> Any:
+    """Mappings without their empty keys, and lists, as a file has them."""
+    if isinstance(value, Mapping):
+        return {k: _plain(item) for k, item in value.items() if item is not None}
+    return [_plain(item) for item in value] if isinstance(value, tuple) else value
 
 
 def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:
@@ -188,7 +135,7 @@ def _error(tree: Tree, problem: Mapping[str, Any]) -> InputError:
     from calib_pin.io.setup_schema import known_keys
 
     path: Sequence[str | int] = problem["loc"]
-    if problem["type"] == "extra_forbidden":
+    if problem["type"] in ("extra_forbidden", "unexpected_keyword_argument"):
         known, key = known_keys(path), str(path[-1])
         return tree.error(
             f"unknown key '{_dotted(path)}'{nearest(key, known)}",

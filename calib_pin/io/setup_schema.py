@@ -1,325 +1,192 @@
-"""What a setup file may contain, for pydantic.
-
-Every check raises a `ValueError` whose message is what is allowed instead. pydantic is
-slow to import; import this module where a file is read.
-"""
+"""The schema of setup files, from the declarations of `calib_pin.setup`."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from typing import Annotated, Any
-
-from pydantic import (
-    AfterValidator,
-    Field,
-    PlainValidator,
-)
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, field, fields
+from functools import cache
+from typing import TYPE_CHECKING, Annotated, Any, Self
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.estimation.solve import SOLVERS
-from calib_pin.io.instrument_schema import (
-    AnchorSection,
-    CameraSection,
-    DistanceSection,
-    NoiseSection,
-    PlaneSection,
-    PointSection,
-    SphereSection,
-)
-from calib_pin.io.schema_values import (
-    Angles,
-    Flag,
-    Number,
-    Position,
-    Positive,
-    Section,
-    Text,
-    number,
-    numbers,
-    positive,
-)
-from calib_pin.io.workspace_schema import (
-    REGION,
-    Limits,
-    ObstacleSection,
-    RangerSection,
-    RegionSection,
-)
-from calib_pin.io.yaml_tree import as_number
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import (
-    AnchorSetup,
-    CameraSetup,
-    DistanceSetup,
+    FitSetup,
+    Frames,
     FrameSetup,
-    JointMap,
-    Payload,
-    PlaneSetup,
-    PointSetup,
-    RangerSetup,
+    MeasurementSetup,
+    PlanSetup,
+    RobotSetup,
+    Section,
     Setup,
     SolverSetup,
-    SphereSetup,
 )
+from calib_pin.setup.constraints import Constraint, Keys, Names
+from calib_pin.setup.section import LENIENT, meanings
+from calib_pin.setup.values import as_number
 from calib_pin.solvers import DifferentialEvolution
 
-__all__ = ["SetupFile", "known_keys"]
+if TYPE_CHECKING:
+    from pydantic import TypeAdapter
 
-WHOLE = ("population_size", "maxiter")
-"""Options that are whole numbers."""
-
-HEAVIEST = 1e5
-"""Largest mass of a payload [kg]; more comes from a mistaken unit."""
-
-STRONGEST = 100.0
-"""Largest acceleration of gravity [m/s^2]."""
+__all__ = ["SetupFile", "adapter", "context", "json_schema", "known_keys"]
 
 
-def _nonzero(value: object) -> float:
-    plain = number(value)
-    if plain == 0.0:
-        raise ValueError("a number other than 0")
-    return plain
+@dataclass(frozen=True)
+class EvolutionOption(Constraint):
+    """An option of differential evolution, which knows its limits.
 
+    Attributes:
+        name: Field of `DifferentialEvolution`.
+        kind: Its type.
+    """
 
-def _mass(value: object) -> float:
-    allowed = f"a mass in kg, more than 0 and at most {HEAVIEST:g}"
-    try:
-        plain = positive(value)
-    except ValueError:
-        raise ValueError(allowed) from None
-    if plain > HEAVIEST:
-        raise ValueError(allowed)
-    return plain
+    name: str
+    kind: str
 
-
-def _gravity(value: object) -> tuple[float, float, float]:
-    allowed = (
-        "three finite numbers in m/s^2, such as [0, 0, -9.81], at most "
-        f"{STRONGEST:g} long"
-    )
-    x, y, z = numbers(value, 3, allowed)
-    if not math.hypot(x, y, z) <= STRONGEST:
-        raise ValueError(allowed)
-    return x, y, z
-
-
-def _solver(value: object) -> str:
-    if value not in SOLVERS:
-        raise ValueError(", ".join(SOLVERS))
-    return str(value)
-
-
-def _loss(value: object) -> str:
-    if value not in LOSSES:
-        raise ValueError(", ".join(LOSSES))
-    return str(value)
-
-
-def _evolution(option: str) -> Callable[[object], Any]:
-    """Validator of one option of differential evolution, which knows its limits."""
-
-    def check(value: object) -> Any:
+    def check(self, value: object) -> Any:
+        """The option."""
         # Numbers in quotes are numbers too, so that no one has to know YAML's rules.
         written = as_number(value) if isinstance(value, str) else None
         plain: Any = value if written is None else written
-        if isinstance(plain, float) and plain.is_integer() and option in WHOLE:
+        if isinstance(plain, float) and plain.is_integer() and self.kind == "int":
             plain = int(plain)
         if isinstance(plain, float) and not math.isfinite(plain):
             raise ValueError("a finite number")
         try:
-            DifferentialEvolution(**{option: plain})
+            DifferentialEvolution(**{self.name: plain})
         except OptionError as error:
             raise ValueError(error.allowed) from None
         return plain
 
-    return check
+    def schema(self) -> dict[str, Any]:
+        """The type and the default of the option."""
+        kinds = {"int": "integer", "float": "number", "str": "string"}
+        default = getattr(DifferentialEvolution, self.name)
+        found = {"type": kinds[self.kind]}
+        # JSON has no infinity, which here stands for no target.
+        return found if default == -math.inf else {**found, "default": default}
 
 
-def _sign(value: object) -> int:
-    plain = number(value)
-    if plain not in (1.0, -1.0):
-        raise ValueError("1, -1")
-    return int(plain)
+SOLVER: Mapping[str, Constraint] = {
+    "name": Names(SOLVERS),
+    **{
+        option.name: EvolutionOption(option.name, str(option.type))
+        for option in fields(DifferentialEvolution)
+    },
+}
+"""Keys of `solver`: its name and the options of the evolution."""
 
 
-def _bound(value: object) -> float | tuple[float, float]:
-    allowed = "a positive number, or [lower, upper] with lower < upper"
-    try:
-        if not isinstance(value, list):
-            return positive(value)
-        lower, upper = map(number, value)
-    except ValueError:
-        raise ValueError(allowed) from None
-    if not lower < upper:
-        raise ValueError(allowed)
-    return lower, upper
+@dataclass(frozen=True)
+class FrameKeys(Section):
+    """The frames of a setup file.
+
+    Attributes:
+        frames: Frames at both ends of the chain: known, or estimated.
+    """
+
+    frames: Frames = field(default_factory=Frames)
 
 
-def _model(value: object) -> str:
-    names = value.split(PLUS) if isinstance(value, str) else []
-    known = set(names) <= set(MEASUREMENT_MODELS)
-    if not names or not known or len(set(names)) < len(names):
-        raise ValueError(
-            f"{', '.join(MEASUREMENT_MODELS)}, or several of them with a {PLUS} "
-            "between, each at most once"
+@dataclass(frozen=True)
+class SetupFile(PlanSetup, FitSetup, MeasurementSetup, FrameKeys, RobotSetup):
+    """A setup file of calib-pin.
+
+    The keys of a `Setup`, but for two that a file groups otherwise: it has both frames
+    under `frames`, and the options of the evolution beside the name of the solver.
+    """
+
+    solver: Annotated[
+        Mapping[str, Any],
+        Keys(SOLVER, meanings(SolverSetup) | meanings(DifferentialEvolution)),
+    ] = field(default_factory=dict)  # type: ignore[assignment]
+
+    @classmethod
+    def of(cls, setup: Setup) -> Self:
+        """The file of a setup."""
+        ends = (setup.base_frame, setup.tool_frame)
+        frames = Frames(*(None if end == FrameSetup() else end for end in ends))
+        solver = {"name": setup.solver.name, **setup.solver.evolution}
+        return cls(
+            **_shared(setup),
+            frames=frames,
+            solver={} if setup.solver == SolverSetup() else solver,
         )
-    return PLUS.join(names)
-
-
-def _parameterization(value: object) -> str:
-    if not isinstance(value, str) or value not in PARAMETERIZATIONS:
-        raise ValueError(", ".join(PARAMETERIZATIONS))
-    return value
-
-
-def _learned(value: object) -> str:
-    if not isinstance(value, str) or value not in RESIDUAL_MODELS:
-        raise ValueError(", ".join(RESIDUAL_MODELS))
-    return value
-
-
-def _distinct(names: list[str]) -> list[str]:
-    if not names or len(set(names)) < len(names):
-        raise ValueError("at least one name and each at most once")
-    return names
-
-
-Gravity = Annotated[tuple[float, float, float], PlainValidator(_gravity)]
-Bound = Annotated[float | tuple[float, float], PlainValidator(_bound)]
-Parameterizations = Annotated[
-    list[Annotated[str, PlainValidator(_parameterization)]], AfterValidator(_distinct)
-]
-
-
-class FrameSection(Section):
-    """`frames.base` or `frames.tool`."""
-
-    xyz: Position | None = None
-    rpy: Angles | None = None
-    estimate: Flag | None = None
-
-
-class FramesSection(Section):
-    """`frames`."""
-
-    base: FrameSection = FrameSection()
-    tool: FrameSection = FrameSection()
-
-
-class JointSection(Section):
-    """A member of `joints`."""
-
-    joint: Text
-    sign: Annotated[int, PlainValidator(_sign)] = 1
-    gear: Annotated[float, PlainValidator(_nonzero)] = 1.0
-    offset: Number = 0.0
-    coupled: dict[str, Number] = Field(default_factory=dict)
-
-
-class PayloadSection(Section):
-    """A member of `payloads`."""
-
-    mass: Annotated[float, PlainValidator(_mass)]
-    com: Position
-
-
-class SolverSection(Section):
-    """`solver`."""
-
-    name: Annotated[str, PlainValidator(_solver)] = SolverSetup().name
-    strategy: Annotated[str, PlainValidator(_evolution("strategy"))] | None = None
-    population_size: (
-        Annotated[int, PlainValidator(_evolution("population_size"))] | None
-    ) = None
-    mutation: Annotated[float, PlainValidator(_evolution("mutation"))] | None = None
-    recombination: (
-        Annotated[float, PlainValidator(_evolution("recombination"))] | None
-    ) = None
-    maxiter: Annotated[int, PlainValidator(_evolution("maxiter"))] | None = None
-    target: Annotated[float, PlainValidator(_evolution("target"))] | None = None
-    tol: Annotated[float, PlainValidator(_evolution("tol"))] | None = None
-    atol: Annotated[float, PlainValidator(_evolution("atol"))] | None = None
-    init: Annotated[str, PlainValidator(_evolution("init"))] | None = None
-
-    def setup(self) -> SolverSetup:
-        """The same as plain data."""
-        options = self.model_dump(exclude_none=True, exclude={"name"})
-        return SolverSetup(self.name, options)
-
-
-class SetupFile(Section):
-    """A whole setup file."""
-
-    base: Text | None = None
-    tip: Text | None = None
-    model: Annotated[str, PlainValidator(_model)] | None = None
-    parameters: Parameterizations = Field(
-        default_factory=lambda: list(Setup.parameters)
-    )
-    learned: Annotated[str, PlainValidator(_learned)] | None = None
-    frames: FramesSection = FramesSection()
-    planes: dict[str, PlaneSection] = Field(default_factory=dict)
-    targets: dict[str, PointSection] = Field(default_factory=dict)
-    sockets: dict[str, PointSection] = Field(default_factory=dict)
-    spheres: dict[str, SphereSection] = Field(default_factory=dict)
-    anchors: dict[str, AnchorSection] = Field(default_factory=dict)
-    camera: CameraSection | None = None
-    distances: list[DistanceSection] = Field(default_factory=list)
-    joints: dict[str, JointSection] = Field(default_factory=dict)
-    gravity: Gravity = Setup.gravity
-    payloads: dict[str, PayloadSection] = Field(default_factory=dict)
-    gear_ratios: dict[str, Annotated[float, PlainValidator(_nonzero)]] = Field(
-        default_factory=dict
-    )
-    fixed: list[Text] = Field(default_factory=list)
-    bounds: dict[str, Bound] = Field(default_factory=dict)
-    prior: dict[str, Positive] = Field(default_factory=dict)
-    noise: NoiseSection = NoiseSection()
-    solver: SolverSection = SolverSection()
-    loss: Annotated[str, PlainValidator(_loss)] = Setup.loss
-    obstacles: list[ObstacleSection] = Field(default_factory=list)
-    region: RegionSection | None = None
-    limits: dict[str, Limits] = Field(default_factory=dict)
-    ranger: RangerSection = RangerSection()
 
     def setup(self) -> Setup:
-        """The same as plain data."""
+        """The setup of the file."""
+        options = dict(self.solver)
+        name = options.pop("name", SolverSetup.name)
         return Setup(
-            base=self.base,
-            tip=self.tip,
-            model=self.model,
-            parameters=tuple(self.parameters),
-            learned=self.learned,
-            base_frame=FrameSetup(**dict(self.frames.base)),
-            tool_frame=FrameSetup(**dict(self.frames.tool)),
-            planes={name: PlaneSetup(**dict(p)) for name, p in self.planes.items()},
-            targets={name: PointSetup(**dict(p)) for name, p in self.targets.items()},
-            sockets={name: PointSetup(**dict(s)) for name, s in self.sockets.items()},
-            spheres={name: SphereSetup(**dict(s)) for name, s in self.spheres.items()},
-            anchors={name: AnchorSetup(**dict(a)) for name, a in self.anchors.items()},
-            camera=None if self.camera is None else CameraSetup(**dict(self.camera)),
-            distances=tuple(DistanceSetup(**dict(d)) for d in self.distances),
-            joints={name: JointMap(**dict(j)) for name, j in self.joints.items()},
-            gravity=self.gravity,
-            payloads={name: Payload(**dict(p)) for name, p in self.payloads.items()},
-            gear_ratios=self.gear_ratios,
-            fixed=tuple(self.fixed),
-            bounds=self.bounds,
-            prior=self.prior,
-            noise=self.noise.model_dump(exclude_none=True),
-            solver=self.solver.setup(),
-            loss=self.loss,
-            obstacles=tuple(section.setup() for section in self.obstacles),
-            region=None if self.region is None else self.region.setup(),
-            limits=self.limits,
-            ranger=RangerSetup(**dict(self.ranger)),
+            **_shared(self),
+            base_frame=self.frames.base or FrameSetup(),
+            tool_frame=self.frames.tool or FrameSetup(),
+            solver=SolverSetup(name, options),
         )
+
+
+def _shared(setup: Setup | SetupFile) -> dict[str, Any]:
+    """The keys that a setup and its file have alike."""
+    names = {f.name for f in fields(Setup)} & {f.name for f in fields(SetupFile)}
+    return {name: getattr(setup, name) for name in names - {"solver"}}
+
+
+@cache
+def adapter() -> TypeAdapter[SetupFile]:
+    """The reader of setup files that are plain data."""
+    from pydantic import TypeAdapter
+
+    return TypeAdapter(SetupFile)
+
+
+def context(*, lenient: bool = False) -> dict[str, Any]:
+    """The validation context: the names that there are.
+
+    Args:
+        lenient: Whether unknown keys are passed over.
+    """
+    return {
+        "model": Names(MEASUREMENT_MODELS, PLUS),
+        "parameters": Names(PARAMETERIZATIONS),
+        "learned": Names(RESIDUAL_MODELS),
+        "loss": Names(LOSSES),
+        LENIENT: lenient,
+    }
+
+
+def json_schema() -> dict[str, Any]:
+    """The JSON schema of setup files, with the names that there are.
+
+    A number has its `unit` beside its limits.
+    """
+    names = context()
+
+    def filled(part: Any) -> Any:
+        if isinstance(part, list):
+            return [filled(item) for item in part]
+        if not isinstance(part, dict):
+            return part
+        part = {key: filled(value) for key, value in part.items() if key != "title"}
+        if part.get("default", ...) is None:  # A key that may be left out.
+            del part["default"]
+        choices = [c for c in part.get("anyOf", ()) if c != {"type": "null"}]
+        if len(choices) == 1:
+            part = {**choices[0], **part}
+            del part["anyOf"]
+        family = part.pop("registered", None)
+        return part if family is None else {**names[family].schema(), **part}
+
+    return {
+        "$schema": "https://json-schema.org/draft/2020-12/schema",
+        "title": "Setup file of calib-pin",
+        **filled(adapter().json_schema()),
+    }
 
 
 def known_keys(path: Sequence[str | int]) -> list[str]:
@@ -328,25 +195,18 @@ def known_keys(path: Sequence[str | int]) -> list[str]:
     Args:
         path: Path of the unknown key.
     """
-    sections: Mapping[str | int, type[Section]] = {
-        "frames": FramesSection if len(path) == 2 else FrameSection,
-        "planes": PlaneSection,
-        "targets": PointSection,
-        "sockets": PointSection,
-        "spheres": SphereSection,
-        "anchors": AnchorSection,
-        "camera": CameraSection,
-        "distances": DistanceSection,
-        "joints": JointSection,
-        "payloads": PayloadSection,
-        "noise": NoiseSection,
-        "solver": SolverSection,
-        "obstacles": ObstacleSection,
-        "region": RegionSection,
-        "ranger": RangerSection,
-    }
-    if len(path) == 1:
-        return list(SetupFile.model_fields)
-    inner = path[0] == "region" and len(path) == 3
-    section = REGION[path[1]] if inner else sections[path[0]]
-    return list(section.model_fields)
+    schema = json_schema()
+    part = schema
+    for step in path[:-1]:
+        if isinstance(step, int):
+            part = part["items"]
+        else:
+            part = part.get("properties", {}).get(step) or part["additionalProperties"]
+        part = resolved(schema, part)
+    return list(part["properties"])
+
+
+def resolved(schema: dict[str, Any], part: dict[str, Any]) -> dict[str, Any]:
+    """The definition that a part of the schema refers to, or the part itself."""
+    name = str(part.get("$ref", "")).rpartition("/")[2]
+    return dict(schema["$defs"][name]) if name else part

@@ -9,7 +9,6 @@ PyYAML is slow to import; import this module where a file is read.
 
 from __future__ import annotations
 
-import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -20,13 +19,12 @@ import yaml
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
+from calib_pin.setup.values import as_number
 
-__all__ = ["Tree", "as_number", "read_tree"]
+__all__ = ["Tree", "read_tree"]
 
-_NUMBER = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?")
 _DEEPEST = 20
 _GLOB = '"*.placement.z"'
-_NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf)", re.IGNORECASE)
 
 
 @dataclass(frozen=True)
@@ -85,13 +83,6 @@ class Tree:
             else:
                 break
         return line, node
-
-
-def as_number(text: str) -> float | None:
-    """The number that a text is in YAML 1.2 (infinite and nan too), or None."""
-    if _NUMBER.fullmatch(text):
-        return float(text)
-    return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None
 
 
 def read_tree(path: str | Path) -> Tree:

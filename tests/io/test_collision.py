@@ -19,7 +19,7 @@ from calib_pin.setup import Obstacle
 # A tetrahedron with edges of 0.2 m, in the positive octant.
 TETRAHEDRON = """v 0 0 0\nv 0.2 0 0\nv 0 0.2 0\nv 0 0 0.2
 f 1 3 2\nf 1 2 4\nf 2 3 4\nf 1 4 3\n"""
-BALL = Obstacle("sphere", (0.1,), xyz=(0.0, 0.0, 0.5))
+BALL = Obstacle(sphere=0.1, xyz=(0.0, 0.0, 0.5))
 
 
 def urdf(*shapes: str, name: str = "arm") -> str:
@@ -171,7 +171,7 @@ def test_obstacles_that_are_always_close_keep_the_clearance(
     chain_in: Callable[..., Chain],
 ) -> None:
     notices: list[str] = []
-    table = Obstacle("box", (9.0, 9.0, 0.1), xyz=(0.0, 0.0, -0.2))
+    table = Obstacle(box=(9.0, 9.0, 0.1), xyz=(0.0, 0.0, -0.2))
     chain = chain_in(urdf("", sphere(0.1)))
     for clearance, free in ((0.04, True), (0.06, False)):
         collisions = load_collisions(
@@ -186,7 +186,7 @@ def test_obstacles_that_always_touch_are_checked(
     chain_in: Callable[..., Chain],
 ) -> None:
     notices: list[str] = []
-    around = Obstacle("box", (9.0, 9.0, 9.0))
+    around = Obstacle(box=(9.0, 9.0, 9.0))
     chain = chain_in(urdf("", sphere(0.1)))
     collisions = load_collisions(chain, [around], notice=notices.append)
     assert collisions is not None
@@ -280,7 +280,7 @@ def test_meshes_that_cannot_be_read(
         allowed=("another mesh", "--ignore-collisions"),
     ):
         load_collisions(chain)
-    obstacle = Obstacle("mesh", (1.0, 1.0, 1.0), str(file))
+    obstacle = Obstacle(mesh=str(file), scale=(1.0, 1.0, 1.0))
     with refused(
         InputError, file="s.yaml", reason=(f"'{file}' of obstacle 2", "cannot be read")
     ):
@@ -294,7 +294,7 @@ def test_missing_meshes_of_obstacles(
     chain_in: Callable[..., Chain], refused: Callable[..., Any]
 ) -> None:
     chain = chain_in(urdf("", sphere(0.1)))
-    obstacle = Obstacle("mesh", (1.0, 1.0, 1.0), "/no/such/table.stl")
+    obstacle = Obstacle(mesh="/no/such/table.stl", scale=(1.0, 1.0, 1.0))
     reason = "'/no/such/table.stl' of obstacle 1 does not exist"
     with refused(InputError, file="setup.yaml", reason=reason):
         load_collisions(chain, [obstacle], file="setup.yaml")
@@ -307,11 +307,13 @@ def test_mesh_obstacles(
     file = str(file_of("table.obj"))
     # The ball's middle is at x = 0.3; the corner of the mesh comes near it.
     for x, free in ((0.29, False), (0.39, False), (0.42, True)):
-        obstacle = Obstacle("mesh", (1.0, 1.0, 1.0), file, (x, 0.0, 0.0))
+        obstacle = Obstacle(mesh=file, scale=(1.0, 1.0, 1.0), xyz=(x, 0.0, 0.0))
         collisions = load_collisions(chain, [obstacle])
         assert collisions is not None
         assert collisions.free(np.zeros((1, 1))).tolist() == [free]
-    far = Obstacle("mesh", (10.0, 1.0, 1.0), file, (2.4, 0.0, 0.0), (0.0, 0.0, np.pi))
+    far = Obstacle(
+        mesh=file, scale=(10.0, 1.0, 1.0), xyz=(2.4, 0.0, 0.0), rpy=(0.0, 0.0, np.pi)
+    )
     collisions = load_collisions(chain, [far])
     assert collisions is not None
     assert not collisions.free(np.zeros((1, 1))).any()

@@ -118,7 +118,7 @@ CASES: dict[str, tuple[str, Setup]] = {
         "position",
         Setup(
             parameters=("compliance",),
-            payloads={"p": Payload(6.0)},
+            payloads={"p": Payload(6.0, (0.0, 0.0, 0.0))},
             tool_frame=FrameSetup((0.1, 0.0, 0.2)),
         ),
     ),

@@ -16,6 +16,7 @@ from calib_pin.io.yaml_tree import read_tree
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import (
     AnchorSetup,
+    Ball,
     CameraSetup,
     Cone,
     DistanceSetup,
@@ -197,16 +198,16 @@ def test_every_key(write):
             },
         ),
         obstacles=(
-            Obstacle("box", (1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02)),
-            Obstacle("sphere", (0.2,), xyz=(1.0, 0.0, 0.5)),
-            Obstacle("cylinder", (0.1, 1.0), rpy=(0.0, 1.57, 0.0)),
-            Obstacle("mesh", (0.001,) * 3, "/fixtures/table.stl"),
-            Obstacle("mesh", (1.0, 2.0, 1.0), "/fixtures/wall.dae"),
-            Obstacle("mesh", (1.0, 1.0, 1.0), "/fixtures/door.obj"),
+            Obstacle(box=(1.0, 1.0, 0.02), xyz=(0.0, 0.0, -0.02)),
+            Obstacle(sphere=0.2, xyz=(1.0, 0.0, 0.5)),
+            Obstacle(cylinder=(0.1, 1.0), rpy=(0.0, 1.57, 0.0)),
+            Obstacle(mesh="/fixtures/table.stl", scale=(0.001,) * 3),
+            Obstacle(mesh="/fixtures/wall.dae", scale=(1.0, 2.0, 1.0)),
+            Obstacle(mesh="/fixtures/door.obj", scale=(1.0, 1.0, 1.0)),
         ),
         region=Region(
             box=((0.2, -0.5, 0.1), (1.0, 0.5, 1.2)),
-            sphere=((0.5, 0.0, 0.5), 0.8),
+            sphere=Ball((0.5, 0.0, 0.5), 0.8),
             cone=Cone((2.0, 0.0, 1.0), (-1.0, 0.0, 0.0), 0.5, (0.0, 3.0)),
         ),
         limits={"joint_*": (-2.0, 2.0), "rail": (0.1, 1.5)},
@@ -222,13 +223,18 @@ def test_the_document_of_a_setup_reads_back(write):
 @pytest.mark.parametrize(
     "setup",
     [
-        Setup(obstacles=(Obstacle("sphere", (0.1,), "", (1.0, 2.0, 3.0)),)),
-        Setup(region=Region(sphere=((0.0, 0.0, 1.0), 2.0))),
+        Setup(obstacles=(Obstacle(sphere=0.1, xyz=(1.0, 2.0, 3.0)),)),
+        Setup(region=Region(sphere=Ball((0.0, 0.0, 1.0), 2.0))),
         Setup(region=Region(cone=Cone((0, 0, 0), (1, 0, 0), math.pi, (1.0, 2.0)))),
         Setup(ranger=RangerSetup((0.1, 3.0))),
         Setup(limits={"a[1]": (-1.0, 0.0)}),
         Setup(gravity=(0.0, 0.0, 0.0)),
-        Setup(payloads={"a": Payload(0.1), "b": Payload(3.0, (0.0, 1.0, 0.0))}),
+        Setup(
+            payloads={
+                "a": Payload(0.1, (0.0, 0.0, 0.0)),
+                "b": Payload(3.0, (0.0, 1.0, 0.0)),
+            }
+        ),
         Setup(gear_ratios={"a[1]": 80.5}),
         Setup(model="pose+plane-contact+camera"),
         Setup(targets={"a": PointSetup(), "b": PointSetup((1.0, 2.0, 3.0), False)}),
@@ -262,7 +268,7 @@ def test_what_nobody_stated_is_not_stored():
 
 def test_meshes_are_found_beside_the_setup_file(write, monkeypatch):
     file = write("obstacles: [{mesh: fixtures/a.stl}, {sphere: 1}, {mesh: /b.stl}]")
-    expected = [str(file.parent / "fixtures" / "a.stl"), "", "/b.stl"]
+    expected = [str(file.parent / "fixtures" / "a.stl"), None, "/b.stl"]
     assert [obstacle.mesh for obstacle in read_setup(file).obstacles] == expected
     monkeypatch.chdir(file.parent)
     assert [o.mesh for o in read_setup(file.name).obstacles] == expected

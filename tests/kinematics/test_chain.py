@@ -461,7 +461,7 @@ def test_torques_are_those_of_nominal_geometry(
     chain.poses(q, [placement(rng) for _ in chain.joints])
     np.testing.assert_array_equal(chain.gravity_torques(q, GRAVITY, LOAD), torques)
     # Neither masses nor gravity stay behind.
-    chain.gravity_torques(q, (0.0, 0.0, 5.0), Payload(100.0))
+    chain.gravity_torques(q, (0.0, 0.0, 5.0), Payload(100.0, (0.0, 0.0, 0.0)))
     np.testing.assert_array_equal(chain.gravity_torques(q, GRAVITY, LOAD), torques)
     np.testing.assert_array_equal(chain.poses(q), T)
     assert chain.gravity_torques(q[:0], GRAVITY).shape == (0, len(chain.joints))

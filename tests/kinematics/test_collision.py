@@ -24,9 +24,9 @@ CHAINS = {
     "space7": ("space7", None, None),
 }
 OBSTACLES = (
-    Obstacle("box", (0.5, 0.4, 0.3), xyz=(0.6, 0.2, 0.1), rpy=(0.3, 0.2, 0.1)),
-    Obstacle("sphere", (0.2,), xyz=(0.1, -0.6, 0.6)),
-    Obstacle("cylinder", (0.1, 1.0), xyz=(-0.5, 0.3, 0.4), rpy=(0.0, 0.4, 0.0)),
+    Obstacle(box=(0.5, 0.4, 0.3), xyz=(0.6, 0.2, 0.1), rpy=(0.3, 0.2, 0.1)),
+    Obstacle(sphere=0.2, xyz=(0.1, -0.6, 0.6)),
+    Obstacle(cylinder=(0.1, 1.0), xyz=(-0.5, 0.3, 0.4), rpy=(0.0, 0.4, 0.0)),
 )
 # A square without thickness, on which Qhull crashes.
 SQUARE = "v 0 0 0\nv 1 0 0\nv 1 1 0\nv 0 1 0\nf 1 2 3\nf 1 3 4\n"
@@ -228,7 +228,7 @@ def test_the_model_is_left_alone() -> None:
     ("clearance", "free"), [(0.0, True), (0.002, True), (0.01, False), (0.2, False)]
 )
 def test_clearance(arm: Chain, clearance: float, free: bool) -> None:
-    ball = Obstacle("sphere", (0.1,), xyz=(0.705, 0.0, 0.0))
+    ball = Obstacle(sphere=0.1, xyz=(0.705, 0.0, 0.0))
     collisions = load_collisions(arm, [ball], clearance=clearance)
     assert collisions is not None
     assert collisions.pairs == (("arm", "obstacle 1 (sphere)"),)
@@ -237,7 +237,7 @@ def test_clearance(arm: Chain, clearance: float, free: bool) -> None:
 
 def test_continuous_joints(arm: Chain) -> None:
     # The middle of the arm's ball runs on a circle of 0.5 m, and so does the obstacle.
-    ball = Obstacle("sphere", (0.1,), xyz=(0.0, 0.5, 0.0))
+    ball = Obstacle(sphere=0.1, xyz=(0.0, 0.5, 0.0))
     collisions = load_collisions(arm, [ball], clearance=0.0)
     assert collisions is not None
     turn = 2.0 * np.arcsin(0.1 / 0.5)
@@ -249,7 +249,7 @@ def test_continuous_joints(arm: Chain) -> None:
 
 def test_obstacles_stand_on_the_base_link_of_the_chain(arm: Chain) -> None:
     backwards = Chain(arm.robot, "arm", "base")
-    on_arm = Obstacle("box", (0.2, 0.2, 0.2), xyz=(0.5, 0.0, 0.0))
+    on_arm = Obstacle(box=(0.2, 0.2, 0.2), xyz=(0.5, 0.0, 0.0))
     # It moves with the arm's ball, around which it is.
     collisions = load_collisions(backwards, [on_arm])
     assert collisions is not None
@@ -351,9 +351,11 @@ def test_flat_obstacles(kind: str, tmp_path: Path) -> None:
     file = tmp_path / "square.obj"
     file.write_text(SQUARE)
     tilt = (0.3, 0.2, 0.1) if "tilted" in kind else (0.0, 0.0, 0.0)
-    flat = Obstacle("mesh", (1.0, 1.0, 1.0), str(file), (-0.2, -0.5, 0.4), tilt)
+    flat = Obstacle(
+        mesh=str(file), scale=(1.0, 1.0, 1.0), xyz=(-0.2, -0.5, 0.4), rpy=tilt
+    )
     if kind == "box":
-        flat = Obstacle("box", (1.0, 1.0, 0.0), xyz=(0.3, 0.0, 0.4))
+        flat = Obstacle(box=(1.0, 1.0, 0.0), xyz=(0.3, 0.0, 0.4))
     chain = load_chain("space7")
     collisions = load_collisions(chain, [flat])
     assert collisions is not None
@@ -367,13 +369,13 @@ def test_flat_obstacles(kind: str, tmp_path: Path) -> None:
 def test_scaled_mesh(arm: Chain, tmp_path: Path) -> None:
     file = tmp_path / "square.obj"
     file.write_text(SQUARE.replace("1", "1000").replace("f 1000", "f 1"))
-    square = Obstacle("mesh", (1e-3, 1e-3, 1e-3), str(file), (-0.5, -0.5, 0.095))
+    square = Obstacle(mesh=str(file), scale=(1e-3, 1e-3, 1e-3), xyz=(-0.5, -0.5, 0.095))
     collisions = load_collisions(arm, [square], clearance=0.0)
     assert collisions is not None
     # The square ends at half a meter, below the middle of the ball's upper side.
     assert not collisions.free(np.zeros((1, 1)))[0]
     lower = load_collisions(
-        arm, [Obstacle("mesh", (1e-3, 1e-3, 1e-3), str(file), (-1.5, -0.5, 0.0))]
+        arm, [Obstacle(mesh=str(file), scale=(1e-3, 1e-3, 1e-3), xyz=(-1.5, -0.5, 0.0))]
     )
     assert lower is not None
     assert lower.free(np.zeros((1, 1)))[0]
@@ -386,7 +388,7 @@ def test_a_link_of_several_solids(chain_of: Callable[..., Chain]) -> None:
         '<geometry><box size="0.1 0.1 0.1"/></geometry></collision>',
         1,
     )
-    ball = Obstacle("sphere", (0.3,), xyz=(0.5, 0.0, 0.15))
+    ball = Obstacle(sphere=0.3, xyz=(0.5, 0.0, 0.15))
     collisions = load_collisions(chain_of(two), [ball])
     assert collisions is not None
     assert collisions.pairs == (("arm", "obstacle 1 (sphere)"),) * 2

@@ -274,7 +274,7 @@ def test_a_payload_that_loads_nothing(urdf_of: UrdfOf, chain_of: ChainOf) -> Non
     }
     chain = chain_of(urdf_of(table))
     with pytest.raises(OptionError, match="something that gravity pulls at"):
-        Compliance(payloads={"load": Payload(3.0)}).screws(chain)
+        Compliance(payloads={"load": Payload(3.0, (0.0, 0.0, 0.0))}).screws(chain)
     assert len(Compliance(gravity=(0.0, 1.0, -G)).screws(chain)) == 1
 
 

@@ -56,7 +56,10 @@ def test_what_the_user_states_reaches_the_parameterization(framed: Setup) -> Non
 
 
 def test_several_payloads_reach_the_compliance(framed: Setup) -> None:
-    payloads = {"light": Payload(1.0), "heavy": Payload(9.0)}
+    payloads = {
+        "light": Payload(1.0, (0.0, 0.0, 0.0)),
+        "heavy": Payload(9.0, (0.0, 0.0, 0.0)),
+    }
     several = parameterization("compliance", replace(framed, payloads=payloads))
     assert isinstance(several, Compliance)
     assert several.payloads == payloads and several.gravity == framed.gravity

@@ -16,6 +16,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.plan import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import (
+    Ball,
     Cone,
     FrameSetup,
     PlaneSetup,
@@ -233,9 +234,11 @@ def tool_points(workspace: Workspace, q: np.ndarray) -> np.ndarray:
     "region",
     [
         Region(box=((0.2, -0.5, 0.1), (3.0, 0.9, 2.0))),
-        Region(sphere=((0.5, 0.2, 1.0), 0.9)),
+        Region(sphere=Ball((0.5, 0.2, 1.0), 0.9)),
         Region(cone=Cone((-1.0, 0.0, 0.5), (1.0, 0.2, 0.3), 0.5, (0.5, 2.5))),
-        Region(box=((-1.0, -1.0, 0.0), (2.0, 2.0, 2.0)), sphere=((0.5, 0.2, 1.0), 1.2)),
+        Region(
+            box=((-1.0, -1.0, 0.0), (2.0, 2.0, 2.0)), sphere=Ball((0.5, 0.2, 1.0), 1.2)
+        ),
     ],
     ids=["box", "sphere", "cone", "box and sphere"],
 )
@@ -255,7 +258,7 @@ def test_candidates_lie_in_the_region(
         lower, upper = np.array(region.box)
         assert (points >= lower).all() and (points <= upper).all()
     if region.sphere is not None:
-        center, radius = region.sphere
+        center, radius = region.sphere.center, region.sphere.radius
         assert (np.linalg.norm(points - center, axis=1) <= radius).all()
     if region.cone is not None:
         ray = points - np.array(region.cone.apex)
@@ -329,7 +332,9 @@ def test_a_region_out_of_reach(
     refused: Callable[..., Any],
 ) -> None:
     """However many are wanted, no more are tried."""
-    workspace = workspace_of("space6", region=Region(sphere=((50.0, 0.0, 0.0), 0.5)))
+    workspace = workspace_of(
+        "space6", region=Region(sphere=Ball((50.0, 0.0, 0.0), 0.5))
+    )
     for count in (10, 1000):
         with refused(InputError, ["none of 60000", "60000 outside the region"]):
             workspace.candidates(count, rng)

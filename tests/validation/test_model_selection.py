@@ -354,7 +354,7 @@ def test_without_masses_the_compliance_rung_says_why() -> None:
 
 
 def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
-    payloads = {"a": Payload(1.0), "b": Payload(2.0)}
+    payloads = {"a": Payload(1.0, (0.0, 0.0, 0.0)), "b": Payload(2.0, (0.0, 0.0, 0.0))}
     rows = simulated(chain, ["placement"], Setup(), count=20)
     with pytest.raises(InputError, match="several payloads, and the row names none"):
         select_model(chain, rows, Setup(payloads=payloads), 0)

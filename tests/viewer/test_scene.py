@@ -103,7 +103,10 @@ def test_links_are_those_of_the_corrected_urdf(
 def test_joint_corrections_turn_the_links(
     panda: Chain, calibrated: Callable[..., CalibratedModel]
 ) -> None:
-    loads = {"light": Payload(1.0), "heavy": Payload(8.0, (0.0, 0.0, 0.2))}
+    loads = {
+        "light": Payload(1.0, (0.0, 0.0, 0.0)),
+        "heavy": Payload(8.0, (0.0, 0.0, 0.2)),
+    }
     model = calibrated(panda, Position(), "placement", "compliance", payloads=loads)
     _, corrected = bodies_of(panda.robot, panda.base, model)
     skeleton = corrected.skeleton

@@ -47,7 +47,7 @@ def test_what_has_no_mass_does_not_give() -> None:
     assert {name.split(".")[1] for name in names(problem_of("space6"))} == {
         "transmission"
     }
-    carried = Setup(payloads={"p": Payload(5.0)})
+    carried = Setup(payloads={"p": Payload(5.0, (0.0, 0.0, 0.0))})
     assert any(n.endswith("k") for n in names(problem_of("space6", carried)))
     # Of what these rows carry nothing is known.
     assert not any(n.endswith("k") for n in names(problem_of("pa10", payload="p")))

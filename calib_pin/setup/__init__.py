@@ -1,0 +1,298 @@
+"""What a user states about a calibration beside the robot and the measurements.
+
+Every key of a setup file is declared here once, with its type, its constraint (which
+carries its unit), its default and its meaning. The reader of files, the JSON schema and
+the reference in docs/ follow from the declarations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from typing import Annotated
+
+from calib_pin.setup.constraints import Checked, Constraint, Distinct, Keys, Registered
+from calib_pin.setup.references import (
+    AnchorSetup,
+    CameraSetup,
+    DistanceSetup,
+    Frames,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    SphereSetup,
+)
+from calib_pin.setup.section import Section
+from calib_pin.setup.values import (
+    LARGEST_ANGLE,
+    Number,
+    OneOf,
+    Pair,
+    Position,
+    Positive,
+    Text,
+    Triple,
+    Vector,
+    number,
+    positive,
+)
+from calib_pin.setup.workspace import Ball, Cone, Obstacle, RangerSetup, Region
+
+__all__ = [
+    "AnchorSetup",
+    "Ball",
+    "CameraSetup",
+    "Cone",
+    "DistanceSetup",
+    "FrameSetup",
+    "Frames",
+    "JointMap",
+    "Obstacle",
+    "Payload",
+    "PlaneSetup",
+    "PointSetup",
+    "RangerSetup",
+    "Region",
+    "Section",
+    "Setup",
+    "SolverSetup",
+    "SphereSetup",
+    "Triple",
+]
+
+HEAVIEST = 1e5
+"""Largest mass of a payload [kg]; more comes from a mistaken unit."""
+
+STRONGEST = 100.0
+"""Largest acceleration of gravity [m/s^2]."""
+
+BLURRED = 1e3
+"""Largest standard deviation of a pixel [px]."""
+
+NOISE: Mapping[str, Constraint] = {
+    "position": Positive("m"),
+    "orientation": Positive("rad"),
+    "distance": Positive("m"),
+    "contact": Positive("m"),
+    "pixel": Positive(
+        "px", BLURRED, f"a standard deviation in px, at most {BLURRED:g}"
+    ),
+}
+"""Quantities whose standard deviation may be stated."""
+
+
+def _bound(value: object) -> float | Pair:
+    allowed = "a positive number, or [lower, upper] with lower < upper"
+    try:
+        if not isinstance(value, list):
+            return positive(value)
+        lower, upper = map(number, value)
+    except ValueError:
+        raise ValueError(allowed) from None
+    if not lower < upper:
+        raise ValueError(allowed)
+    return lower, upper
+
+
+BOUND = {
+    "anyOf": [
+        Positive().schema(),
+        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
+    ],
+    "unit": "SI",
+}
+"""JSON schema of a bound."""
+
+Factor = Annotated[float, Number(nonzero=True)]
+
+
+@dataclass(frozen=True)
+class JointMap(Section):
+    """How a file column becomes a joint position of the URDF.
+
+    `position = sign * gear * (column + sum_c coupled[c] * column_c) + offset`.
+
+    Attributes:
+        joint: URDF joint.
+        sign: 1 or -1.
+        gear: Gear factor, not zero.
+        offset: Offset in the URDF's unit [rad, m].
+        coupled: Other file columns that are added, each with its factor.
+    """
+
+    joint: Text
+    sign: Annotated[int, OneOf((1, -1))] = 1
+    gear: Factor = 1.0
+    offset: Annotated[float, Number("rad, m")] = 0.0
+    coupled: Mapping[str, Annotated[float, Number()]] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class Payload(Section):
+    """What the robot carries.
+
+    Attributes:
+        mass: Mass [kg].
+        com: Center of mass in the tip frame [m].
+    """
+
+    mass: Annotated[
+        float,
+        Positive(
+            "kg",
+            HEAVIEST,
+            f"a mass in kg, more than 0 and at most {HEAVIEST:g}",
+            always=True,
+        ),
+    ]
+    com: Position
+
+
+@dataclass(frozen=True)
+class SolverSetup:
+    """How the least-squares problem is solved.
+
+    Attributes:
+        name: `gauss-newton`, `de` (differential evolution) or `hybrid` (differential
+            evolution, then Gauss-Newton from its best member).
+        evolution: Options of `solvers.DifferentialEvolution` by name; what is left out
+            has its default. A file has them beside the name.
+    """
+
+    name: str = "gauss-newton"
+    evolution: Mapping[str, str | float] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class RobotSetup(Section):
+    """The chain, and the errors that it is thought to have.
+
+    Attributes:
+        base: Link at which the chain starts; None for the root link.
+        tip: Link at which the chain ends; None for the only leaf.
+        model: Measurement model; None to infer it from the columns.
+        parameters: Names of the parameterizations, combined in this order.
+        learned: Residual model that learns what the parameters leave; None for none.
+    """
+
+    base: Text | None = None
+    tip: Text | None = None
+    model: Annotated[str, Registered("model")] | None = None
+    parameters: Annotated[
+        tuple[Annotated[str, Registered("parameters")], ...], Distinct()
+    ] = ("placement",)
+    learned: Annotated[str, Registered("learned")] | None = None
+
+
+@dataclass(frozen=True)
+class MeasurementSetup(Section):
+    """What is measured against, and how columns become joint positions.
+
+    Attributes:
+        planes: Planes by the name that measurements give as their target.
+        targets: Reference points on the tool by name.
+        sockets: Sockets that hold a ball, by name.
+        spheres: Spheres that are touched, by name.
+        anchors: Fixed points that distances are measured from, by name.
+        camera: The camera, where there is one.
+        distances: Known distances between such points.
+        joints: Joint map by file column; empty where columns are URDF joint names.
+    """
+
+    planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
+    targets: Mapping[str, PointSetup] = field(default_factory=dict)
+    sockets: Mapping[str, PointSetup] = field(default_factory=dict)
+    spheres: Mapping[str, SphereSetup] = field(default_factory=dict)
+    anchors: Mapping[str, AnchorSetup] = field(default_factory=dict)
+    camera: CameraSetup | None = None
+    distances: tuple[DistanceSetup, ...] = ()
+    joints: Mapping[str, JointMap] = field(default_factory=dict)
+
+
+@dataclass(frozen=True)
+class FitSetup(Section):
+    """What is known of the parameters, and how they are estimated.
+
+    Attributes:
+        gravity: Acceleration of gravity in the base link [m/s^2]; with a base that
+            moves against the root of the robot, in the base at zero joint positions.
+        payloads: What the robot carries, by name.
+        gear_ratios: Joint name or glob to the turns of the motor per turn of the joint
+            (rad/m for a prismatic joint), where harmonics of the motor are sought.
+        fixed: Globs of parameter names that are not estimated.
+        bounds: Glob to the largest absolute value [SI], or to (lower, upper).
+        prior: Glob to the prior standard deviation about zero [SI].
+        noise: Standard deviation by quantity (`position`, `orientation`, `distance`,
+            `contact`, `pixel`) used where the file has no sigma columns [SI].
+        solver: How the fit is solved.
+        loss: How measurements that do not fit count.
+    """
+
+    gravity: Annotated[
+        Triple,
+        Vector(
+            3,
+            "three finite numbers in m/s^2, such as [0, 0, -9.81], at most "
+            f"{STRONGEST:g} long",
+            "m/s^2",
+            norm=(0.0, STRONGEST),
+        ),
+    ] = (0.0, 0.0, -9.81)
+    payloads: Mapping[str, Payload] = field(default_factory=dict)
+    gear_ratios: Mapping[str, Factor] = field(default_factory=dict)
+    fixed: tuple[Text, ...] = ()
+    bounds: Mapping[str, Annotated[float | Pair, Checked(_bound, BOUND)]] = field(
+        default_factory=dict
+    )
+    prior: Mapping[str, Annotated[float, Positive("SI")]] = field(default_factory=dict)
+    noise: Annotated[Mapping[str, float], Keys(NOISE)] = field(default_factory=dict)
+    solver: SolverSetup = SolverSetup()
+    loss: Annotated[str, Registered("loss")] = "auto"
+
+
+@dataclass(frozen=True)
+class PlanSetup(Section):
+    """Where the robot may measure.
+
+    Attributes:
+        obstacles: What the robot must not touch.
+        region: Where the measured point may be; None for anywhere.
+        limits: Joint name or glob to the lower and upper position within which
+            measurements are planned [rad, m]; they narrow the limits of the URDF.
+        ranger: The window in which a laser distance sensor measures.
+    """
+
+    obstacles: tuple[Obstacle, ...] = ()
+    region: Region | None = None
+    limits: Mapping[
+        str,
+        Annotated[
+            Pair,
+            Vector(
+                2,
+                # Degrees would leave a joint as free as it was, without a word.
+                "[lower, upper] in rad or m with lower < upper, at most "
+                f"{LARGEST_ANGLE:.4g}",
+                "rad, m",
+                least=-LARGEST_ANGLE,
+                most=LARGEST_ANGLE,
+                rising=True,
+            ),
+        ],
+    ] = field(default_factory=dict)
+    ranger: RangerSetup = field(default_factory=RangerSetup)
+
+
+@dataclass(frozen=True)
+class Setup(PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
+    """Everything a setup file can state; the defaults are those of an empty file.
+
+    Attributes:
+        base_frame: Pose of the base link in the measuring frame.
+        tool_frame: Pose of the tool (target, beam) in the tip frame.
+        file: Where all this was read from, for messages.
+    """
+
+    base_frame: FrameSetup = field(default_factory=FrameSetup)
+    tool_frame: FrameSetup = field(default_factory=FrameSetup)
+    file: str = field(default="", compare=False)

@@ -1,0 +1,200 @@
+"""Constraints on the values of a setup, declared in the annotations of its fields.
+
+A constraint checks a value as it stands in a file and returns it as the type of the
+field. Where the value cannot be used it raises a `ValueError` whose message is what is
+allowed instead. pydantic asks the constraints for their schemas where a file is read;
+it imports slowly, and most commands read no setup, so nothing here imports it before.
+"""
+
+from __future__ import annotations
+
+import re
+from collections.abc import Callable, Collection, Mapping
+from dataclasses import dataclass, field
+from typing import Annotated, Any
+
+__all__ = [
+    "Checked",
+    "Constraint",
+    "Distinct",
+    "Json",
+    "Keys",
+    "Names",
+    "Registered",
+    "without_empty",
+]
+
+Json = dict[str, Any]
+
+
+class Constraint:
+    """A check of one value and its JSON schema, for pydantic and for editors."""
+
+    def check(self, value: object) -> Any:
+        """The value as the type of the field.
+
+        Raises:
+            ValueError: If it cannot be used; the message is what is allowed.
+        """
+        raise NotImplementedError
+
+    def schema(self) -> Json:
+        """The JSON schema of the value; `unit` is the unit of its numbers."""
+        raise NotImplementedError
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """The check, in place of pydantic's own."""
+        from pydantic_core import core_schema
+
+        return core_schema.no_info_plain_validator_function(self.check)
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Json:
+        """The JSON schema of the value."""
+        return self.schema()
+
+
+@dataclass(frozen=True)
+class Names(Constraint):
+    """The name of a member of a family.
+
+    Attributes:
+        known: The names of the members.
+        joined: What may stand between several names; empty for a single name.
+    """
+
+    known: Collection[str]
+    joined: str = ""
+
+    def check(self, value: object) -> str:
+        """The name."""
+        allowed = ", ".join(self.known)
+        names = [value] if isinstance(value, str) else []
+        if self.joined and isinstance(value, str):
+            names = value.split(self.joined)
+            allowed += f", or several of them with a {self.joined} between"
+            allowed += ", each at most once"
+        if not names or not set(names) <= set(self.known):
+            raise ValueError(allowed)
+        if len(set(names)) < len(names):
+            raise ValueError(allowed)
+        return self.joined.join(names)
+
+    def schema(self) -> Json:
+        """The names."""
+        known: Json = {"enum": list(self.known)}
+        if not self.joined:
+            return known
+        several = "|".join(map(re.escape, self.known))
+        pattern = f"^({several})({re.escape(self.joined)}({several}))+$"
+        return {"anyOf": [known, {"type": "string", "pattern": pattern}]}
+
+
+@dataclass(frozen=True)
+class Registered(Constraint):
+    """A value whose constraint is known only where the file is read.
+
+    The families (measurement models, solvers, ...) stand above the setup. Their
+    constraints come in with pydantic's validation context, by family.
+
+    Attributes:
+        family: Key of the constraint in the context.
+    """
+
+    family: str
+
+    def schema(self) -> Json:
+        """A placeholder, for the reader of files to fill."""
+        return {"registered": self.family}
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """A check by the constraint in the validation context."""
+        from pydantic_core import core_schema
+
+        def check(value: object, info: Any) -> Any:
+            return info.context[self.family].check(value)
+
+        return core_schema.with_info_plain_validator_function(check)
+
+
+@dataclass(frozen=True, eq=False)  # Annotations are hashed, mappings cannot be.
+class Keys(Constraint):
+    """A mapping with known keys, each with its own constraint; all are optional.
+
+    Attributes:
+        values: Constraint by key.
+        meanings: Meaning by key, for the documentation.
+    """
+
+    values: Mapping[str, Constraint]
+    meanings: Mapping[str, str] = field(default_factory=dict)
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """A dictionary that refuses other keys; None counts as not written."""
+        from pydantic_core import core_schema
+
+        fields = {
+            key: core_schema.typed_dict_field(
+                handler.generate_schema(Annotated[Any, value]), required=False
+            )
+            for key, value in self.values.items()
+        }
+        return core_schema.no_info_before_validator_function(
+            lambda data: without_empty(data, self.values),
+            core_schema.typed_dict_schema(fields, extra_behavior="forbid"),
+        )
+
+    def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Json:
+        """The schema of each key."""
+        found: Json = {"type": "object", "additionalProperties": False}
+        found["properties"] = {
+            key: {**value.schema()}
+            | ({"description": self.meanings[key]} if key in self.meanings else {})
+            for key, value in self.values.items()
+        }
+        return found
+
+
+@dataclass(frozen=True, eq=False)  # Annotations are hashed, mappings cannot be.
+class Checked(Constraint):
+    """A value with a check of its own.
+
+    Attributes:
+        function: The check, see `Constraint.check`.
+        json: The JSON schema.
+    """
+
+    function: Callable[[object], Any]
+    json: Mapping[str, Any]
+
+    def check(self, value: object) -> Any:
+        """The value as the function returns it."""
+        return self.function(value)
+
+    def schema(self) -> Json:
+        """The JSON schema."""
+        return dict(self.json)
+
+
+@dataclass(frozen=True)
+class Distinct:
+    """At least one name in a list, and each at most once."""
+
+    def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
+        """The check after that of the list."""
+        from pydantic_core import core_schema
+
+        def check(names: tuple[str, ...]) -> tuple[str, ...]:
+            if not names or len(set(names)) < len(names):
+                raise ValueError("at least one name and each at most once")
+            return names
+
+        return core_schema.no_info_after_validator_function(check, handler(source))
+
+
+def without_empty(data: Any, known: Collection[str]) -> Any:
+    """Known keys without a value count as not written."""
+    if not isinstance(data, Mapping):
+        return data
+    return {
+        k: value for k, value in data.items() if value is not None or k not in known
+    }

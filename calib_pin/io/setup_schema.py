@@ -29,7 +29,11 @@ from calib_pin.setup import (
 from calib_pin.setup.constraints import Constraint, Keys, Names
 from calib_pin.setup.section import LENIENT, meanings
 from calib_pin.setup.values import as_number
-from calib_pin.solvers import DifferentialEvolution
+from calib_pin.solvers.differential_evolution import (
+    INITS,
+    STRATEGIES,
+    DifferentialEvolution,
+)
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
@@ -65,10 +69,11 @@ class EvolutionOption(Constraint):
         return plain
 
     def schema(self) -> dict[str, Any]:
-        """The type and the default of the option."""
+        """The names or the type of the option, and its default."""
         kinds = {"int": "integer", "float": "number", "str": "string"}
+        known = {"strategy": STRATEGIES, "init": INITS}.get(self.name)
+        found = {"enum": list(known)} if known else {"type": kinds[self.kind]}
         default = getattr(DifferentialEvolution, self.name)
-        found = {"type": kinds[self.kind]}
         # JSON has no infinity, which here stands for no target.
         return found if default == -math.inf else {**found, "default": default}
 
@@ -175,10 +180,11 @@ def json_schema() -> dict[str, Any]:
         part = {key: filled(value) for key, value in part.items() if key != "title"}
         if part.get("default", ...) is None:  # A key that may be left out.
             del part["default"]
-        choices = [c for c in part.get("anyOf", ()) if c != {"type": "null"}]
+        choices = [c for c in part.pop("anyOf", ()) if c != {"type": "null"}]
         if len(choices) == 1:
             part = {**choices[0], **part}
-            del part["anyOf"]
+        elif choices:
+            part["anyOf"] = choices
         family = part.pop("registered", None)
         return part if family is None else {**names[family].schema(), **part}
 

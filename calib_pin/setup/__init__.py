@@ -1,4 +1,4 @@
-"""What a user states about a calibration beside the robot and the measurements.
+"""The statements of a user beside the robot and the measurements.
 
 Every key of a setup file is declared here once, with its type, its constraint (which
 carries its unit), its default and its meaning. The reader of files, the JSON schema and
@@ -11,7 +11,14 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Annotated
 
-from calib_pin.setup.constraints import Checked, Constraint, Distinct, Keys, Registered
+from calib_pin.setup.constraints import (
+    Checked,
+    Constraint,
+    Distinct,
+    Keys,
+    Registered,
+    listed,
+)
 from calib_pin.setup.references import (
     AnchorSetup,
     CameraSetup,
@@ -94,13 +101,7 @@ def _bound(value: object) -> float | Pair:
     return lower, upper
 
 
-BOUND = {
-    "anyOf": [
-        Positive().schema(),
-        {"type": "array", "items": {"type": "number"}, "minItems": 2, "maxItems": 2},
-    ],
-    "unit": "SI",
-}
+BOUND = {"anyOf": [Positive().schema(), listed({"type": "number"}, 2)], "unit": "SI"}
 """JSON schema of a bound."""
 
 Factor = Annotated[float, Number(nonzero=True)]
@@ -129,7 +130,7 @@ class JointMap(Section):
 
 @dataclass(frozen=True)
 class Payload(Section):
-    """What the robot carries.
+    """A payload of the robot.
 
     Attributes:
         mass: Mass [kg].
@@ -150,11 +151,12 @@ class Payload(Section):
 
 @dataclass(frozen=True)
 class SolverSetup:
-    """How the least-squares problem is solved.
+    """The solver of the least-squares problem.
 
     Attributes:
-        name: `gauss-newton`, `de` (differential evolution) or `hybrid` (differential
-            evolution, then Gauss-Newton from its best member).
+        name: `gauss-newton`, `two-step` (alternating least squares), `de`
+            (differential evolution) or `hybrid` (differential evolution, then
+            Gauss-Newton from its best member).
         evolution: Options of `solvers.DifferentialEvolution` by name; what is left out
             has its default. A file has them beside the name.
     """
@@ -172,7 +174,7 @@ class RobotSetup(Section):
         tip: Link at which the chain ends; None for the only leaf.
         model: Measurement model; None to infer it from the columns.
         parameters: Names of the parameterizations, combined in this order.
-        learned: Residual model that learns what the parameters leave; None for none.
+        learned: Residual model, learned from the remaining errors; None for none.
     """
 
     base: Text | None = None
@@ -186,7 +188,7 @@ class RobotSetup(Section):
 
 @dataclass(frozen=True)
 class MeasurementSetup(Section):
-    """What is measured against, and how columns become joint positions.
+    """The references of the measurements, and the columns of the joints.
 
     Attributes:
         planes: Planes by the name that measurements give as their target.
@@ -211,12 +213,12 @@ class MeasurementSetup(Section):
 
 @dataclass(frozen=True)
 class FitSetup(Section):
-    """What is known of the parameters, and how they are estimated.
+    """Prior knowledge of the robot and its parameters, and the solver.
 
     Attributes:
         gravity: Acceleration of gravity in the base link [m/s^2]; with a base that
             moves against the root of the robot, in the base at zero joint positions.
-        payloads: What the robot carries, by name.
+        payloads: Payloads by name.
         gear_ratios: Joint name or glob to the turns of the motor per turn of the joint
             (rad/m for a prismatic joint), where harmonics of the motor are sought.
         fixed: Globs of parameter names that are not estimated.
@@ -224,8 +226,8 @@ class FitSetup(Section):
         prior: Glob to the prior standard deviation about zero [SI].
         noise: Standard deviation by quantity (`position`, `orientation`, `distance`,
             `contact`, `pixel`) used where the file has no sigma columns [SI].
-        solver: How the fit is solved.
-        loss: How measurements that do not fit count.
+        solver: Solver of the fit, and its options.
+        loss: Loss function, which says how much outliers count.
     """
 
     gravity: Annotated[
@@ -255,7 +257,7 @@ class PlanSetup(Section):
     """Where the robot may measure.
 
     Attributes:
-        obstacles: What the robot must not touch.
+        obstacles: Obstacles that the robot must not touch.
         region: Where the measured point may be; None for anywhere.
         limits: Joint name or glob to the lower and upper position within which
             measurements are planned [rad, m]; they narrow the limits of the URDF.
@@ -274,8 +276,7 @@ class PlanSetup(Section):
                 "[lower, upper] in rad or m with lower < upper, at most "
                 f"{LARGEST_ANGLE:.4g}",
                 "rad, m",
-                least=-LARGEST_ANGLE,
-                most=LARGEST_ANGLE,
+                limit=LARGEST_ANGLE,
                 rising=True,
             ),
         ],
@@ -288,7 +289,7 @@ class Setup(PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
     """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:
-        base_frame: Pose of the base link in the measuring frame.
+        base_frame: Pose of the base link in the measurement frame.
         tool_frame: Pose of the tool (target, beam) in the tip frame.
         file: Where all this was read from, for messages.
     """

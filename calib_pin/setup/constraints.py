@@ -21,6 +21,7 @@ __all__ = [
     "Keys",
     "Names",
     "Registered",
+    "listed",
     "without_empty",
 ]
 
@@ -189,6 +190,18 @@ class Distinct:
             return names
 
         return core_schema.no_info_after_validator_function(check, handler(source))
+
+
+def listed(entry: Json, count: int, few: int | None = None) -> Json:
+    """The JSON schema of a list.
+
+    Args:
+        entry: Schema of each entry.
+        count: Number of entries.
+        few: Least number of entries; None if no fewer.
+    """
+    least = count if few is None else few
+    return {"type": "array", "items": entry, "minItems": least, "maxItems": count}
 
 
 def without_empty(data: Any, known: Collection[str]) -> Any:

@@ -1,11 +1,11 @@
-"""What is measured against: frames, planes, points, spheres, anchors, a camera."""
+"""References of measurements: frames, planes, points, spheres, anchors, cameras."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from calib_pin.setup.constraints import Checked
+from calib_pin.setup.constraints import Checked, listed
 from calib_pin.setup.section import Section
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
@@ -51,13 +51,24 @@ def _between(value: object) -> tuple[str, str]:
     return names[0], names[1]
 
 
-TWO_NAMES = {
-    "type": "array",
-    "items": {"type": "string"},
-    "minItems": 2,
-    "maxItems": 2,
-    "uniqueItems": True,
-}
+Focal = Annotated[
+    Pair,
+    Vector(
+        2,
+        "[f_x, f_y], both positive and in px, such as [1200, 1200]",
+        "px",
+        above=0.0,
+        limit=WIDEST,
+    ),
+]
+Extent = Annotated[
+    Pair,
+    Vector(
+        2, "[width, height], both positive and in px", "px", above=0.0, limit=WIDEST
+    ),
+]
+
+TWO_NAMES = listed({"type": "string"}, 2) | {"uniqueItems": True}
 """JSON schema of the two ends of a distance."""
 
 
@@ -68,8 +79,9 @@ class FrameSetup(Section):
     Attributes:
         xyz: Position [m], a first guess if estimated; None where none was given.
         rpy: URDF fixed-axis angles [rad]; None where none were given.
-        estimate: Whether the frame is estimated; None leaves it to the measurement
-            model (position and pose estimate both frames, a ranger only the tool).
+        estimate: Whether the frame is estimated; None to leave it to the measurement
+            model (position and pose estimate both frames, a laser distance sensor
+            only the tool).
     """
 
     xyz: Position | None = None
@@ -82,7 +94,7 @@ class Frames(Section):
     """The frames at both ends of the chain.
 
     Attributes:
-        base: Pose of the base link in the measuring frame.
+        base: Pose of the base link in the measurement frame.
         tool: Pose of the tool (target, beam) in the tip frame.
     """
 
@@ -126,8 +138,8 @@ class PointSetup(Section):
 
     Attributes:
         xyz: Place [m], a first guess if estimated; None where none was given. Of a
-            point on the tool in the tool frame, of all else in the measuring frame.
-        estimate: Whether it is estimated; None leaves it to the measurement model:
+            point on the tool in the tool frame, of all else in the measurement frame.
+        estimate: Whether it is estimated; None to leave it to the measurement model:
             the points that a camera looks at are known, all others are estimated.
     """
 
@@ -141,13 +153,14 @@ class PointSetup(Section):
 
 @dataclass(frozen=True)
 class SphereSetup(Section):
-    """A sphere in the measuring frame.
+    """A sphere in the measurement frame.
 
     Attributes:
         xyz: Center [m], a first guess if estimated; None where none was given.
         radius: Radius [m]; None where none was given.
         estimate: Whether the center is estimated.
-        estimate_radius: Whether the radius is; None where it is if none was given.
+        estimate_radius: Whether the radius is estimated; None to estimate it if none
+            was given.
     """
 
     xyz: Position | None = None
@@ -164,14 +177,14 @@ class SphereSetup(Section):
 
 @dataclass(frozen=True)
 class AnchorSetup(Section):
-    """A fixed point that distances are measured from: where a draw wire leaves.
+    """A fixed point that distances are measured from, such as a draw-wire encoder.
 
     Attributes:
-        xyz: Place in the measuring frame [m], a first guess if estimated; None where
+        xyz: Place in the measurement frame [m], a first guess if estimated; None where
             none was given.
-        bias: What every reading has too much [m].
+        bias: Excess of every reading [m].
         estimate: Whether the place is estimated.
-        estimate_bias: Whether the bias is.
+        estimate_bias: Whether the bias is estimated.
     """
 
     xyz: Position | None = None
@@ -207,49 +220,20 @@ class CameraSetup(Section):
     """
 
     mount: Annotated[Literal["hand", "world"], OneOf(("hand", "world"))]
-    focal: Annotated[
-        Pair,
-        Vector(
-            2,
-            "[f_x, f_y], both positive and in px, such as [1200, 1200]",
-            "px",
-            above=0.0,
-            most=WIDEST,
-        ),
-    ]
+    focal: Focal
     center: Annotated[
-        Pair,
-        Vector(
-            2,
-            "[c_x, c_y] in px, such as [639.5, 479.5]",
-            "px",
-            least=-WIDEST,
-            most=WIDEST,
-        ),
+        Pair, Vector(2, "[c_x, c_y] in px, such as [639.5, 479.5]", "px", limit=WIDEST)
     ]
     distortion: Annotated[
         Distortion,
         Vector(
             5,
             "[k_1, k_2, p_1, p_2, k_3], or the first two or four of them",
-            least=-WIDEST,
-            most=WIDEST,
+            limit=WIDEST,
             shorter=(2, 4),
         ),
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
-    size: (
-        Annotated[
-            Pair,
-            Vector(
-                2,
-                "[width, height], both positive and in px",
-                "px",
-                above=0.0,
-                most=WIDEST,
-            ),
-        ]
-        | None
-    ) = None
+    size: Extent | None = None
     estimate: Flag = False
 
 

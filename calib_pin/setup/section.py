@@ -67,7 +67,9 @@ class Section:
         section["description"] = (inspect.getdoc(cls) or "").split("\n\n")[0]
         for key, meaning in meanings(cls).items():
             if key in section["properties"]:
-                section["properties"][key]["description"] = meaning
+                # A key that is None is one that a file leaves out.
+                words = re.sub(r"\bNone\b", "left out", meaning)
+                section["properties"][key]["description"] = words
         return dict(schema)
 
 

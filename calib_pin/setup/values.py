@@ -8,7 +8,7 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
-from calib_pin.setup.constraints import Checked, Constraint, Json
+from calib_pin.setup.constraints import Checked, Constraint, Json, listed
 
 __all__ = [
     "LARGEST_ANGLE",
@@ -167,7 +167,7 @@ class Vector(Constraint):
         unit: Unit of the numbers; empty if they have none, or several.
         above: Limit that each must exceed.
         least: Least value of each.
-        most: Largest value of each.
+        limit: Largest absolute value of each.
         rising: Whether each must exceed the one before.
         norm: Least and largest Euclidean norm.
         shorter: Numbers of components that may be written instead; 0 for the rest.
@@ -179,7 +179,7 @@ class Vector(Constraint):
     unit: str = ""
     above: float = -math.inf
     least: float = -math.inf
-    most: float = math.inf
+    limit: float = math.inf
     rising: bool = False
     norm: Pair = (0.0, math.inf)
     shorter: tuple[int, ...] = ()
@@ -196,8 +196,8 @@ class Vector(Constraint):
             found = tuple(map(number, value))
         except ValueError:
             raise ValueError(self.words) from None
-        least, most = min(found), max(found)
-        within = self.above < least and self.least <= least and most <= self.most
+        within = self.above < min(found) and self.least <= min(found)
+        within &= max(map(abs, found)) <= self.limit
         shortest, longest = self.norm
         if not within or not shortest <= math.hypot(*found) <= longest:
             raise ValueError(self.words)
@@ -207,14 +207,9 @@ class Vector(Constraint):
 
     def schema(self) -> Json:
         """A list of so many numbers, or what stands for it."""
-        entry = _number(self.above, self.least, self.most)
-        few = min((self.count, *self.shorter))
-        found: Json = {
-            "type": "array",
-            "items": entry,
-            "minItems": few,
-            "maxItems": self.count,
-        }
+        least = max(self.least, -self.limit)
+        entry = _number(self.above, least, self.limit)
+        found = listed(entry, self.count, min((self.count, *self.shorter)))
         if self.scalar is not None:
             found = {"anyOf": [entry, found]}
         return _with_unit(found, self.unit)
@@ -282,11 +277,7 @@ Length = Annotated[
 Position = Annotated[
     Triple,
     Vector(
-        3,
-        "three finite numbers in m, such as [0, 0, 0.1]",
-        "m",
-        least=-LARGEST_LENGTH,
-        most=LARGEST_LENGTH,
+        3, "three finite numbers in m, such as [0, 0, 0.1]", "m", limit=LARGEST_LENGTH
     ),
 ]
 Angles = Annotated[
@@ -295,8 +286,7 @@ Angles = Annotated[
         3,
         "three finite numbers in rad, such as [0, 0, 1.57]",
         "rad",
-        least=-LARGEST_ANGLE,
-        most=LARGEST_ANGLE,
+        limit=LARGEST_ANGLE,
     ),
 ]
 Text = Annotated[str, Checked(_text, {"type": "string", "minLength": 1})]

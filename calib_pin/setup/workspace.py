@@ -1,16 +1,15 @@
-"""Where the robot may measure: obstacles, a region, the window of a ranger."""
+"""Constraints on configurations: obstacles, a region, the window of an instrument."""
 
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
 from dataclasses import dataclass
-from typing import Annotated, Any
+from typing import Annotated
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.setup.constraints import Checked
+from calib_pin.setup.constraints import Checked, listed
 from calib_pin.setup.section import Section
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
@@ -27,7 +26,7 @@ from calib_pin.setup.values import (
 
 __all__ = ["Ball", "Cone", "Obstacle", "RangerSetup", "Region"]
 
-_CORNER = Vector(3, "", "m", least=-LARGEST_LENGTH, most=LARGEST_LENGTH)
+_CORNER = Vector(3, "", "m", limit=LARGEST_LENGTH)
 
 
 def _corners(value: object) -> tuple[Triple, Triple]:
@@ -46,13 +45,7 @@ def _corners(value: object) -> tuple[Triple, Triple]:
     return (a, b, c), (x, y, z)
 
 
-CORNERS: Mapping[str, Any] = {
-    "type": "array",
-    "items": _CORNER.schema(),
-    "minItems": 2,
-    "maxItems": 2,
-    "unit": "m",
-}
+CORNERS = listed(_CORNER.schema(), 2)
 """JSON schema of two corners."""
 
 Range = Annotated[
@@ -62,9 +55,38 @@ Range = Annotated[
         "the farthest distance in m, or [nearest, farthest]",
         "m",
         least=0.0,
-        most=LARGEST_LENGTH,
+        limit=LARGEST_LENGTH,
         rising=True,
         scalar=lambda farthest: [0.0, farthest],
+    ),
+]
+Edges = Annotated[
+    Triple,
+    Vector(
+        3,
+        "three positive lengths in m, such as [1, 1, 0.02]",
+        "m",
+        above=0.0,
+        limit=LARGEST_LENGTH,
+    ),
+]
+Cylinder = Annotated[
+    Pair,
+    Vector(
+        2,
+        "[radius, length], both positive and in m",
+        "m",
+        above=0.0,
+        limit=LARGEST_LENGTH,
+    ),
+]
+Scale = Annotated[
+    Triple,
+    Vector(
+        3,
+        "a positive number, or three of them, such as 0.001 for a mesh in mm",
+        least=SMALLEST,
+        scalar=lambda factor: [factor] * 3,
     ),
 ]
 
@@ -85,46 +107,11 @@ class Obstacle(Section):
         rpy: URDF fixed-axis angles in the base link [rad].
     """
 
-    box: (
-        Annotated[
-            Triple,
-            Vector(
-                3,
-                "three positive lengths in m, such as [1, 1, 0.02]",
-                "m",
-                above=0.0,
-                most=LARGEST_LENGTH,
-            ),
-        ]
-        | None
-    ) = None
+    box: Edges | None = None
     sphere: Length | None = None
-    cylinder: (
-        Annotated[
-            Pair,
-            Vector(
-                2,
-                "[radius, length], both positive and in m",
-                "m",
-                above=0.0,
-                most=LARGEST_LENGTH,
-            ),
-        ]
-        | None
-    ) = None
+    cylinder: Cylinder | None = None
     mesh: Text | None = None
-    scale: (
-        Annotated[
-            Triple,
-            Vector(
-                3,
-                "a positive number, or three of them, such as 0.001 for a mesh in mm",
-                least=SMALLEST,
-                scalar=lambda factor: [factor] * 3,
-            ),
-        ]
-        | None
-    ) = None
+    scale: Scale | None = None
     xyz: Position = (0.0, 0.0, 0.0)
     rpy: Angles = (0.0, 0.0, 0.0)
 
@@ -208,7 +195,7 @@ class Region(Section):
 
     Attributes:
         box: Lower and upper corner [m].
-        sphere: Ball.
+        sphere: Inside of a sphere.
         cone: Field of view.
     """
 
@@ -249,7 +236,7 @@ class Region(Section):
 
 @dataclass(frozen=True)
 class RangerSetup(Section):
-    """The window in which a laser ranger measures.
+    """The window in which a laser distance sensor measures.
 
     Attributes:
         range: Shortest and longest distance [m].

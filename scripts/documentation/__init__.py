@@ -1,0 +1,1 @@
+"""Documents in docs/ that are made from the declarations in the package."""

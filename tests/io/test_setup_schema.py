@@ -1,0 +1,84 @@
+"""The schema of setup files, and the documents that are made from it."""
+
+from __future__ import annotations
+
+import subprocess
+import sys
+from dataclasses import fields
+from typing import Any
+
+import pytest
+
+from calib_pin.estimation.solve import SOLVERS
+from calib_pin.io.setup_schema import SetupFile, json_schema, known_keys
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.parameterizations import PARAMETERIZATIONS
+from calib_pin.setup import Setup
+from calib_pin.setup.section import meanings
+from calib_pin.solvers import DifferentialEvolution
+from documentation.setup_reference import DOCS, reference_text, schema_text
+
+
+def test_the_documents_are_current() -> None:
+    """Where this fails, `scripts/document` writes them anew."""
+    assert (DOCS / "setup.schema.json").read_text() == schema_text()
+    assert (DOCS / "setup.md").read_text() == reference_text()
+
+
+def test_the_names_that_there_are_stand_in_the_schema() -> None:
+    keys = json_schema()["properties"]
+    assert keys["model"]["anyOf"][0]["enum"] == list(MEASUREMENT_MODELS)
+    assert keys["parameters"]["items"]["enum"] == list(PARAMETERIZATIONS)
+    assert keys["solver"]["properties"]["name"]["enum"] == list(SOLVERS)
+    assert "registered" not in schema_text()
+
+
+def test_the_solver_has_the_options_of_the_evolution() -> None:
+    options = [option.name for option in fields(DifferentialEvolution)]
+    assert known_keys(("solver", "popsize")) == ["name", *options]
+
+
+def test_every_key_has_a_meaning() -> None:
+    def described(part: Any, path: str) -> None:
+        for key, value in part.get("properties", {}).items():
+            if not path.endswith(".noise"):  # Its keys are the quantities.
+                assert value.get("description"), f"{path}.{key}"
+            described(value, f"{path}.{key}")
+        for key in ("items", "additionalProperties"):
+            if isinstance(part.get(key), dict):
+                described(part[key], f"{path}.{key}")
+
+    schema = json_schema()
+    described(schema, "")
+    for name, part in schema["$defs"].items():
+        described(part, name)
+
+
+def test_the_keys_of_a_setup_and_of_its_file() -> None:
+    ours = {field.name for field in fields(Setup)} - {"file"}
+    theirs = {field.name for field in fields(SetupFile)}
+    assert ours ^ theirs == {"base_frame", "tool_frame", "frames"}
+    assert set(meanings(Setup)) == ours | {"file"}
+
+
+@pytest.mark.parametrize(
+    ("path", "known"),
+    [
+        (("frames", "x"), ["base", "tool"]),
+        (("targets", "a", "x"), ["xyz", "estimate"]),
+        (("sockets", "b", "x"), ["xyz", "estimate"]),
+        (("distances", 0, "x"), ["between", "value", "sigma"]),
+        (("region", "sphere", "x"), ["center", "radius"]),
+    ],
+)
+def test_known_keys(path: tuple[str | int, ...], known: list[str]) -> None:
+    assert known_keys(path) == known
+
+
+def test_a_setup_does_not_load_what_reads_files() -> None:
+    code = (
+        "import sys, calib_pin.setup; "
+        "sys.exit(not {'yaml', 'pydantic', 'scipy', 'pinocchio'}"
+        ".isdisjoint(sys.modules))"
+    )
+    assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -5,7 +5,7 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.setup import Ball, Cone, RangerSetup, Region
+from calib_pin.setup import Ball, Cone, Obstacle, RangerSetup, Region
 
 BOX = ((0.0, -1.0, 0.5), (1.0, 1.0, 0.75))
 SPHERE = Ball((1.0, 0.0, 0.5), 0.5)
@@ -77,3 +77,8 @@ def test_shapes_of_arrays(region: Region) -> None:
 def test_the_window_of_a_ranger() -> None:
     assert RangerSetup().range == (0.0, 5.0)
     assert np.degrees(RangerSetup().incidence) == pytest.approx(70.0)
+
+
+def test_the_kind_of_an_obstacle() -> None:
+    assert Obstacle(sphere=0.1).kind == "sphere"
+    assert Obstacle(mesh="table.stl", scale=(1e-3, 1e-3, 1e-3)).kind == "mesh"

@@ -70,8 +70,8 @@ class Names(Constraint):
         """The name."""
         allowed = ", ".join(self.known)
         names = [value] if isinstance(value, str) else []
-        if self.joined and isinstance(value, str):
-            names = value.split(self.joined)
+        if self.joined:
+            names = value.split(self.joined) if isinstance(value, str) else []
             allowed += f", or several of them with a {self.joined} between"
             allowed += ", each at most once"
         if not names or not set(names) <= set(self.known):
@@ -139,9 +139,14 @@ class Keys(Constraint):
             )
             for key, value in self.values.items()
         }
+
+        def prepare(data: object) -> object:
+            if not isinstance(data, Mapping):
+                raise ValueError("a mapping of keys to values")
+            return without_empty(data, self.values)
+
         return core_schema.no_info_before_validator_function(
-            lambda data: without_empty(data, self.values),
-            core_schema.typed_dict_schema(fields, extra_behavior="forbid"),
+            prepare, core_schema.typed_dict_schema(fields, extra_behavior="forbid")
         )
 
     def __get_pydantic_json_schema__(self, core: Any, handler: Any) -> Json:

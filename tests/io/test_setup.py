@@ -250,6 +250,14 @@ def test_parts_of_a_setup_read_back(setup):
     assert setup_of(json.loads(json.dumps(setup_document(setup)))) == setup
 
 
+def test_keys_of_a_later_version_are_passed_over():
+    setup = Setup(tip="a", planes={"p": PlaneSetup((0.0, 0.0, 1.0), 0.0)})
+    document = setup_document(setup)
+    document["later"] = 1
+    document["planes"]["p"]["later"] = {"any": "thing"}
+    assert setup_of(document) == setup
+
+
 @pytest.mark.parametrize("name", ["network", "gaussian-process"])
 def test_a_residual_model_reads_back(name, write):
     setup = read_setup(write(f"learned: {name}"))

@@ -79,7 +79,7 @@ def fit_model(
     """
     part = 1.0
     if setup.learned is not None:
-        require_learnable(setup, measurements)
+        require_learnable(setup.learned, setup, measurements)
         part = FIT_PART
     fitted = None if part_of is None else refitted(*part_of)
     if fitted is None:
@@ -96,7 +96,7 @@ def fit_model(
     # A generator of its own: what a search drew must not change what is learned.
     rng = np.random.default_rng(seed)
     tell = portion(progress, part, 1.0 - part)
-    learned = learned_correction(fitted, problem, theta, rng, tell)
+    learned = learned_correction(setup.learned, fitted, problem, theta, rng, tell)
     if learned is None:
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)

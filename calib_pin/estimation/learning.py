@@ -26,32 +26,34 @@ from calib_pin.setup import Setup
 __all__ = ["learned_correction", "require_learnable", "training_rows"]
 
 
-def require_learnable(setup: Setup, measurements: Measurements) -> None:
+def require_learnable(name: str, setup: Setup, measurements: Measurements) -> None:
     """Refuse a residual model that does not exist or has nothing to learn from.
 
     Raises:
         OptionError: If there is no such model, or the measurements are relative.
     """
-    require_known("residual model", str(setup.learned), RESIDUAL_MODELS)
+    require_known("residual model", name, RESIDUAL_MODELS)
     if "relative-distance" in measurements.parts:
         raise OptionError(
             "nothing can be learned from distances between two configurations",
             file=setup.file or None,
-            value=setup.learned,
+            value=name,
             allowed="measurements of another model",
         )
 
 
 def learned_correction(
+    name: str,
     fitted: Fit,
     problem: Problem,
     theta: Floats,
     rng: np.random.Generator,
     progress: Progress | None = None,
 ) -> LearnedCorrection | None:
-    """The correction that the residual model of the setup learns; None without a gain.
+    """The correction that a residual model learns; None without a gain.
 
     Args:
+        name: Name of the residual model.
         fitted: The fit.
         problem: Its problem, about the solution.
         theta: Parameter values about that, shape (P,).
@@ -62,7 +64,7 @@ def learned_correction(
         InputError: If the measurements are too few to learn from.
     """
     directions = _shifts(fitted, problem, theta)
-    found = RESIDUAL_MODELS[str(problem.setup.learned)](
+    found = RESIDUAL_MODELS[name](
         training_rows(problem, theta, directions), rng, progress=progress
     )
     if not (found.shift.any() or found(problem.data.q).any()):

@@ -24,11 +24,7 @@ from calib_pin.validation.assessment import estimates, fitted_ranks
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_split import split
-from calib_pin.validation.model_errors import (
-    ModelErrors,
-    fitted_distances,
-    model_errors,
-)
+from calib_pin.validation.model_errors import ModelErrors, fitted_errors
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import (
     CalibratedModel,
@@ -126,13 +122,13 @@ def calibrate(
         parts=None if selected is None else selected.parts,
         progress=checking,
     )
-    fitted_errors = model_errors(model, training, predict=False)
+    fitted = fitted_errors(model, training)
     tell = named(progress, "joint readings")
-    judgement = judge(chain, model, fitted_errors, held_out, seed, tell)
+    judgement = judge(chain, model, fitted, held_out, seed, tell)
     return _result(
         model,
         training,
-        fitted_errors,
+        fitted,
         held_out,
         judgement,
         seed,
@@ -145,7 +141,7 @@ def calibrate(
 def _result(
     model: FittedModel,
     training: Measurements,
-    fitted_errors: ModelErrors,
+    errors: ModelErrors,
     held_out: HeldOut,
     judgement: Judgement,
     seed: int,
@@ -159,7 +155,7 @@ def _result(
     Args:
         model: The fitted model.
         training: The measurements that were fitted.
-        fitted_errors: Their errors.
+        errors: Their errors.
         held_out: The check on held-out measurements.
         judgement: The judgement of the model.
         seed: Seed of random configurations.
@@ -204,14 +200,14 @@ def _result(
         evaluations=fitted.result.nfev,
         seed=seed,
         covariance=fitted.covariance,
-        fitted=_row_errors(model, model.weighted(training), fitted_errors),
+        fitted=_row_errors(model, model.weighted(training), errors),
         unseen=unseen,
         tip=tip_accuracy(fitted, model.problem, model.theta, seed),
         files=files,
         ladder=ladder,
         urdf=urdf,
         rejected=model.rejected,
-        distances=fitted_distances(model) + (checked.distances if checked else ()),
+        distances=errors.distances + (checked.distances if checked else ()),
         placed=checked.registered if checked else (),
         skipped=held_out.skipped,
         gains=held_out.gains,
@@ -273,8 +269,8 @@ def _urdf(
     held_out = check(
         chain, training, setup, geometry, seed, validation=held, validate=validate
     )
-    fitted_errors = model_errors(geometry, training, predict=False)
-    judgement = judge(chain, geometry, fitted_errors, held_out, seed)
+    errors = fitted_errors(geometry, training)
+    judgement = judge(chain, geometry, errors, held_out, seed)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta),
         judgement.errors,

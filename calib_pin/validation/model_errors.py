@@ -17,7 +17,7 @@ from calib_pin.validation.predicted import predicted_variance
 from calib_pin.validation.result import FoundDistance
 from calib_pin.validation.validation_registration import Registered, registered
 
-__all__ = ["ModelErrors", "errors_of_registered", "fitted_distances", "model_errors"]
+__all__ = ["ModelErrors", "errors_of_registered", "fitted_errors", "model_errors"]
 
 
 @dataclass(frozen=True)
@@ -30,9 +30,11 @@ class ModelErrors:
             (N, d); NaN for what a measurement of mixed ones does not have.
         after: Errors of the fitted model, shape (N, d).
         variance: The variance of these that the fit predicts, shape (N, d): noise, and
-            what it leaves uncertain; NaN where nobody asked.
-        distances: Known distances between reference objects that were not fitted.
-        registered: Names of these objects, estimated from the measurements themselves.
+            what it leaves uncertain; NaN for measurements that were fitted.
+        distances: Known distances between reference objects that these measurements
+            name.
+        registered: Names of the objects that were not fitted, and are estimated from
+            the measurements themselves.
         reason: Why the fit that they check says little of the robot, so that they do
             not count; empty where they do.
     """
@@ -90,11 +92,7 @@ class ModelErrors:
 
 @serial_blas
 def model_errors(
-    model: FittedModel,
-    measurements: Measurements,
-    positions: NDArray[np.intp] | None = None,
-    *,
-    predict: bool = True,
+    model: FittedModel, measurements: Measurements, positions: NDArray[np.intp]
 ) -> ModelErrors:
     """Errors of measurements, with reference objects that only these name registered.
 
@@ -102,23 +100,39 @@ def model_errors(
         model: The fitted model.
         measurements: The N measurements.
         positions: Their positions among all, shape (N,).
-        predict: Whether to predict the variances of the errors.
 
     Raises:
         InputError: If a new reference object uses up all that its measurements say.
     """
     before = registered(model.fit.problem, model.fit.before, measurements)
     after = registered(model.problem, model.theta, measurements)
-    return errors_of_registered(model, before, after, positions, predict=predict)
+    return errors_of_registered(model, before, after, positions)
+
+
+@serial_blas
+def fitted_errors(model: FittedModel, training: Measurements) -> ModelErrors:
+    """Errors of the measurements that were fitted, and the known distances among them.
+
+    Args:
+        model: The fitted model.
+        training: The measurements, those that the fit has set aside included.
+    """
+    before = registered(model.fit.problem, model.fit.before, training)
+    after = registered(model.problem, model.theta, training)
+    return ModelErrors(
+        np.arange(len(training)),
+        before.problem.shown(before.theta),
+        after.problem.shown(after.theta),
+        np.full(after.problem.sigma.shape, np.nan),
+        _found_distances(before, after, None),
+    )
 
 
 def errors_of_registered(
     model: FittedModel,
     before: Registered,
     after: Registered,
-    positions: NDArray[np.intp] | None = None,
-    *,
-    predict: bool = True,
+    positions: NDArray[np.intp],
 ) -> ModelErrors:
     """Errors of measurements that both robots are registered on.
 
@@ -127,31 +141,21 @@ def errors_of_registered(
         before: The nominal robot.
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
-        predict: Whether to predict the variances of the errors.
     """
     problem, theta = after.problem, after.theta
     known = {feature.name for feature in model.problem.measurement.features}
-    variance = np.full(problem.sigma.shape, np.nan)
-    if predict:
-        there = replace(model.fit.problem, data=problem.data), model.fit.theta
-        estimated = (*after.refitted, *after.new)
-        if estimated:
-            there = problem, theta
-        variance = predicted_variance(model.fit, *there, estimated)
+    there = replace(model.fit.problem, data=problem.data), model.fit.theta
+    estimated = (*after.refitted, *after.new)
+    if estimated:
+        there = problem, theta
     return ModelErrors(
-        np.arange(len(problem.data)) if positions is None else positions,
+        positions,
         before.problem.shown(before.theta),
         problem.shown(theta),
-        variance,
+        predicted_variance(model.fit, *there, estimated),
         _found_distances(before, after, known),
         tuple(f.name for f in problem.measurement.features if f.name not in known),
     )
-
-
-def fitted_distances(model: FittedModel) -> tuple[FoundDistance, ...]:
-    """The known distances that were fitted, beside those that both robots find."""
-    before = Registered(model.fit.problem, model.fit.before)
-    return _found_distances(before, Registered(model.problem, model.theta), None)
 
 
 def _found_distances(

@@ -21,7 +21,7 @@ from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.held_out import cross_validate
-from calib_pin.validation.model_errors import model_errors
+from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.splits import Grouping, folds
 
 Measured = Callable[..., Problem]
@@ -172,10 +172,10 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
     # And it predicts.
     corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
-    found = model_errors(learned, rows)
+    found = fitted_errors(learned, rows)
     before, after = found.before, found.after
     np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(before, model_errors(plain, rows).before)
+    np.testing.assert_array_equal(before, fitted_errors(plain, rows).before)
 
 
 def test_each_part_learns_without_the_others(memory: Memory) -> None:

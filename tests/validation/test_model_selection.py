@@ -19,7 +19,7 @@ from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.validation.held_out import cross_validate
-from calib_pin.validation.model_errors import model_errors
+from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.model_selection import SelectedModel, select_model
 from calib_pin.validation.result import Rung
 from calib_pin.validation.splits import FOLDS
@@ -207,7 +207,7 @@ def test_the_scores_are_those_of_unseen_rows(
     assert found.deviation == pytest.approx(sizes.std(ddof=1) / np.sqrt(50))
     assert found.errors[0][2] == pytest.approx(np.linalg.norm(after, axis=1).mean())
     # The fit itself has seen them all.
-    fitted = model_errors(selected.model, rows).after
+    fitted = fitted_errors(selected.model, rows).after
     assert np.mean(fitted**2) < np.mean(after**2)
 
 

@@ -19,7 +19,7 @@ from calib_pin.progress import portion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.validation import splits
 from calib_pin.validation.held_out import cross_validate
-from calib_pin.validation.model_errors import fitted_distances, model_errors
+from calib_pin.validation.model_errors import fitted_errors, model_errors
 from calib_pin.validation.splits import FOLDS, Grouping, places
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
@@ -246,12 +246,15 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) ->
     assert (distance.value, distance.sigma) == (0.05, 1e-5)
     assert abs(distance.found - 0.05) < 1e-4 < abs(distance.nominal - 0.05)
     # Those that were fitted are told of with the fit.
-    fitted = {d.between[0]: d for d in fitted_distances(trained)}
+    fitted = {
+        d.between[0]: d for d in fitted_errors(trained, rows.rows(~of_back)).distances
+    }
     assert set(fitted) == {"front/0", "left/0"}
     for d in fitted.values():
         assert d.fitted and abs(d.found - 0.05) < 3e-5
     # A row of a fitted socket has its place, whatever it says.
-    seen = model_errors(trained, rows.rows(~of_back))
+    of_others = np.flatnonzero(~of_back)
+    seen = model_errors(trained, rows.rows(~of_back), of_others)
     assert seen.distances == ()
     errors = trained.fit.problem.errors(trained.fit.theta)
     np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
@@ -269,7 +272,9 @@ def test_a_known_distance_to_a_new_socket_fits_nothing(
     )
     right, other = (
         model_errors(
-            fit_model(chain, rows.rows(~of_back), setup, 0), rows.rows(of_back)
+            fit_model(chain, rows.rows(~of_back), setup, 0),
+            rows.rows(of_back),
+            np.flatnonzero(of_back),
         )
         for setup in (IN_SOCKETS, wrong)
     )

@@ -80,9 +80,6 @@ class PlausibilityOptions:
 OPTIONS = PlausibilityOptions()
 
 
-SEED = 0
-"""Seed of the configurations at which it is asked whether the scale is known."""
-
 ROUNDING = 1e-12
 """Least part of a distance that others decide; less is rounding."""
 
@@ -247,7 +244,7 @@ def _yardstick(fitted: Fit) -> str:
         "distance" in part for part in problem.data.parts
     ):
         lengths.append("the unit and the calibration of the instrument")
-    return f"{', '.join([*lengths, 'the unit of the lengths in the URDF'])}"
+    return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 
 def _known(fitted: Fit) -> KnownDistances:
@@ -328,8 +325,7 @@ def _scaled_without(fitted: Fit, distance: DistanceSetup) -> bool:
     )
     # What is touched must be where the tool can touch it.
     about = np.where(parameters.nuisance, fitted.before, 0.0)
-    structure, _ = analyze_structure(problem, about, np.random.default_rng(SEED))
-    return structure.scaled
+    return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
 
 def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:

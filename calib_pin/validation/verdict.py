@@ -71,8 +71,8 @@ class VerdictOptions:
             refused.
         misjudged: Found by predicted held-out error from which a fit misjudges
             itself.
-        exact: Gain on exact measurements, in given standard deviations, below which it is
-            rounding.
+        exact: Gain on exact measurements, in given standard deviations, below which
+            it is numerically zero.
         sure: Probability that the corrected robot is better over the workspace for
             `good`. Of 345 simulated jobs with 0.95 or more, narrow ones and paths
             among them, one was worse; a real arm of a humanoid, measured in front

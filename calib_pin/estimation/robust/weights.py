@@ -58,7 +58,8 @@ class RobustOptions:
             more than a normal distribution beyond four or five deviations: with
             0.01 TIAGo loses a good configuration of 37 and gains 16 % of error on
             others. Of one component in a hundred this is 5.3 deviations.
-        stated_chance: The same where measurements state their noise, and there is no more.
+        stated_chance: The same where noise is all there is, as measurements state
+            it.
         spoiled: Root mean square by robust scale from which few carry much of
             chi-square. With normal noise and forty configurations of one component
             it is above once in ten jobs; real robots, with tails, have up to 1.1.

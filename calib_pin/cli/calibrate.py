@@ -155,7 +155,7 @@ def calibrate(
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.staging import write_files
     from calib_pin.observations import AT
-    from calib_pin.planning.suggestions import as_found, remedies
+    from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.text import report
 
     stated = open_setup(
@@ -206,8 +206,8 @@ def calibrate(
             progress=bar,
         )
         fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
-        stood = as_found(result.model)
-        better = remedies(chain, rows.model, stood, result, seed=seed)
+        stood = calibrated_setup(result.model)
+        better = suggestions(chain, rows.model, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
         contents = drawings = figure_contents(drawn, pictures)

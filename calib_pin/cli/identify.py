@@ -56,7 +56,7 @@ def identify(
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.documents import encode, identification_document
-    from calib_pin.planning.suggestions import as_found, remedies
+    from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
     from calib_pin.validation.assessment import identify as structural
@@ -72,12 +72,12 @@ def identify(
         with progress_bar() as bar:
             rows = open_measurements(measurements, chain, stated, bar=bar)
             result = run(chain, rows, stated, validate=False, seed=seed, progress=bar)
-        stated = replace(as_found(result.model), model=rows.model)
+        stated = replace(calibrated_setup(result.model), model=rows.model)
         found, verdict, reason = result, result.verdict, result.reason
     else:
         found = structural(chain, require_model(stated), stated, seed=seed)
         verdict, reason = "good", ""
-    better = remedies(chain, require_model(stated), stated, found, seed=seed)
+    better = suggestions(chain, require_model(stated), stated, found, seed=seed)
     if json:
         document = identification_document(found, better)
         document["verdict"] = {"status": verdict, "reason": reason}

@@ -13,7 +13,7 @@ from calib_pin.cli.printing import notice
 if TYPE_CHECKING:
     from calib_pin.io.documents import Provenance
     from calib_pin.kinematics.chain import Robot
-    from calib_pin.planning.suggestions import Remedy
+    from calib_pin.planning.suggestions import Suggestion
     from calib_pin.report.figures import Drawn
     from calib_pin.validation.result import CalibrationResult
 
@@ -100,7 +100,7 @@ def result_contents(
     run: Run,
     figures: Sequence[Drawn],
     pictures: Mapping[Path, bytes],
-    remedies: Sequence[Remedy],
+    remedies: Sequence[Suggestion],
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 

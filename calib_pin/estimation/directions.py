@@ -19,6 +19,7 @@ __all__ = [
     "Directions",
     "appearing",
     "half_covariance",
+    "inverse_root",
     "practical_directions",
     "projected",
     "pruned",
@@ -225,10 +226,15 @@ def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Float
         The factor, shape (P, rank).
     """
     scaled = parameters.scales[:, None] * basis
-    triangle = np.linalg.qr(J @ scaled, mode="r")
+    return np.asarray(scaled @ inverse_root(J @ scaled))
+
+
+def inverse_root(A: Floats) -> Floats:
+    """Factor F of the pseudoinverse `(A^T A)^+ = F F^T`, (M, k) -> (k, rank)."""
+    triangle = np.linalg.qr(A, mode="r")
     _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
     rank = int((s > RANK * s.max(initial=0.0)).sum())
-    return np.asarray(scaled @ (Vt[:rank].T / s[:rank]))
+    return np.asarray(Vt[:rank].T / s[:rank])
 
 
 def robot_singular_values(

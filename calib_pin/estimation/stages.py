@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.estimation.directions import Directions, appearing, pruned
+from calib_pin.estimation.directions import RANK, Directions, appearing, pruned
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.solve import Solved, Solver, descend
 from calib_pin.kinematics.spatial import Floats
@@ -57,7 +57,7 @@ def judge(problem: Problem, directions: Directions, found: Solved) -> Solution:
     basis = problem.parameters.scales[:, None] * directions.basis
     triangle = np.linalg.qr(found.result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
-    rank = int((s > 1e-12 * s.max(initial=0.0)).sum())
+    rank = int((s > RANK * s.max(initial=0.0)).sum())
     dof = problem.count - rank
     return Solution(
         directions=directions,

@@ -20,7 +20,7 @@ from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models import Feature, MeasurementModel
 from calib_pin.measurement_models.features import Frame
 from calib_pin.planning.plan import Plan
-from calib_pin.planning.suggestions import Remedy
+from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import (
     Accuracy,
@@ -103,7 +103,7 @@ def require_format(
 
 
 def identification_document(
-    found: Identification, remedies: Sequence[Remedy] = ()
+    found: Identification, remedies: Sequence[Suggestion] = ()
 ) -> Json:
     """The parts `parameters` and `identifiability` of section 8 of the contract.
 
@@ -174,7 +174,7 @@ def calibration_document(
     result: CalibrationResult,
     provenance: Provenance,
     residual_model: Mapping[str, str] | None = None,
-    remedies: Sequence[Remedy] = (),
+    remedies: Sequence[Suggestion] = (),
 ) -> Json:
     """A result as the JSON document of version 1.
 

@@ -7,54 +7,46 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, require_known
-from calib_pin.estimation.directions import visible_directions, visible_nuisances
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
-from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.rows import assumed_sigma
-from calib_pin.observations import PLUS, Measurements
+from calib_pin.measurement_models import measurement_model
+from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
+from calib_pin.planning.planned_problem import (
+    STRUCTURE,
+    assumes_tool,
+    identification,
+    planned_problem,
+    require_plannable,
+)
 from calib_pin.planning.prediction import Predicted, TipTests, predict
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
-from calib_pin.planning.workspace import Candidates, Workspace
+from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
-from calib_pin.validation.assessment import estimates, registration_reason
+from calib_pin.validation.assessment import estimates
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
-__all__ = ["CRITERION_NAMES", "Plan", "Step", "identification", "plan"]
+__all__ = ["CRITERION_NAMES", "Plan", "Step", "plan"]
 
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
-
-BOUND = ("relative-distance", "fixed-point", "plane-contact", "sphere-contact")
-"""Models whose configurations are bound to each other, or to what is touched."""
-
-STRUCTURE = 300
-"""Candidates that show what can be identified at all."""
 
 TESTS = 300
 """Candidates at which the tip's error is predicted where no test poses are given."""
 
 MORE = 40
 """Most configurations beyond those wanted that the table looks at."""
-
-ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
-"""Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
 
 RANDOM_SETS = 25
 """Random sets that a plan is compared with."""
@@ -191,8 +183,8 @@ def plan(
         if number < 1:
             raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
     rng = np.random.default_rng(seed)
-    _require_free(model)
-    problem = _problem(chain, model, setup, measured)
+    require_plannable(model)
+    problem = planned_problem(chain, model, setup, measured)
     point = problem.error.tool if measured is not None else frame_pose(setup.tool_frame)
     workspace = Workspace.create(problem, collisions, distance, point)
     # However few are to choose from, all that may be measured shows the structure.
@@ -217,102 +209,6 @@ def plan(
     )
     best = search.run(method)
     return _finished(search, best, structure, at, measured)
-
-
-def _require_free(model: str) -> None:
-    """Refuse models that do not measure one configuration at any pose.
-
-    Raises:
-        OptionError: If it is such a model.
-    """
-    parts = model.split(PLUS)
-    if len(parts) > 1 or model in BOUND:
-        raise OptionError(
-            "configurations are planned for one instrument that measures each of them "
-            "by itself and without contact",
-            value=model,
-            allowed=", ".join(name for name in MEASUREMENT_MODELS if name not in BOUND),
-        )
-
-
-def _problem(
-    chain: Chain, model: str, setup: Setup, measured: Measurements | None
-) -> Problem:
-    """The problem about the frames of the setup, or those that rows show."""
-    if measured is not None:
-        problem = make_problem(chain, measured, setup)
-        found, result = register(problem, np.zeros(len(problem.parameters)))
-        if reason := registration_reason(found, result):
-            raise InputError(f"the rows to add to are too few: {reason}")
-        if isinstance(found.measurement, PlaneDistance):
-            # Rows may reach farther than the window that the setup states.
-            window = replace(found.measurement, reach=setup.ranger.range[1])
-            found = replace(found, measurement=window)
-        return found
-    problem = nominal_problem(chain, model, setup)
-    if len(setup.payloads) > 1:
-        heaviest = max(setup.payloads, key=lambda name: setup.payloads[name].mass)
-        problem = replace(problem, error=problem.error.carrying(heaviest))
-    if assumes_tool(problem):
-        error = problem.error
-        problem = replace(problem, error=error.with_frames(error.base, ASSUMED_TOOL))
-    return problem
-
-
-def assumes_tool(problem: Problem) -> bool:
-    """Whether a point on the tool must be assumed where nobody has stated it.
-
-    At the tip itself, on the last axis, it would tell less than a real target does.
-    """
-    tool, measurement = problem.setup.tool_frame, problem.measurement
-    quantities = [quantity.name for quantity in measurement.quantities]
-    unknown = tool.xyz is None and tool.estimate is not False
-    unknown &= measurement.sees_tool and not measurement.targets
-    return unknown and quantities == ["position"]
-
-
-def identification(
-    problem: Problem, candidates: Candidates, measured: Measurements | None = None
-) -> tuple[Structure, IdentificationRows, Floats]:
-    """What can be identified, its rows, and the information that is there already.
-
-    Args:
-        problem: The problem at nominal geometry.
-        candidates: What may be measured; only that can show anything.
-        measured: Rows that are there already.
-
-    Returns:
-        The structure, the rows of configurations in the identifiable subspace, and the
-        information of measured rows and priors in the same columns, shape (m, m).
-    """
-    zero = np.zeros(len(problem.parameters))
-    q, target = candidates.q[:STRUCTURE], candidates.target[:STRUCTURE]
-    if measured is not None:
-        few = measured.sample(STRUCTURE)
-        q, target = np.concatenate([q, few.q]), target + few.target
-    structure, J = structure_at(problem, zero, q, target)
-    nuisances = visible_nuisances(J, problem.parameters)
-    robot = visible_directions(J, problem.parameters)
-    if robot.shape[1] == 0:
-        raise OptionError(
-            "there is nothing of the robot to estimate: every parameter is fixed, or "
-            "none can be seen"
-        )
-    basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
-    rows = IdentificationRows(
-        problem=problem,
-        basis=basis,
-        nuisances=nuisances.shape[1],
-        measurement=problem.measurement,
-        sigma=assumed_sigma(problem.measurement, problem.setup.noise),
-    )
-    if measured is None:
-        # The problem's own rows only name the targets; priors count.
-        U = J[len(q) * problem.components :] @ basis
-    else:
-        _, own = problem.linearize_rows(zero)
-        U = own @ basis
-    return structure, rows, U.T @ U
 
 
 def _tip_rows(rows: IdentificationRows) -> IdentificationRows:

@@ -1,4 +1,4 @@
-"""What else to measure, or to know, so that more of the robot can be told."""
+"""Suggested measurements: what else to measure, or know, to identify more."""
 
 from __future__ import annotations
 
@@ -20,7 +20,7 @@ from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.result import CalibratedModel, Identification
 
-__all__ = ["Remedy", "as_found", "remedies"]
+__all__ = ["Suggestion", "calibrated_setup", "suggestions"]
 
 TRACKED = {"position", "pose"}
 """Models that look at the tool from a frame of their own."""
@@ -34,8 +34,8 @@ EVERYTHING = "measure full poses with base and tool known"
 
 
 @dataclass(frozen=True)
-class Remedy:
-    """A change of what is measured or known, and what it would tell.
+class Suggestion:
+    """A change of what is measured or known, and what it would identify.
 
     Attributes:
         change: What is to be done.
@@ -51,8 +51,8 @@ class Remedy:
     complete: bool
 
 
-def as_found(model: CalibratedModel) -> Setup:
-    """The setup of a calibration with everything where the fit has found it."""
+def calibrated_setup(model: CalibratedModel) -> Setup:
+    """The setup of a calibration, with everything where the fit has found it."""
     sections: dict[str, Any] = {}
     camera = model.setup.camera
     for feature in model.measurement.features:
@@ -71,15 +71,15 @@ def as_found(model: CalibratedModel) -> Setup:
 
 
 @serial_blas
-def remedies(
+def suggestions(
     chain: Chain, model: str, setup: Setup, found: Identification, *, seed: int = 0
-) -> tuple[Remedy, ...]:
+) -> tuple[Suggestion, ...]:
     """Changes by which more errors of the robot could be known, from the structure.
 
     Args:
         chain: The nominal chain.
         model: Name of the measurement model.
-        setup: What is estimated and what is known; of a fit see `as_found`.
+        setup: What is estimated and what is known; of a fit see `calibrated_setup`.
         found: What can be known now.
         seed: Seed of the random configurations.
 
@@ -103,7 +103,7 @@ def remedies(
             if p.status == "identifiable" and p.name not in known
         )
         complete = EVERYTHING in others and count == most
-        result.append(Remedy(words, count, gained, complete))
+        result.append(Suggestion(words, count, gained, complete))
     # Where one of the others tells as much, that is simpler.
     if any(r.complete and r.change != EVERYTHING for r in result):
         result = [r for r in result if r.change != EVERYTHING]

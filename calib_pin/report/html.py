@@ -15,7 +15,7 @@ from typing import Any
 from jinja2 import Environment, StrictUndefined
 from markupsafe import Markup
 
-from calib_pin.planning.suggestions import Remedy
+from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.figures import Drawn
@@ -91,7 +91,7 @@ def html_report(
     document: Mapping[str, Any],
     *,
     figures: Sequence[Drawn] = (),
-    remedies: Sequence[Remedy] = (),
+    remedies: Sequence[Suggestion] = (),
 ) -> bytes:
     """The report of a calibration as a page.
 
@@ -158,7 +158,7 @@ def _sections(
     result: CalibrationResult,
     document: Mapping[str, Any],
     figures: Sequence[Drawn],
-    remedies: Sequence[Remedy],
+    remedies: Sequence[Suggestion],
 ) -> Iterator[_Section]:
     blocks: dict[str, list[Block]] = {
         "accuracy": [
@@ -195,7 +195,9 @@ def _sections(
         )
 
 
-def _known(result: CalibrationResult, remedies: Sequence[Remedy]) -> Iterator[Block]:
+def _known(
+    result: CalibrationResult, remedies: Sequence[Suggestion]
+) -> Iterator[Block]:
     yield ranks(result, fitted=True)
     if result.groups:
         yield group_table(result.groups)

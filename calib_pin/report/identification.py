@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from calib_pin.planning.suggestions import Remedy
+from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
 from calib_pin.report.tables import (
     ESTIMATE,
@@ -27,7 +27,7 @@ REMARKS = {
 
 
 def identified(
-    found: Identification, *, fitted: bool, remedies: Sequence[Remedy] = ()
+    found: Identification, *, fitted: bool, remedies: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Ranks, parameters by status, coupled groups as formulae, and remedies.
 
@@ -71,7 +71,7 @@ def unknown(found: Identification) -> Iterator[Names]:
         yield from listed(meaning, names)
 
 
-def remedied(found: Identification, remedies: Sequence[Remedy]) -> Iterator[Block]:
+def remedied(found: Identification, remedies: Sequence[Suggestion]) -> Iterator[Block]:
     """What else could be measured or known, and how much of the robot it would tell."""
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
     rows = [("as it is", known - weak)]

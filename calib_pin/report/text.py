@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator, Sequence
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.planning.suggestions import Remedy
+from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.identification import identified
@@ -37,7 +37,7 @@ def format_report(result: CalibrationResult) -> str:
 
 
 def report(
-    result: CalibrationResult, remedies: Sequence[Remedy] = ()
+    result: CalibrationResult, remedies: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Verdict, accuracy, noise and outliers, then identifiability and parameters.
 

@@ -17,7 +17,7 @@ from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.result import Accuracy, CalibratedModel, Evaluation
-from calib_pin.validation.unseen import placed
+from calib_pin.validation.validation_registration import registered
 
 __all__ = ["Prepared", "evaluate", "prepared"]
 
@@ -125,6 +125,7 @@ def prepared(
         problem, result = register(problem, theta)
         theta = result.x
         reason = registration_reason(problem, result)
-    problem, theta = placed(problem, theta, rows)
+    there = registered(problem, theta, rows)
+    problem, theta = there.problem, there.theta
     new = [f.name for f in problem.measurement.features if f.name not in known]
     return Prepared(problem, theta, registration, reason, tuple(new))

@@ -20,8 +20,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.student import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.predicted import press
-from calib_pin.validation.unseen import Unseen
 
 __all__ = ["ALL", "PRESS", "gains", "press_check"]
 
@@ -36,7 +36,7 @@ def gains(
     method: str,
     problem: Problem,
     rows: Measurements,
-    checks: Sequence[Unseen],
+    checks: Sequence[ModelErrors],
     labels: NDArray[np.int64],
 ) -> tuple[Gain, ...]:
     """Test held-out errors before and after, of all quantities and of each.
@@ -55,11 +55,9 @@ def gains(
     checks = [check for check in checks if (rows.weight[check.positions] > 0.0).all()]
     if not checks:
         return ()
-    positions = np.concatenate([check.positions for check in checks])
-    before, after, variance = (
-        np.concatenate([getattr(check, name) for check in checks])
-        for name in ("before", "after", "variance")
-    )
+    joined = ModelErrors.joined(checks)
+    positions, before, after = joined.positions, joined.before, joined.after
+    variance = joined.variance
     sigma = replace(problem, data=rows.rows(positions)).sigma
     label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
@@ -72,7 +70,9 @@ def gains(
     return tuple(_gains(method, problem, (before, after), whitened, present, label))
 
 
-def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> Unseen:
+def press_check(
+    fitted: Fit, rows: Measurements, labels: NDArray[np.int64]
+) -> ModelErrors:
     """Errors of every group of rows by a fit of the others; see `predicted.press`.
 
     Args:
@@ -84,7 +84,7 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
     if problem.many:
         # Among so many, no group has a say.
         before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
-        return Unseen(positions, before, after, (fitted.unit * problem.sigma) ** 2)
+        return ModelErrors(positions, before, after, (fitted.unit * problem.sigma) ** 2)
 
     def left_out(
         theta: Floats, linear: tuple[Floats, Floats], moved: Floats
@@ -97,7 +97,7 @@ def press_check(fitted: Fit, rows: Measurements, labels: NDArray[np.int64]) -> U
     before, _ = left_out(fitted.before, nominal, frames)
     _, held, moved = fitted.held
     after, variance = left_out(fitted.theta, (held.fun, held.jac), moved)
-    return Unseen(positions, before, after, fitted.unit**2 * variance)
+    return ModelErrors(positions, before, after, fitted.unit**2 * variance)
 
 
 def _gains(

@@ -1,23 +1,28 @@
-"""The model ladder: from joint offsets to a learned correction, as far as it helps.
+"""Model selection: from joint offsets to a learned correction, as far as it helps.
 
-Every rung is judged by a cross-validation in the same parts, which keep repetitions of
-a configuration together. It helps if it lowers the error of the rungs that it stands on
-by more than the standard error of the difference. Gears and compliance pass for each
-other in part, so they are tried alone and together. In the end the simplest rung within
-one standard error of the best is kept (Breiman et al., Classification and Regression
-Trees, 1984, section 3.4.3).
+Every candidate is judged by a cross-validation in the same folds, which keep
+repetitions of a configuration together. It helps if it lowers the error of the
+candidates it extends by more than the standard error of the difference. Gears and
+compliance pass for each other in part, so they are tried alone and together. In the end
+the simplest candidate within one standard error of the best is chosen (Breiman et al.,
+Classification and Regression Trees, 1984, section 3.4.3).
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.setup_variants import (
+    parameter_names,
+    with_parameters,
+)
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -27,19 +32,12 @@ from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import Setup
-from calib_pin.validation.held_out import counting
+from calib_pin.validation.held_out import cross_validate
+from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.result import Ladder, Rung
-from calib_pin.validation.splits import FOLDS, clusters, folds
-from calib_pin.validation.training import (
-    Trained,
-    cross_validate,
-    parameter_names,
-    train,
-    with_parameters,
-)
-from calib_pin.validation.unseen import Unseen
+from calib_pin.validation.splits import FOLDS, Grouping, folds
 
-__all__ = ["Climbed", "select_model"]
+__all__ = ["SelectedModel", "select_model"]
 
 OFFSETS = JointOffset.name
 
@@ -48,202 +46,192 @@ LEARNING = 10.0
 
 
 @dataclass(frozen=True)
-class Climbed:
-    """The rung that is kept, and all that were tried.
+class SelectedModel:
+    """The model that was selected.
 
     Attributes:
-        ladder: The rungs.
-        setup: The setup of the one that is kept.
-        trained: It, trained on all rows.
-        unseen: Its cross-validation, part by part.
+        selection: All candidates, and which of them is chosen.
+        model: That one, fitted to all measurements.
+        parts: Its cross-validation, fold by fold.
     """
 
-    ladder: Ladder
-    setup: Setup
-    trained: Trained
-    unseen: tuple[Unseen, ...]
+    selection: Ladder
+    model: FittedModel
+    parts: tuple[ModelErrors, ...]
 
 
 @dataclass(frozen=True)
-class _Tried:
-    """A rung with what was found on it; nothing where it could not be tried.
+class _Judged:
+    """A candidate with its fit and cross-validation, without where it cannot be fitted.
 
     Attributes:
-        rung: The rung.
-        setup: Its setup.
-        trained: It, trained on all rows.
-        unseen: Its cross-validation.
-        sizes: Mean size of the whitened errors of every configuration, shape (G,).
+        candidate: The candidate.
+        model: Its model, fitted to all measurements.
+        parts: Its cross-validation.
+        sizes: Mean size of the whitened errors of every cluster, shape (G,).
     """
 
-    rung: Rung
-    setup: Setup
-    trained: Trained | None = None
-    unseen: tuple[Unseen, ...] = ()
+    candidate: Rung
+    model: FittedModel | None = None
+    parts: tuple[ModelErrors, ...] = ()
     sizes: Floats | None = None
 
 
 @serial_blas
 def select_model(
     chain: Chain,
-    rows: Measurements,
+    measurements: Measurements,
     setup: Setup,
     seed: int,
     progress: Stages | None = None,
-) -> Climbed:
-    """Judge every rung, and keep the simplest of the best.
+) -> SelectedModel:
+    """Judge every candidate, and choose the simplest of the best.
 
     Args:
         chain: The nominal chain.
-        rows: The rows to fit.
-        setup: What is known; its geometric parameterizations make the second rung.
+        measurements: The measurements to fit.
+        setup: What is known; its geometric parameterizations make the second candidate.
         seed: Seed of configurations, splits, and starts.
         progress: Told the stage and the part that is done, 0 to 1.
 
     Raises:
-        OptionError: If a name in the setup belongs to no rung, or the rows do not even
-            suffice to judge the first one.
+        OptionError: If a name in the setup belongs to no candidate, or the measurements
+            do not even suffice to judge the first one.
     """
     beyond = beyond_geometry()
     geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *beyond))
     geometric = geometric or Setup.parameters
-    _require_patterns(chain, rows, setup, (OFFSETS, *geometric, *beyond))
+    _require_patterns(chain, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    rungs = _Rungs(chain, rows, setup, seed, progress, len(learned))
+    candidates = _Candidates(chain, measurements, setup, seed, progress, len(learned))
 
-    offset = rungs.step("joint offset", (OFFSETS,))
+    offset = candidates.add("joint offset", (OFFSETS,))
     if offset.sizes is None:
-        raise OptionError(f"the model ladder has no footing: {offset.rung.reason}")
-    geometry = rungs.step("geometric", geometric, on=(offset,))
-    base = geometry if geometry.rung.helps else offset
+        raise OptionError(f"the model ladder has no footing: {offset.candidate.reason}")
+    geometry = candidates.add("geometric", geometric, extends=(offset,))
+    base = geometry if geometry.candidate.helps else offset
+    kinds = base.candidate.parameters
     alone = [
-        rungs.step(f"+ {name}", (*base.setup.parameters, name), on=(base,))
-        for name in beyond
+        candidates.add(f"+ {name}", (*kinds, name), extends=(base,)) for name in beyond
     ]
-    everything = (*base.setup.parameters, *beyond)
-    rungs.step(f"+ {' + '.join(beyond)}", everything, on=(base, *alone))
-    base = rungs.tried[rungs.simplest()]
+    both = f"+ {' + '.join(beyond)}"
+    candidates.add(both, (*kinds, *beyond), extends=(base, *alone))
+    base = candidates.judged[candidates.simplest()]
     for name in learned:
-        rungs.step(f"+ {name}", base.setup.parameters, name, on=(base,))
-    return rungs.settled()
+        kinds = base.candidate.parameters
+        candidates.add(f"+ {name}", kinds, name, extends=(base,))
+    chosen = candidates.simplest()
+    found = candidates.judged[chosen]
+    assert found.model is not None
+    every = tuple(judged.candidate for judged in candidates.judged)
+    return SelectedModel(Ladder(every, chosen), found.model, found.parts)
 
 
-class _Rungs:
-    """The rungs that were tried, simplest first.
+class _Candidates:
+    """The candidates that were judged, simplest first.
 
     Args:
         chain: The nominal chain.
-        rows: The rows to fit.
+        measurements: The measurements to fit.
         setup: What is known.
         seed: Seed of configurations, splits, and starts.
         progress: Told the stage and the part that is done.
-        learned: Number of rungs on which something will be learned.
+        learned: Number of candidates with a learned correction.
     """
 
     def __init__(
         self,
         chain: Chain,
-        rows: Measurements,
+        measurements: Measurements,
         setup: Setup,
         seed: int,
         progress: Stages | None,
         learned: int,
     ) -> None:
-        self.tried: list[_Tried] = []
-        self._chain, self._rows, self._setup, self._seed = chain, rows, setup, seed
+        self.judged: list[_Judged] = []
+        self._chain, self._measurements = chain, measurements
+        self._setup, self._seed = setup, seed
         self._progress = progress
         self._done, self._all = 0.0, 3.0 + len(beyond_geometry()) + LEARNING * learned
 
-    def step(
+    def add(
         self,
         name: str,
         parameters: tuple[str, ...],
         learned: str | None = None,
         *,
-        on: Sequence[_Tried] = (),
-    ) -> _Tried:
-        """Try a rung, and compare it with those that it stands on.
+        extends: Sequence[_Judged] = (),
+    ) -> _Judged:
+        """Judge a candidate, and compare it with those that it extends.
 
         Args:
-            name: What the table calls it.
+            name: Its name in the table.
             parameters: Its parameterizations.
             learned: Its residual model.
-            on: Rungs whose errors it must lower.
+            extends: Candidates whose errors it must lower.
         """
         share = (1.0 if learned is None else LEARNING) / self._all
         tell = portion(named(self._progress, name), self._done, share)
         self._done += share
-        setup = replace(self._setup, learned=learned)
         blank = Rung(name, parameters, learned)
         try:
-            found = self._judged(blank, setup, tell)
+            found = self._judge(blank, tell)
         except InputError as error:
-            reason = replace(blank, reason=error.reason)
-            found = _Tried(reason, replace(setup, parameters=parameters))
+            found = _Judged(replace(blank, reason=error.reason))
         if found.sizes is not None:
-            helps = all(_helps(found.sizes, below.sizes) for below in on)
-            found = replace(found, rung=replace(found.rung, helps=helps))
-        self.tried.append(found)
+            helps = all(_helps(found.sizes, below.sizes) for below in extends)
+            found = replace(found, candidate=replace(found.candidate, helps=helps))
+        self.judged.append(found)
         return found
 
-    def _judged(self, rung: Rung, setup: Setup, progress: Progress | None) -> _Tried:
-        """Train a rung and look at rows it has not seen."""
-        rows = self._rows
-        setup = with_parameters(self._chain, rows, setup, rung.parameters)
-        # All rows once, and then without each part.
+    def _judge(self, candidate: Rung, progress: Progress | None) -> _Judged:
+        """Fit a candidate to all measurements once, and then without each fold."""
+        chain, measurements, seed = self._chain, self._measurements, self._seed
+        setup = replace(self._setup, learned=candidate.learned)
+        setup = with_parameters(chain, measurements, setup, candidate.parameters)
         share = 1.0 / (1 + FOLDS)
         tell = portion(progress, 0.0, share)
-        trained = train(self._chain, rows, setup, self._seed, tell)
-        rows = counting(rows, trained.fit)
-        masks = folds(rows, trained.fit, self._seed)
+        model = fit_model(chain, measurements, setup, seed, tell)
+        measurements = model.weighted(measurements)
+        grouping = Grouping.of(measurements, setup)
+        masks = folds(grouping, model.fit, seed)
         if not masks:
-            raise OptionError(
-                f"{rows.configurations} configurations are too few to leave a part out"
-            )
-        parts = portion(progress, share, 1.0 - share)
-        stages = None if parts is None else (lambda stage, part: parts(part))
-        unseen = tuple(
-            cross_validate(
-                self._chain, rows, setup, masks, self._seed, trained.fit, stages
-            )
+            count = measurements.configurations
+            raise OptionError(f"{count} configurations are too few to leave a part out")
+        rest = portion(progress, share, 1.0 - share)
+        stages = None if rest is None else (lambda stage, part: rest(part))
+        parts = tuple(
+            cross_validate(chain, measurements, setup, masks, seed, model.fit, stages)
         )
-        sizes = _sizes(rows, trained.problem, unseen)
+        sizes = _sizes(grouping, model.problem, ModelErrors.joined(parts))
+        weight = measurements.weight
+        counted = ModelErrors.joined([part.counted(weight) for part in parts])
         judged = replace(
-            rung,
-            rank=trained.fit.rank,
+            candidate,
+            rank=model.fit.rank,
             errors=tuple(
-                _mean_errors(
-                    trained.problem, [part.counted(rows.weight) for part in unseen]
-                )
+                (q.name, q.unit, float(q.errors(counted.after).mean()))
+                for q in model.problem.measurement.quantities
             ),
             score=float(np.nanmean(sizes)),
             deviation=_standard_error(sizes),
         )
-        return _Tried(judged, setup, trained, unseen, sizes)
+        return _Judged(judged, model, parts, sizes)
 
     def simplest(self) -> int:
-        """Position of the simplest rung that helps within a deviation of the best."""
-        judged = [k for k, found in enumerate(self.tried) if found.sizes is not None]
-        rungs = [found.rung for found in self.tried]
-        best = min(judged, key=lambda k: rungs[k].score)
-        limit = rungs[best].score + rungs[best].deviation
-        good = [k for k in judged if rungs[k].helps and rungs[k].score <= limit]
+        """Position of the simplest that helps within a deviation of the best."""
+        fitted = [k for k, found in enumerate(self.judged) if found.sizes is not None]
+        candidates = [found.candidate for found in self.judged]
+        best = min(fitted, key=lambda k: candidates[k].score)
+        limit = candidates[best].score + candidates[best].deviation
+        good = [
+            k for k in fitted if candidates[k].helps and candidates[k].score <= limit
+        ]
         # Chance may leave the best one short of helping, and what it is compared with
         # out of reach.
         return min(
-            good or [best], key=lambda k: (rungs[k].learned is not None, rungs[k].rank)
-        )
-
-    def settled(self) -> Climbed:
-        """The rung that is kept."""
-        chosen = self.simplest()
-        found = self.tried[chosen]
-        assert found.trained is not None
-        return Climbed(
-            Ladder(tuple(f.rung for f in self.tried), chosen),
-            found.setup,
-            found.trained,
-            found.unseen,
+            good or [best],
+            key=lambda k: (candidates[k].learned is not None, candidates[k].rank),
         )
 
 
@@ -260,42 +248,37 @@ def _standard_error(values: Floats) -> float:
     return float(values.std(ddof=1) / np.sqrt(len(values)))
 
 
-def _sizes(rows: Measurements, problem: Problem, unseen: Sequence[Unseen]) -> Floats:
-    """Mean size of the whitened errors of every cluster of rows, shape (G,).
+def _sizes(grouping: Grouping, problem: Problem, errors: ModelErrors) -> Floats:
+    """Mean size of the whitened errors of every cluster of measurements, shape (G,).
 
     NaN where all of a cluster is set aside.
     """
-    positions = np.concatenate([part.positions for part in unseen])
-    order = np.argsort(positions, kind="stable")
-    after = np.concatenate([part.after for part in unseen])[order]
-    sigma = replace(problem, data=rows).given_sigma[positions[order]]
-    size = np.sqrt(np.nanmean((after / sigma) ** 2, axis=1))
-    seen = positions[order]
-    labels, kept = clusters(rows, problem.setup)[seen], rows.weight[seen] > 0.0
+    errors = errors.at(np.argsort(errors.positions, kind="stable"))
+    measurements, positions = grouping.measurements, errors.positions
+    sigma = replace(problem, data=measurements).given_sigma[positions]
+    size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
+    labels = grouping.clusters[positions]
+    kept = measurements.weight[positions] > 0.0
     counts = np.bincount(labels, kept)
     totals = np.bincount(labels, np.where(kept, size, 0.0))
     return np.where(counts > 0, totals / np.maximum(counts, 1), np.nan)
 
 
-def _mean_errors(
-    problem: Problem, unseen: Sequence[Unseen]
-) -> Iterator[tuple[str, str, float]]:
-    """Name, unit and mean error of every quantity."""
-    after = np.concatenate([part.after for part in unseen])
-    for quantity in problem.measurement.quantities:
-        yield quantity.name, quantity.unit, float(quantity.errors(after).mean())
-
-
 def _require_patterns(
-    chain: Chain, rows: Measurements, setup: Setup, parameterizations: Sequence[str]
+    chain: Chain,
+    measurements: Measurements,
+    setup: Setup,
+    parameterizations: Sequence[str],
 ) -> None:
-    """Refuse names and globs that match on no rung."""
+    """Refuse names and globs that no candidate has."""
     names: dict[str, None] = {}
     for name in parameterizations:
         try:
-            names.update(dict.fromkeys(parameter_names(chain, rows, setup, (name,))))
+            names.update(
+                dict.fromkeys(parameter_names(chain, measurements, setup, (name,)))
+            )
         except OptionError:
-            continue  # The rung will say so.
+            continue  # The candidate will say so.
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior):
         if not matching(pattern, list(names)):
             raise OptionError(

@@ -6,18 +6,19 @@ one alike, and nothing is checked. Registered on the other measurements they com
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fitted_model import FittedModel
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.training import Trained
-from calib_pin.validation.unseen import Unseen, placed
+from calib_pin.validation.model_errors import ModelErrors, errors_of_registered
+from calib_pin.validation.validation_registration import Registered, registered
 
-__all__ = ["Stand", "as_it_stands"]
+__all__ = ["registered_if_moved"]
 
 MOVED = 4.0
 """Errors with the stand of the fit, by those with a stand of their own, of an
@@ -35,50 +36,38 @@ FEWEST = 5
 """Distinct configurations without which a registration on itself checks nothing."""
 
 
-@dataclass(frozen=True)
-class Stand:
-    """Errors of validation rows, from where the instrument stood for them.
-
-    Attributes:
-        unseen: The errors; None where the rows say no more than where it stood.
-        finding: What was found of the stand; None where it is that of the fit.
-    """
-
-    unseen: Unseen | None
-    finding: Finding | None = None
-
-
-def as_it_stands(trained: Trained, unseen: Unseen, problem: Problem) -> Stand:
-    """Errors of validation rows, registered on themselves if the instrument moved.
+def registered_if_moved(
+    model: FittedModel, errors: ModelErrors, problem: Problem
+) -> tuple[ModelErrors | None, Finding | None]:
+    """Errors of validation measurements, registered on themselves if it was moved.
 
     With S the sum of squared errors as it is and S' registered, of M values and k
-    unknowns of the stand, it has moved if `S / M > MOVED^2 S' / (M - k)` for the
+    unknowns of the station, it has moved if `S / M > MOVED^2 S' / (M - k)` for the
     calibrated robot and the nominal one sees about the same move. The F test of the
     same hypothesis, `(S - S') / k` against `S' / (M - k)`, then is far beyond chance.
 
     Args:
-        trained: What was fitted.
-        unseen: The errors as they are.
-        problem: Problem of these rows, for their standard deviations.
+        model: The fitted model.
+        errors: The errors as they are.
+        problem: Problem of these measurements, for their standard deviations.
+
+    Returns:
+        The errors, None where the measurements say no more than where the instrument
+        stood; and a finding, None where it stood where it did for the fit.
     """
     rows = problem.data
-    before = _registered(trained.fit.problem, trained.fit.before, problem)
-    after = _registered(trained.problem, trained.theta, problem)
+    before = _registered(model.fit.problem, model.fit.before, problem)
+    after = _registered(model.problem, model.theta, problem)
     if after is None or before is None:
-        return Stand(unseen)
-    own = trained.seen(
-        (before.problem, before.theta),
-        (after.problem, after.theta),
-        unseen.positions,
-        after.estimated,
-    )
-    values, unknowns = problem.values, len(after.estimated)
+        return errors, None
+    own = errors_of_registered(model, before, after, errors.positions)
+    values, unknowns = problem.values, len(after.refitted)
     left = max(values - unknowns, 1)
-    as_is, on_itself = (_square(part.after, problem) for part in (unseen, own))
+    as_is, on_itself = (_square(part.after, problem) for part in (errors, own))
     if not as_is * left > MOVED**2 * on_itself * values or not _alike(
-        unseen, own, problem
+        errors, own, problem
     ):
-        return Stand(unseen)
+        return errors, None
     numbers = {
         "chi-square as it is": as_is,
         "chi-square registered": on_itself,
@@ -88,47 +77,26 @@ def as_it_stands(trained: Trained, unseen: Unseen, problem: Problem) -> Stand:
     seen = "the instrument stood elsewhere for the validation measurements"
     rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
     if problem.distinct_values <= unknowns or rows.configurations < FEWEST:
-        return Stand(
-            None,
-            Finding(
-                "moved-instrument",
-                "warning",
-                f"{seen}, which are too few to check anything from there: "
-                f"{problem.distinct_values} distinct values, {unknowns} unknowns",
-                numbers,
-                "measure more validation configurations from one stand",
-            ),
-        )
-    return Stand(
-        own,
-        Finding(
+        return None, Finding(
             "moved-instrument",
             "warning",
-            f"{seen}: by the stand of the fit they miss by {rms[0]:.3g} standard "
-            f"deviations, by their own by {rms[1]:.3g}; both robots are registered on "
-            "them",
+            f"{seen}, which are too few to check anything from there: "
+            f"{problem.distinct_values} distinct values, {unknowns} unknowns",
             numbers,
-        ),
+            "measure more validation configurations from one stand",
+        )
+    return own, Finding(
+        "moved-instrument",
+        "warning",
+        f"{seen}: by the stand of the fit they miss by {rms[0]:.3g} standard "
+        f"deviations, by their own by {rms[1]:.3g}; both robots are registered on "
+        "them",
+        numbers,
     )
 
 
-@dataclass(frozen=True)
-class _Registered:
-    """A problem registered on its rows.
-
-    Attributes:
-        problem: The problem.
-        theta: Parameter values, shape (P,).
-        estimated: Positions of the parameters of the stand.
-    """
-
-    problem: Problem
-    theta: Floats
-    estimated: tuple[int, ...]
-
-
-def _registered(problem: Problem, theta: Floats, of: Problem) -> _Registered | None:
-    """A fitted problem with a stand by other rows; None where that is known.
+def _registered(problem: Problem, theta: Floats, of: Problem) -> Registered | None:
+    """A fitted problem with a station by other measurements; None where it is known.
 
     The base and the instrument's references beside it are estimated; tool and robot
     stay.
@@ -136,10 +104,10 @@ def _registered(problem: Problem, theta: Floats, of: Problem) -> _Registered | N
     Args:
         problem: The fitted problem.
         theta: Parameter values, shape (P,).
-        of: Problem of the other rows.
+        of: Problem of the other measurements.
     """
-    moved, values = placed(problem, theta, of.data)
-    moved, values = moved.at(values)
+    there = registered(problem, theta, of.data)
+    moved, values = there.problem.at(there.theta)
     parameters = moved.parameters
     outer = np.array([p.outer for p in parameters], bool)
     # The base comes first; what stands on the tool stays with the robot.
@@ -157,7 +125,7 @@ def _registered(problem: Problem, theta: Floats, of: Problem) -> _Registered | N
     result, start = min(found, key=lambda pair: _finite(pair[0].cost))
     # Known distances count again; they are found, not fitted.
     start = replace(start, setup=moved.setup)
-    return _Registered(start, result.x, tuple(free.tolist()))
+    return Registered(start, result.x, there.new, tuple(free.tolist()))
 
 
 def _from_afar(problem: Problem, theta: Floats) -> Problem:
@@ -173,13 +141,13 @@ def _from_afar(problem: Problem, theta: Floats) -> Problem:
     )
 
 
-def _alike(unseen: Unseen, own: Unseen, problem: Problem) -> bool:
-    """Whether both robots see about the same move, in the median row."""
+def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
+    """Whether both robots see about the same move, in the median measurement."""
     unit = np.where(np.isfinite(problem.sigma), problem.sigma, np.inf)
     with np.errstate(invalid="ignore"):
         nominal, calibrated = (
             np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
-            for a, b in ((unseen.before, own.before), (unseen.after, own.after))
+            for a, b in ((errors.before, own.before), (errors.after, own.after))
         )
     moves = np.linalg.norm(calibrated, axis=1)
     apart = np.linalg.norm(nominal - calibrated, axis=1)

@@ -33,57 +33,55 @@ from calib_pin.units import DISPLAY
 
 __all__ = ["plausibility"]
 
-GROWN = 0.0075
-"""Part by which all lengths may be wrong before the trust goes.
 
-Real robots are right to 0.001. Errors that no parameter describes, 3 mrad of the gears
-seen by a draw wire within half a radian of one configuration, have passed for 0.009 in
-one of four cases, for up to 0.006 else.
-"""
+@dataclass(frozen=True)
+class PlausibilityOptions:
+    """Limits of what a robot can be, and of what is looked at.
 
-DOUBTFUL = 0.004
-"""Part from which there is a warning."""
+    Attributes:
+        largest_growth: Part by which all lengths may be wrong before the trust
+            goes. Real robots are right to 0.001. Errors that no parameter
+            describes, 3 mrad of the gears seen by a draw wire within half a radian
+            of one configuration, have passed for 0.009 in one of four cases, for up
+            to 0.006 else.
+        doubtful_growth: Part from which there is a warning.
+        significant: Standard deviations from which a common scale, or a distance
+            missed, is no chance. By chance one in 150 000 is. Of 20 robots with
+            errors of 0.3 to 3 mm it finds 13 to 19 that are measured 1 % too large,
+            and all that are 2 % too large. A real TIAGo comes out 0.8 % shorter, by
+            3.5 deviations.
+        large: Expected sizes of an error from which the correction of a joint is
+            looked at.
+        implausible: Expected sizes from which one that buys little takes the trust.
+            A small set of a real TIAGo turns a joint by 15 for nothing, and does no
+            harm.
+        bought: By what factor the errors must grow when such a correction is made
+            small again. A joint that is mounted askew grows them at least tenfold;
+            where unmodeled errors of 3 to 10 mrad, seen by a draw wire from few
+            configurations, had moved joints by 22 to 46 expected sizes, they grew
+            1.6 to 3.3 times.
+        contradicted: By how much measurements may contradict a known distance [m].
+            The errors that no parameter describes do: two sockets of a plate, 50 mm
+            apart, come out up to 1.1 mm wrong at places where a real robot was not
+            calibrated.
+        measurements: Measurements that are looked at; more do not make it clearer.
+    """
 
-SIGNIFICANT = 4.5
-"""Standard deviations from which a common scale, or a distance missed, is no chance.
+    largest_growth: float = 0.0075
+    doubtful_growth: float = 0.004
+    significant: float = 4.5
+    large: float = 10.0
+    implausible: float = 25.0
+    bought: float = 4.0
+    contradicted: float = 2e-3
+    measurements: int = 2000
 
-By chance one in 150 000 is. Of 20 robots with errors of 0.3 to 3 mm it finds 13 to 19
-that are measured 1 % too large, and all that are 2 % too large. A real TIAGo comes out
-0.8 % shorter, by 3.5 deviations.
-"""
 
-LARGE = 10.0
-"""Expected sizes of an error from which the correction of a joint is looked at."""
+OPTIONS = PlausibilityOptions()
 
-IMPLAUSIBLE = 25.0
-"""Expected sizes from which one that buys little takes the trust.
-
-A small set of a real TIAGo turns a joint by 15 for nothing, and does no harm.
-"""
-
-BOUGHT = 4.0
-"""By what factor the errors must grow when such a correction is made small again.
-
-A joint that is mounted askew grows them at least tenfold; where unmodeled errors of 3
-to 10 mrad, seen by a draw wire from few configurations, had moved joints by 22 to 46
-expected sizes, they grew 1.6 to 3.3 times.
-"""
-
-CONTRADICTED = 2e-3
-"""By how much measurements may contradict a known distance [m].
-
-The errors that no parameter describes do: two sockets of a plate, 50 mm apart, come out
-up to 1.1 mm wrong at places where a real robot was not calibrated.
-"""
-
-SEED = 0
-"""Seed of the configurations at which it is asked whether the scale is known."""
 
 ROUNDING = 1e-12
 """Least part of a distance that others decide; less is rounding."""
-
-ROWS = 2000
-"""Measurements that are looked at; more do not make it clearer."""
 
 SIZES = np.geomspace(1.0, 100.0, 41)
 """Sizes of the robot's errors among which the likeliest is taken, in expected ones."""
@@ -139,7 +137,9 @@ class _Linear:
     def of(fitted: Fit) -> _Linear:
         """That of a fit, without what expected sizes add to the measurements."""
         whole = fitted.problem
-        problem = replace(whole, data=whole.data.sample(ROWS), expected=None)
+        problem = replace(
+            whole, data=whole.data.sample(OPTIONS.measurements), expected=None
+        )
         parameters = problem.parameters
         robot = parameters.free & ~parameters.nuisance
         r, J = problem.linearize_rows(fitted.theta)
@@ -214,12 +214,12 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     s, deviation, size = linear.growth()
     # The derivative is that of the lengths found, which have grown already.
     part = s / (1.0 - s)
-    if abs(s) < max(DOUBTFUL, SIGNIFICANT * deviation):
+    if abs(s) < max(OPTIONS.doubtful_growth, OPTIONS.significant * deviation):
         return
     longer = "longer" if part > 0.0 else "shorter"
     yield Finding(
         "scale",
-        "error" if abs(s) > GROWN else "warning",
+        "error" if abs(s) > OPTIONS.largest_growth else "warning",
         f"all lengths of the robot came out {100 * abs(part):.2g} % {longer} "
         f"({abs(s) / deviation:.0f} standard deviations), which no robot is",
         {"scale": part, "sigma": deviation, "size": size},
@@ -244,7 +244,7 @@ def _yardstick(fitted: Fit) -> str:
         "distance" in part for part in problem.data.parts
     ):
         lengths.append("the unit and the calibration of the instrument")
-    return f"{', '.join([*lengths, 'the unit of the lengths in the URDF'])}"
+    return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 
 def _known(fitted: Fit) -> KnownDistances:
@@ -274,7 +274,7 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     k = int(np.argmax(w))
     stated = known.stated[k]
     apart = float(v[k] * stated.sigma / left[k])
-    if abs(apart) < CONTRADICTED or w[k] < SIGNIFICANT:
+    if abs(apart) < OPTIONS.contradicted or w[k] < OPTIONS.significant:
         return
     if not _scaled_without(fitted, stated):
         return
@@ -325,8 +325,7 @@ def _scaled_without(fitted: Fit, distance: DistanceSetup) -> bool:
     )
     # What is touched must be where the tool can touch it.
     about = np.where(parameters.nuisance, fitted.before, 0.0)
-    structure, _ = analyze_structure(problem, about, np.random.default_rng(SEED))
-    return structure.scaled
+    return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
 
 def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
@@ -339,12 +338,12 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     parameters = fitted.problem.parameters
     x = fitted.theta / parameters.scales
     sizes = _sizes(fitted, x)
-    if sizes.max() < LARGE:
+    if sizes.max() < OPTIONS.large:
         return
     factor = np.inf
     for held in 1.0 / SIZES[::-1]:
         smaller = linear.smaller(x, held)
-        if _sizes(fitted, smaller).max() < LARGE:
+        if _sizes(fitted, smaller).max() < OPTIONS.large:
             least = max(linear.misfit(x), ROUNDING)
             factor = float(np.sqrt(linear.misfit(smaller) / least))
             break
@@ -357,13 +356,14 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         f"{np.degrees(turn):.2f} deg"
     )
     evidence: dict[str, float | str] = {"joint": name, "move": move, "turn": turn}
-    if factor < BOUGHT:
+    if factor < OPTIONS.bought:
         yield Finding(
             "implausible-correction",
-            "error" if sizes.max() > IMPLAUSIBLE else "warning",
-            f"{said}, although with no more than {1e3 * LARGE * LENGTH_SCALE:.0f} mm "
-            f"and {np.degrees(LARGE * ANGLE_SCALE):.1f} deg the remaining errors are "
-            f"only {max(factor, 1.0):.2f} times as large",
+            "error" if sizes.max() > OPTIONS.implausible else "warning",
+            f"{said}, although with no more than "
+            f"{1e3 * OPTIONS.large * LENGTH_SCALE:.0f} mm and "
+            f"{np.degrees(OPTIONS.large * ANGLE_SCALE):.1f} deg the remaining errors "
+            f"are only {max(factor, 1.0):.2f} times as large",
             {**evidence, "errors_without": factor},
             "measure more configurations, or estimate fewer parameters",
         )

@@ -1,9 +1,8 @@
-"""How rows are split to check a fit: what must stay together, and into which parts."""
+"""How measurements are split to check a fit: what must stay together, and the folds."""
 
 from __future__ import annotations
 
-from collections.abc import Sequence
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -13,15 +12,7 @@ from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.stretches import stretches
 
-__all__ = [
-    "FOLDS",
-    "clusters",
-    "folds",
-    "groups",
-    "places",
-    "shuffled_groups",
-    "validation_name",
-]
+__all__ = ["FOLDS", "Grouping", "folds", "places"]
 
 FOLDS = 5
 """Parts of a cross-validation."""
@@ -30,32 +21,80 @@ FEWEST = 4
 """Configurations of every target without which there is no cross-validation."""
 
 FEWEST_PLACES = 3
-"""Places without which rows are set aside one by one, and not place by place."""
+"""Places without which measurements are held out one by one, and not place by place."""
 
 TELLING_PLACES = 5
 """Places from which the scatter among them says more than that among configurations:
 Student's t of fewer has tails so wide that no gain shows."""
 
 
-def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
-    """Masks of the parts of a cross-validation; none where the rows do not suffice.
+@dataclass(frozen=True)
+class Grouping:
+    """The measurements that belong together when they are split or tested.
 
-    Repetitions of a configuration stay together, and so do stretches of a path, and
-    all sockets of one place if there are places enough: those that are left out are at
-    their own. What is fitted without a part must still determine the robot and every
-    plane.
+    Attributes:
+        measurements: The N measurements.
+        places: Label of the place of each, -1 for none, see `places`, shape (N,).
+        stretched: Whether they stand on a path, see `stretches`.
+        groups: Label of what each must stay together with in a split, shape (N,): all
+            measurements of a place where there are several, otherwise stretches of a
+            path, otherwise repetitions of a configuration.
+        clusters: Label of those whose errors are one observation in a test, shape (N,):
+            the groups, but configurations where places are so few that they would test
+            nothing.
+    """
+
+    measurements: Measurements
+    places: NDArray[np.int64]
+    stretched: bool
+    groups: NDArray[np.int64]
+    clusters: NDArray[np.int64]
+
+    @classmethod
+    def of(cls, measurements: Measurements, setup: Setup) -> Grouping:
+        """The grouping of measurements, with the known distances of a setup."""
+        place = places(measurements, setup)
+        other = stretches(measurements)
+        stretched = not bool((other < 0).all())
+        if not stretched:
+            other = measurements.groups()
+        groups = clusters = _merged(place, other)
+        if len(set(place[place >= 0].tolist())) < TELLING_PLACES:
+            clusters = _merged(np.full(len(measurements), -1), other)
+        return cls(measurements, place, stretched, groups, clusters)
+
+    def shuffled(self, seed: int) -> NDArray[np.int64]:
+        """The labels of the groups in random order."""
+        count = int(self.groups.max(initial=-1)) + 1
+        return np.random.default_rng(seed).permutation(count)
+
+    def validation_name(self, count: int) -> str:
+        """The name of a cross-validation in a number of folds."""
+        if count == 0:
+            return "none"
+        if (self.places < 0).all():
+            return f"{count}-fold{' by stretch' if self.stretched else ''}"
+        if (self.places >= 0).all() and count == len(set(self.places)):
+            return "leave-one-place-out"
+        return f"{count}-fold by place"
+
+
+def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+    """Masks of the parts of a cross-validation; none where measurements do not suffice.
+
+    Groups stay together. What is fitted without a part must still determine the robot
+    and every plane.
 
     Args:
-        rows: The N rows.
+        grouping: The N measurements and their groups.
         fitted: The fit of all of them.
         seed: Seed of the split.
 
     Returns:
         One mask of shape (N,) for each part.
     """
-    setup = fitted.problem.setup
-    labels, order = shuffled_groups(rows, setup, seed)
-    place = places(rows, setup)
+    rows, labels, place = grouping.measurements, grouping.groups, grouping.places
+    order = grouping.shuffled(seed)
     count = FOLDS
     if (place >= 0).any():
         count = min(FOLDS, len(order))
@@ -85,68 +124,20 @@ def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     return masks
 
 
-def validation_name(
-    rows: Measurements, setup: Setup, masks: Sequence[NDArray[np.bool_]]
-) -> str:
-    """What a cross-validation with these parts is called."""
-    if not masks:
-        return "none"
-    place = places(rows, setup)
-    if (place < 0).all():
-        by = "" if (stretches(rows) < 0).all() else " by stretch"
-        return f"{len(masks)}-fold{by}"
-    if (place >= 0).all() and len(masks) == len(set(place)):
-        return "leave-one-place-out"
-    return f"{len(masks)}-fold by place"
-
-
-def shuffled_groups(
-    rows: Measurements, setup: Setup, seed: int
-) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Labels as of `groups`, and the labels in random order."""
-    labels = groups(rows, setup)
-    order = np.random.default_rng(seed).permutation(int(labels.max(initial=-1)) + 1)
-    return labels, order
-
-
-def groups(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
-    """Label of what each row must stay together with when rows are split, shape (N,).
-
-    All rows of a place are one measurement of it, where there are several places.
-    Successive configurations of a path are one stretch. Otherwise rows of one
-    configuration are repetitions.
-    """
-    return _merged(places(rows, setup), rows)
-
-
-def clusters(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
-    """Label of rows whose errors belong together in a test, shape (N,).
-
-    They are the groups of a split, but for rows at so few places that these would test
-    nothing: there every configuration counts.
-    """
-    place = places(rows, setup)
-    if len(set(place[place >= 0].tolist())) < TELLING_PLACES:
-        place = np.full(len(rows), -1)
-    return _merged(place, rows)
-
-
-def _merged(place: NDArray[np.int64], rows: Measurements) -> NDArray[np.int64]:
-    """Labels of places, and of stretches or configurations elsewhere."""
-    other = stretches(rows)
-    other = rows.groups() if (other < 0).all() else other
+def _merged(place: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Labels of places, and of stretches or configurations elsewhere, shape (N,)."""
     labels = np.where(place >= 0, place, place.max(initial=-1) + 1 + other)
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def places(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
-    """Label of the place at which each row has its ball in a socket, shape (N,).
+def places(measurements: Measurements, setup: Setup) -> NDArray[np.int64]:
+    """Label of the place at which each measurement has its ball in a socket, (N,).
 
     Sockets belong to one place that share what stands before the last slash of their
-    names, or a known distance. -1 for other rows, and for all where there are fewer
-    than three places.
+    names, or a known distance. -1 for other measurements, and for all where there are
+    fewer than three places.
     """
-    sockets = rows.of("fixed-point")
+    sockets = measurements.of("fixed-point")
     names = [name.rpartition(AT)[2] for name in sockets]
     home = {name: name.rpartition("/")[0] or name for name in names}
     for distance in setup.distances:
@@ -154,5 +145,5 @@ def places(rows: Measurements, setup: Setup) -> NDArray[np.int64]:
         home = {k: first if v == second else v for k, v in home.items()}
     of = {name: k for k, name in enumerate(dict.fromkeys(filter(None, home.values())))}
     if len(of) < FEWEST_PLACES:
-        return np.full(len(rows), -1)
+        return np.full(len(measurements), -1)
     return np.array([of[home[name]] if name else -1 for name in names], np.int64)

@@ -6,6 +6,8 @@ next is no longer unseen, so that they must stay together when data are split.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -14,33 +16,40 @@ from calib_pin.observations import Measurements
 
 __all__ = ["stretches"]
 
-CLOSE = 0.5
-"""Mean square of successive distances, by that of random pairs, of a path.
 
-Random order has 1. Whatever is measured along a path, in clusters, or line by line on a
-grid has less than 0.4 (UR10 Series A 0.39 and 0.19, the grid of the UR5 0.25, Pandas
-0.29 and 0.20); poses that somebody chose and ordered at will have more than 0.5 (TALOS
-0.56, TIAGo 0.95 and 0.76, UR10 Series B 0.81).
-"""
+@dataclass(frozen=True)
+class StretchOptions:
+    """What counts as a path, and how it is cut.
 
-CHANCE = 3.0
-"""Standard deviations by which it must fall short of 1 (von Neumann's ratio)."""
+    Attributes:
+        close: Mean square of successive distances, by that of random pairs, of a
+            path. Random order has 1. Whatever is measured along a path, in
+            clusters, or line by line on a grid has less than 0.4 (UR10 Series A
+            0.39 and 0.19, the grid of the UR5 0.25, Pandas 0.29 and 0.20); poses
+            that somebody chose and ordered at will have more than 0.5 (TALOS 0.56,
+            TIAGo 0.95 and 0.76, UR10 Series B 0.81).
+        chance: Standard deviations by which it must fall short of 1 (von Neumann's
+            ratio).
+        unlike: The same ratio at the distance in the file from which they count as
+            unlike: 1 - 1/e, where an exponential correlation has decayed to 1/e.
+        blocks: Blocks that a file is cut into where its correlation allows it.
+        fewest_blocks: Blocks that a file is cut into in any case: as many as there
+            are folds.
+        jump: Length of a step that is a jump, by that of the step at hand.
+        fewest: Configurations whose order can tell anything: chance must not look
+            like a path.
+    """
 
-UNLIKE = 0.63
-"""The same ratio at the distance in the file from which rows count as unlike: 1 - 1/e,
-where an exponential correlation has decayed to 1/e."""
+    close: float = 0.5
+    chance: float = 3.0
+    unlike: float = 0.63
+    blocks: int = 20
+    fewest_blocks: int = 5
+    jump: float = 2.0
+    fewest: int = 10
 
-BLOCKS = 20
-"""Blocks that a file is cut into where its correlation allows it."""
 
-FEWEST_BLOCKS = 5
-"""Blocks that a file is cut into in any case: as many as there are folds."""
-
-JUMP = 2.0
-"""Length of a step that is a jump, by that of the step at hand."""
-
-FEWEST = 10
-"""Configurations whose order can tell anything: chance must not look like a path."""
+OPTIONS = StretchOptions()
 
 
 def stretches(rows: Measurements) -> NDArray[np.int64]:
@@ -60,25 +69,26 @@ def stretches(rows: Measurements) -> NDArray[np.int64]:
         The labels, from 0; all -1 where the order tells nothing.
     """
     none = np.full(len(rows), -1)
-    if len(rows) < FEWEST:
+    if len(rows) < OPTIONS.fewest:
         return none
     configuration = rows.groups()
     _, first = np.unique(configuration, return_index=True)
     order = np.sort(first)
     z, file = _standardized(rows.q[order]), _numbers(rows, order)
     count = len(order)
-    if count < FEWEST or not z.any():
+    if count < OPTIONS.fewest or not z.any():
         return none
     near = _variogram(z, file, 1)
-    if near > min(CLOSE, 1.0 - CHANCE / np.sqrt(count)):
+    if near > min(OPTIONS.close, 1.0 - OPTIONS.chance / np.sqrt(count)):
         return none
-    longest = count // FEWEST_BLOCKS
+    longest = count // OPTIONS.fewest_blocks
     # Every lag of the short ones; of the long ones a tenth apart.
     lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
     length = next(
-        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > UNLIKE), longest
+        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > OPTIONS.unlike),
+        longest,
     )
-    length = max(length, min(count // BLOCKS, 2 * length), 1)
+    length = max(length, min(count // OPTIONS.blocks, 2 * length), 1)
     block = _blocks(z, file, length)
     of = np.empty(count, np.int64)
     of[configuration[order]] = block
@@ -127,5 +137,5 @@ def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64
             low = end - (length - 1) // 2
             high = min(end + length // 2 + 1, stop)
             jump = low + int(np.argmax(step[low:high]))
-            begins[jump if step[jump] > JUMP**2 * step[end] else end] = True
+            begins[jump if step[jump] > OPTIONS.jump**2 * step[end] else end] = True
     return np.asarray(np.cumsum(begins) - 1)

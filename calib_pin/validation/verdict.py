@@ -49,43 +49,49 @@ CHECK = (
 )
 """What to do about rows that nothing explains."""
 
-UNEXPLAINED = 20.0
-"""Remaining errors, in expected sizes of an error, that no calibration leaves."""
 
-BREAKDOWN = 0.4
-"""Part of the configurations beyond which what is set aside may be the better part."""
+@dataclass(frozen=True)
+class VerdictOptions:
+    """Limits of the verdict.
 
-CLUSTERS = 5
-"""Independent held-out configurations, or stretches of a path, without which a fit
-counts as unchecked."""
+    Attributes:
+        unexplained: Remaining errors, in expected sizes of an error, that no
+            calibration leaves.
+        breakdown: Part of the configurations beyond which what is set aside may be
+            the better part.
+        clusters: Independent held-out configurations, or stretches of a path,
+            without which a fit counts as unchecked.
+        configurations: Distinct configurations without which it does.
+        redundant: Redundant values by which noise that nobody has stated is known
+            to a factor of two. By fewer it comes out less than half as large in one
+            of a hundred cases.
+        gain_chance: Probability by chance below which a gain counts as shown.
+        loss_chance: Probability by chance below which a loss on held-out
+            measurements takes the trust. Of a thousand perfect robots one is
+            refused.
+        misjudged: Found by predicted held-out error from which a fit misjudges
+            itself.
+        exact: Gain on exact measurements, in given standard deviations, below which
+            it is numerically zero.
+        sure: Probability that the corrected robot is better over the workspace for
+            `good`. Of 345 simulated jobs with 0.95 or more, narrow ones and paths
+            among them, one was worse; a real arm of a humanoid, measured in front
+            of it, has 0.95.
+    """
 
-CONFIGURATIONS = 8
-"""Distinct configurations without which it does."""
+    unexplained: float = 20.0
+    breakdown: float = 0.4
+    clusters: int = 5
+    configurations: int = 8
+    redundant: float = 10.0
+    gain_chance: float = 0.01
+    loss_chance: float = 1e-3
+    misjudged: float = 2.0
+    exact: float = 1e-6
+    sure: float = 0.9
 
-REDUNDANT = 10.0
-"""Redundant values by which noise that nobody has stated is known to a factor of two.
 
-By fewer it comes out less than half as large in one of a hundred cases."""
-
-SHOWN = 0.01
-"""Probability by chance below which a gain counts as shown."""
-
-HARM = 1e-3
-"""Probability by chance below which a loss on held-out measurements takes the trust.
-
-Of a thousand perfect robots one is refused."""
-
-MISJUDGED = 2.0
-"""Found by predicted held-out error from which a fit misjudges itself."""
-
-EXACT = 1e-6
-"""Gain on exact rows, in given standard deviations, below which it is rounding."""
-
-SURE = 0.9
-"""Probability that the corrected robot is better over the workspace for `good`.
-
-Of 345 simulated jobs with 0.95 or more, narrow ones and paths among them, one was
-worse; a real arm of a humanoid, measured in front of it, has 0.95."""
+OPTIONS = VerdictOptions()
 
 
 @dataclass(frozen=True)
@@ -115,7 +121,7 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
     """`good`, `no-gain`, `unchecked` or `untrusted`, and the reason."""
     if reason := _distrust(grounds):
         return "untrusted", reason
-    nothing = _chance(grounds) > SHOWN
+    nothing = _chance(grounds) > OPTIONS.gain_chance
     if reason := _unchecked(grounds):
         if nothing and _as_nominal(grounds.fitted):
             return "no-gain", _nothing(grounds)
@@ -141,7 +147,9 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
         return "the errors are so large that the rows tell nothing of the robot"
     for quantity in errors:
         for accuracy in (quantity.after, quantity.validation_after):
-            if accuracy and accuracy.rms > UNEXPLAINED * expected_size(quantity.unit):
+            if accuracy and accuracy.rms > OPTIONS.unexplained * expected_size(
+                quantity.unit
+            ):
                 size = _shown(accuracy.rms, quantity.unit)
                 return (
                     f"{quantity.name} errors of {size} rms remain, far more than a "
@@ -158,11 +166,11 @@ def _distrust(grounds: Grounds) -> str:
         return f"{SCALE}; {STATED if stated else MISSING}"
     if not fitted.result.status.success:
         return fitted.result.status.advice
-    if grounds.aside > BREAKDOWN:
+    if grounds.aside > OPTIONS.breakdown:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations do not fit the "
-            f"others; beyond {100.0 * BREAKDOWN:.0f} % nobody knows which are wrong; "
-            f"{grounds.advice}"
+            f"others; beyond {100.0 * OPTIONS.breakdown:.0f} % nobody knows which are "
+            f"wrong; {grounds.advice}"
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {grounds.advice}"
@@ -188,7 +196,11 @@ def _unchecked(grounds: Grounds) -> str:
             "nothing to check the fit with; measure more configurations"
         )
     left = sum(v.redundancy * v.values for v in fitted.noise)
-    if fitted.noise and left < REDUNDANT and not all(map(_stands, fitted.noise)):
+    if (
+        fitted.noise
+        and left < OPTIONS.redundant
+        and not all(map(_stands, fitted.noise))
+    ):
         return (
             f"{left:.1f} redundant values are too few to tell the noise by; measure "
             "more configurations, or state the standard deviations"
@@ -197,7 +209,7 @@ def _unchecked(grounds: Grounds) -> str:
     data = fitted.problem.data
     distinct = data.rows(data.weight > 0.0).configurations
     # Exact rows say by one what noisy ones say by many.
-    least = (CLUSTERS, CONFIGURATIONS) if fitted.noise else (1, 1)
+    least = (OPTIONS.clusters, OPTIONS.configurations) if fitted.noise else (1, 1)
     if held < least[0] or distinct < least[1]:
         return (
             f"{held} independent held-out configurations of {distinct} are too few to "
@@ -216,7 +228,7 @@ def _disproved(grounds: Grounds) -> str:
     units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
     # A quantity says more than all of them together, which have no unit.
     for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
-        if gain.worse < HARM:
+        if gain.worse < OPTIONS.loss_chance:
             unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
             return (
                 "on measurements it has not seen the corrected robot is worse than the "
@@ -225,7 +237,7 @@ def _disproved(grounds: Grounds) -> str:
             )
     first = grounds.gains[0]
     # Of few configurations the ratio itself is uncertain.
-    limit = MISJUDGED * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
+    limit = OPTIONS.misjudged * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
     if first.ratio > limit:
         return (
             f"errors on measurements it has not seen are {first.ratio:.1f} times as "
@@ -258,7 +270,7 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     nominal, calibrated = (
         _shown(size[0], "m") for size in (workspace.nominal, workspace.calibrated)
     )
-    sure = workspace.better >= SURE
+    sure = workspace.better >= OPTIONS.sure
     if shown and sure:
         return "good", (
             f"{found} on {held}; over the workspace {calibrated} instead of {nominal} "
@@ -286,7 +298,7 @@ def _shown_by(gains: Sequence[Gain]) -> bool:
     Where parts are left out little may be left; the hat matrix leaves out one each.
     """
     chances = [gain.better for gain in gains if gain.quantity == gains[0].quantity]
-    return gains[0].mean > 0.0 and min(chances) < SHOWN
+    return gains[0].mean > 0.0 and min(chances) < OPTIONS.gain_chance
 
 
 def _as_nominal(fitted: Fit) -> bool:
@@ -297,9 +309,11 @@ def _as_nominal(fitted: Fit) -> bool:
     plain = replace(fitted.problem, units=np.zeros(0))
     nuisances = int((plain.parameters.free & plain.parameters.nuisance).sum())
     left = plain.count - nuisances
-    if left < REDUNDANT:
+    if left < OPTIONS.redundant:
         return False
-    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(left, HARM)
+    return 2.0 * plain.cost(fitted.before) < chi_square_quantile(
+        left, OPTIONS.loss_chance
+    )
 
 
 def _nothing(grounds: Grounds) -> str:
@@ -318,7 +332,7 @@ def _chance(grounds: Grounds) -> float:
     fitted, evidence = grounds.fitted, grounds.fitted.evidence
     if evidence is None or evidence.count == 0:
         # Exact rows leave no doubt, but for rounding.
-        return float(all(abs(gain.mean) < EXACT for gain in grounds.gains))
+        return float(all(abs(gain.mean) < OPTIONS.exact for gain in grounds.gains))
     return f_tail(evidence.square / evidence.count, evidence.count, max(fitted.dof, 1))
 
 

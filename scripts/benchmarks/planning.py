@@ -13,7 +13,7 @@ from calib_pin.io.collision import load_collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Lazy, Spectral
 from calib_pin.planning.information import Information
-from calib_pin.planning.plan import identification
+from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup

@@ -16,7 +16,7 @@ import calib_pin
 from benchmarks.timing import best, show
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document
-from calib_pin.planning.suggestions import as_found, remedies
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
 from calib_pin.setup import FrameSetup, Setup
@@ -59,7 +59,7 @@ def page_of(result: CalibrationResult) -> bytes:
         result,
         calibration_document(result, PROVENANCE),
         figures=list(calibration_figures(result)),
-        remedies=remedies(chain, "pose", as_found(result.model), result),
+        remedies=suggestions(chain, "pose", calibrated_setup(result.model), result),
     )
 
 

@@ -32,7 +32,11 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.information import Information
-from calib_pin.planning.plan import ASSUMED_TOOL, STRUCTURE, identification
+from calib_pin.planning.planned_problem import (
+    ASSUMED_TOOL,
+    STRUCTURE,
+    identification,
+)
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup

@@ -13,6 +13,7 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fitted_model import fit_model
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, invert
@@ -21,7 +22,6 @@ from calib_pin.measurement_models.distance import PointDistance, RelativeDistanc
 from calib_pin.measurement_models.features import Anchor, Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, PointSetup, Setup
-from calib_pin.validation.training import train
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -228,4 +228,4 @@ def test_ways_from_nothing(simulated: Simulated) -> None:
 def test_nothing_is_learned_from_ways(simulated: Simulated) -> None:
     rows, _ = simulated("relative-distance", Setup(tool_frame=TOOL), 40)
     with pytest.raises(OptionError, match="between two configurations"):
-        train(ARM, rows.data, Setup(learned="gaussian-process"), 0)
+        fit_model(ARM, rows.data, Setup(learned="gaussian-process"), 0)

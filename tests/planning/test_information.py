@@ -11,7 +11,7 @@ import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, Trials, whiten
-from calib_pin.planning.plan import identification
+from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 

@@ -12,7 +12,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.information import Information
-from calib_pin.planning.plan import identification
+from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.search import Search
 from calib_pin.planning.selection import DeterminantSelection, Selection
 from calib_pin.planning.workspace import Workspace

@@ -9,7 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.planning.suggestions import as_found, remedies
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 
 CHAIN = calib_pin.load_chain("space6")
@@ -19,7 +19,7 @@ TOOL = FrameSetup((0.1, 0.05, 0.2), (0.1, 0.2, 0.3), estimate=False)
 
 def found(model: str, setup: Setup) -> dict[str, int]:
     known = calib_pin.identify(CHAIN, model, setup)
-    return {r.change: r.count for r in remedies(CHAIN, model, setup, known)}
+    return {r.change: r.count for r in suggestions(CHAIN, model, setup, known)}
 
 
 def beside() -> Setup:
@@ -70,7 +70,7 @@ def test_what_gains_only_together() -> None:
 def test_all_that_can_be_told_is_last(model: str) -> None:
     """However it is measured now: that is the robot's, not the instrument's."""
     known = calib_pin.identify(CHAIN, model, beside())
-    *others, last = remedies(CHAIN, model, beside(), known)
+    *others, last = suggestions(CHAIN, model, beside(), known)
     assert last.count == 26 and last.complete
     assert not any(remedy.complete for remedy in others)
 
@@ -81,7 +81,7 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     file = calib_pin.robot_file("heavy6", "measurements.csv")
     rows = calib_pin.read_measurements(file, chain)
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
-    stood = as_found(result.model)
+    stood = calibrated_setup(result.model)
     features = {f.name: f for f in result.model.measurement.features}
     assert stood.targets.keys() == features.keys()
     for name, point in stood.targets.items():
@@ -90,7 +90,7 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     assert base.estimate and base.xyz == pytest.approx(
         result.model.error.base.translation
     )
-    changes = [r.change for r in remedies(chain, rows.model, stood, result)]
+    changes = [r.change for r in suggestions(chain, rows.model, stood, result)]
     assert any("(targets)" in change for change in changes)
 
 
@@ -99,7 +99,7 @@ def test_what_becomes_identifiable() -> None:
     setup = Setup()
     now = calib_pin.identify(CHAIN, "pose", setup)
     base = next(
-        r for r in remedies(CHAIN, "pose", setup, now) if "frames.base" in r.change
+        r for r in suggestions(CHAIN, "pose", setup, now) if "frames.base" in r.change
     )
     then = calib_pin.identify(CHAIN, "pose", Setup(base_frame=BASE))
     known = {p.name for p in now.parameters if p.status == "identifiable"}

@@ -13,7 +13,7 @@ from scipy.stats import qmc
 import calib_pin
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.kinematics.chain import Chain
-from calib_pin.planning.plan import identification
+from calib_pin.planning.planned_problem import identification
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import (
     Ball,

@@ -17,7 +17,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import Provenance, calibration_document, encode
 from calib_pin.io.urdf import parse_robot
 from calib_pin.kinematics.chain import Chain
-from calib_pin.planning.suggestions import as_found, remedies
+from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.blocks import Block, Cell, Table
 from calib_pin.report.figures import NAMES, calibration_figures
 from calib_pin.report.html import LISTED, SECTIONS, html_report
@@ -102,7 +102,7 @@ def solved(
 def page_of(
     chain: Chain, result: CalibrationResult, *, figures: bool = True
 ) -> tuple[bytes, dict[str, Any]]:
-    better = remedies(chain, "pose", as_found(result.model), result)
+    better = suggestions(chain, "pose", calibrated_setup(result.model), result)
     document = calibration_document(result, PROVENANCE, remedies=better)
     drawn = list(calibration_figures(result)) if figures else []
     page = html_report(result, document, figures=drawn, remedies=better)

@@ -16,7 +16,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.gains import gains
-from calib_pin.validation.unseen import Unseen
+from calib_pin.validation.model_errors import ModelErrors
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
@@ -29,9 +29,9 @@ def measured(count: int, model: str = "pose") -> Problem:
     return replace(problem, data=rows)
 
 
-def part(before: Floats, after: Floats, variance: float = 1e-8) -> Unseen:
+def part(before: Floats, after: Floats, variance: float = 1e-8) -> ModelErrors:
     positions = np.arange(len(before))
-    return Unseen(positions, before, after, np.full(before.shape, variance))
+    return ModelErrors(positions, before, after, np.full(before.shape, variance))
 
 
 def test_numbers_of_a_gain() -> None:

@@ -10,12 +10,12 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
+from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.held_out import check
-from calib_pin.validation.training import Trained, train
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 CHAIN = calib_pin.load_chain("space6")
@@ -33,26 +33,26 @@ def simulated(
     )
 
 
-def trained_on(rows: Measurements) -> Trained:
-    return train(CHAIN, rows, SETUP, 0)
+def fitted_to(rows: Measurements) -> FittedModel:
+    return fit_model(CHAIN, rows, SETUP, 0)
 
 
 def test_a_copy_of_what_was_fitted_checks_nothing() -> None:
     rows, new = simulated(30), simulated(12, seed=2)
-    trained = trained_on(rows)
-    found = check(CHAIN, rows, SETUP, trained, 0, unseen=rows, method="file")
+    model = fitted_to(rows)
+    found = check(CHAIN, rows, SETUP, model, 0, validation=rows, method="file")
     assert (found.parts, found.method) == ((), "none")
     assert [f.code for f in found.findings] == ["repeated-validation"]
     assert {g.method for g in found.gains} == {"press"}
     # Some of it does not spoil the rest.
     mixed = Measurements.concatenate([rows.rows(np.arange(5)), new])
-    found = check(CHAIN, rows, SETUP, trained, 0, unseen=mixed, method="file")
+    found = check(CHAIN, rows, SETUP, model, 0, validation=mixed, method="file")
     (part,) = found.parts
     np.testing.assert_array_equal(part.positions, np.arange(5, 17))
     assert found.findings[0].message.startswith("5 of 17 ")
     assert found.gains[0].configurations == 12
     few = Measurements.concatenate([rows, new.rows(np.arange(4))])
-    assert check(CHAIN, rows, SETUP, trained, 0, unseen=few).method == "none"
+    assert check(CHAIN, rows, SETUP, model, 0, validation=few).method == "none"
 
 
 def test_set_aside_rows_stay_out() -> None:
@@ -63,7 +63,7 @@ def test_set_aside_rows_stay_out() -> None:
     weight = np.ones(40)
     weight[[3, 20]] = 0.0
     spoiled = replace(rows, values=values, weight=weight)
-    found = check(CHAIN, spoiled, SETUP, trained_on(spoiled), 0)
+    found = check(CHAIN, spoiled, SETUP, fitted_to(spoiled), 0)
     assert found.method == "5-fold"
     positions = np.concatenate([part.positions for part in found.parts])
     assert sorted(positions) == list(range(40))
@@ -76,11 +76,11 @@ def test_set_aside_rows_stay_out() -> None:
 
 def test_without_validation_there_is_the_hat_matrix() -> None:
     rows = simulated(30)
-    trained = trained_on(rows)
-    found = check(CHAIN, rows, SETUP, trained, 0, validate=False)
+    model = fitted_to(rows)
+    found = check(CHAIN, rows, SETUP, model, 0, validate=False)
     assert (found.parts, found.method) == ((), "none")
     assert [g.method for g in found.gains] == ["press", "press"]
-    checked = check(CHAIN, rows, SETUP, trained, 0)
+    checked = check(CHAIN, rows, SETUP, model, 0)
     folded, _, pressed, _ = checked.gains
     # The same question, asked of one row at a time and of six: without these, the
     # twelve unknowns of base and tool have 72 values in place of 87.
@@ -91,12 +91,12 @@ def test_without_validation_there_is_the_hat_matrix() -> None:
 def test_five_poses_are_no_check_however_often() -> None:
     rows = simulated(5, repeats=30)
     assert len(rows) == 150
-    found = check(CHAIN, rows, SETUP, trained_on(rows), 0)
+    found = check(CHAIN, rows, SETUP, fitted_to(rows), 0)
     assert (found.parts, found.method) == ((), "none")
     unseen = simulated(4, seed=3, repeats=30)
     many = simulated(30)
-    trained = trained_on(many)
-    assert check(CHAIN, many, SETUP, trained, 0, unseen=unseen).method == "none"
+    model = fitted_to(many)
+    assert check(CHAIN, many, SETUP, model, 0, validation=unseen).method == "none"
 
 
 def jogged() -> Measurements:
@@ -114,7 +114,7 @@ def jogged() -> Measurements:
 
 def test_a_path_is_folded_by_stretch() -> None:
     rows = jogged()
-    found = check(CHAIN, rows, SETUP, trained_on(rows), 0)
+    found = check(CHAIN, rows, SETUP, fitted_to(rows), 0)
     assert found.method == "5-fold by stretch"
     for part in found.parts:
         # Whole stretches: few places where the next row belongs to another part.
@@ -133,10 +133,12 @@ def moved(rows: Measurements, by: float) -> Measurements:
 @pytest.mark.parametrize("by", [0.05, 3.0])
 def test_a_moved_instrument_is_registered_on_itself(by: float) -> None:
     rows, new = simulated(40), simulated(20, seed=2)
-    trained = trained_on(rows)
-    plain = check(CHAIN, rows, SETUP, trained, 0, unseen=new, method="file")
+    model = fitted_to(rows)
+    plain = check(CHAIN, rows, SETUP, model, 0, validation=new, method="file")
     assert plain.findings == ()
-    found = check(CHAIN, rows, SETUP, trained, 0, unseen=moved(new, by), method="file")
+    found = check(
+        CHAIN, rows, SETUP, model, 0, validation=moved(new, by), method="file"
+    )
     assert [f.code for f in found.findings] == ["moved-instrument"]
     assert found.gains[0].better < 1e-6 and 0.7 < found.gains[0].ratio < 1.3
 
@@ -152,8 +154,8 @@ def test_a_moved_instrument_is_registered_on_itself(by: float) -> None:
 def test_where_the_stand_is_known_meters_are_no_check() -> None:
     setup = replace(SETUP, base_frame=FrameSetup(estimate=False))
     rows, new = simulated(40), moved(simulated(20, seed=2), 3.0)
-    trained = train(CHAIN, rows, setup, 0)
-    found = check(CHAIN, rows, setup, trained, 0, unseen=new)
+    model = fit_model(CHAIN, rows, setup, 0)
+    found = check(CHAIN, rows, setup, model, 0, validation=new)
     assert not found.findings
     assert found.gains[0].ratio > 1000.0
     result = calib_pin.calibrate(CHAIN, rows, setup, validation=new)

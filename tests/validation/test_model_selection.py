@@ -18,10 +18,11 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.setup import FrameSetup, Payload, Setup
-from calib_pin.validation.model_selection import Climbed, select_model
+from calib_pin.validation.held_out import cross_validate
+from calib_pin.validation.model_errors import fitted_errors
+from calib_pin.validation.model_selection import SelectedModel, select_model
 from calib_pin.validation.result import Rung
 from calib_pin.validation.splits import FOLDS
-from calib_pin.validation.training import cross_validate
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -66,7 +67,7 @@ def chain(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
 
 
 @pytest.fixture(scope="module")
-def plain(chain: Chain) -> Climbed:
+def plain(chain: Chain) -> SelectedModel:
     """The ladder for 50 rows of a robot with errors of its geometry alone."""
     with pytest.MonkeyPatch.context() as patch:
         without_residual_models(patch)
@@ -95,12 +96,12 @@ def simulated(
     return replace(rows, payload=())  # What is carried in all rows goes without saying.
 
 
-def rungs(climbed: Climbed) -> dict[str, Rung]:
-    return {rung.name: rung for rung in climbed.ladder.rungs}
+def rungs(selected: SelectedModel) -> dict[str, Rung]:
+    return {rung.name: rung for rung in selected.selection.rungs}
 
 
-def kept(climbed: Climbed) -> Rung:
-    return climbed.ladder.rungs[climbed.ladder.chosen]
+def kept(selected: SelectedModel) -> Rung:
+    return selected.selection.rungs[selected.selection.chosen]
 
 
 # What is kept.
@@ -161,24 +162,24 @@ def test_what_a_robot_has_is_kept(
 ) -> None:
     chain = calib_pin.load_chain("pa10")
     rows = simulated(chain, truth, joints=joints, count=80)
-    climbed = select_model(chain, rows, LOADED, 0)
-    assert list(rungs(climbed)) == RUNGS
-    found = kept(climbed)
+    selected = select_model(chain, rows, LOADED, 0)
+    assert list(rungs(selected)) == RUNGS
+    found = kept(selected)
     assert (found.name, found.parameters) == (expected, parameters)
-    assert climbed.setup.parameters == parameters
-    helps = {rung.name for rung in climbed.ladder.rungs if rung.helps}
+    assert selected.model.fit.problem.setup.parameters == parameters
+    helps = {rung.name for rung in selected.selection.rungs if rung.helps}
     assert {"joint offset", expected} <= helps
     assert ("geometric" in helps) == ("placement" in truth)
     assert (BOTH in helps) == (expected == BOTH)
-    assert not any(rung.reason for rung in climbed.ladder.rungs)
+    assert not any(rung.reason for rung in selected.selection.rungs)
     # As good as the noise, and what it was before is seen.
     assert found.score == pytest.approx(1.0, abs=0.3)
     ((quantity, unit, mean),) = found.errors
     assert (quantity, unit) == ("position", "m")
     # The mean length of three components of unit deviation is 1.6.
     assert mean == pytest.approx(1.6 * NOISE * found.score, rel=0.1)
-    assert climbed.trained.fit.rank == found.rank
-    assert set(climbed.trained.problem.setup.parameters) == set(parameters)
+    assert selected.model.fit.rank == found.rank
+    assert set(selected.model.problem.setup.parameters) == set(parameters)
 
 
 @pytest.mark.slow
@@ -188,31 +189,33 @@ def test_waves_under_a_larger_compliance_are_found() -> None:
     wall = replace(LOADED, gravity=(0.0, 9.81, 0.0))
     everything = ["placement", "transmission", "compliance"]
     rows = simulated(chain, everything, wall, count=80, seed=2)
-    climbed = select_model(chain, rows, wall, 0)
-    assert kept(climbed).parameters == tuple(everything)
-    assert kept(climbed).score < 2.0
+    selected = select_model(chain, rows, wall, 0)
+    assert kept(selected).parameters == tuple(everything)
+    assert kept(selected).score < 2.0
 
 
-def test_the_scores_are_those_of_unseen_rows(chain: Chain, plain: Climbed) -> None:
-    rows, climbed = simulated(chain, ["placement"]), plain
-    assert len(climbed.unseen) == FOLDS
-    order = np.argsort(np.concatenate([part.positions for part in climbed.unseen]))
-    after = np.concatenate([part.after for part in climbed.unseen])[order]
-    found = kept(climbed)
+def test_the_scores_are_those_of_unseen_rows(
+    chain: Chain, plain: SelectedModel
+) -> None:
+    rows, selected = simulated(chain, ["placement"]), plain
+    assert len(selected.parts) == FOLDS
+    order = np.argsort(np.concatenate([part.positions for part in selected.parts]))
+    after = np.concatenate([part.after for part in selected.parts])[order]
+    found = kept(selected)
     sizes = np.sqrt(np.mean((after / NOISE) ** 2, axis=1))
     assert found.score == pytest.approx(sizes.mean())
     assert found.deviation == pytest.approx(sizes.std(ddof=1) / np.sqrt(50))
     assert found.errors[0][2] == pytest.approx(np.linalg.norm(after, axis=1).mean())
     # The fit itself has seen them all.
-    fitted = climbed.trained.unseen(rows).after
+    fitted = fitted_errors(selected.model, rows).after
     assert np.mean(fitted**2) < np.mean(after**2)
 
 
 def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     rows = simulated(chain, ["dh"])
     setup = Setup(parameters=("compliance", "dh", "joint-offset"))
-    climbed = select_model(chain, rows, setup, 0)
-    assert [rung.parameters for rung in climbed.ladder.rungs] == [
+    selected = select_model(chain, rows, setup, 0)
+    assert [rung.parameters for rung in selected.selection.rungs] == [
         ("joint-offset",),
         ("dh",),
         ("dh", "transmission"),
@@ -220,8 +223,8 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
         ("dh", "transmission", "compliance"),
     ]
     # Nothing but offsets and corrections is no geometry.
-    climbed = select_model(chain, rows, Setup(parameters=("joint-offset",)), 0)
-    assert climbed.ladder.rungs[1].parameters == ("placement",)
+    selected = select_model(chain, rows, Setup(parameters=("joint-offset",)), 0)
+    assert selected.selection.rungs[1].parameters == ("placement",)
 
 
 @pytest.mark.slow
@@ -231,7 +234,7 @@ def test_gear_ratios_and_gravity_stay_on_every_rung(chain: Chain) -> None:
     right, wrong = (select_model(chain, rows, setup, 0) for setup in (gears, LOADED))
     assert kept(right).parameters == ("placement", "transmission", "compliance")
     assert kept(right).score < 0.5 * kept(wrong).score
-    names = right.trained.problem.parameters.names
+    names = right.model.problem.parameters.names
     assert "joint_2.transmission.motor_sin" in names
 
 
@@ -259,7 +262,7 @@ def test_unseen_rows_of_a_file_check_what_the_ladder_kept(chain: Chain) -> None:
     assert result.ladder is not None
     assert (result.validation, result.validated) == ("file", 20)
     # They have no part in the choice.
-    alone = select_model(chain, training, Setup(), 0).ladder
+    alone = select_model(chain, training, Setup(), 0).selection
     assert alone == result.ladder
 
 
@@ -293,21 +296,28 @@ def test_a_repeated_row_is_never_on_both_sides(
             assert set(order[mask]).isdisjoint(order[~mask])
 
 
-def test_repetitions_make_no_score_more_certain(chain: Chain, plain: Climbed) -> None:
+def test_repetitions_make_no_score_more_certain(
+    chain: Chain, plain: SelectedModel
+) -> None:
     """A deviation counts configurations, however often each was read."""
     rows = simulated(chain, ["placement"])
     # Against the size that errors are expected to have, they do count.
     often = select_model(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
-    for one, other in zip(plain.ladder.rungs[:2], often.ladder.rungs, strict=False):
+    for one, other in zip(
+        plain.selection.rungs[:2], often.selection.rungs, strict=False
+    ):
         assert other.score == pytest.approx(one.score, rel=0.01)
         assert other.deviation == pytest.approx(one.deviation, rel=0.01)
 
 
-def test_the_seed_divides(chain: Chain, plain: Climbed) -> None:
+def test_the_seed_divides(chain: Chain, plain: SelectedModel) -> None:
     rows = simulated(chain, ["placement"])
-    first = [rung.score for rung in plain.ladder.rungs]
+    first = [rung.score for rung in plain.selection.rungs]
     again, other = (
-        [rung.score for rung in select_model(chain, rows, Setup(), seed).ladder.rungs]
+        [
+            rung.score
+            for rung in select_model(chain, rows, Setup(), seed).selection.rungs
+        ]
         for seed in (0, 1)
     )
     assert first == again
@@ -320,9 +330,9 @@ def test_the_seed_divides(chain: Chain, plain: Climbed) -> None:
 def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
     """Five of seven configurations tell of offsets, but not of all the geometry."""
     rows = simulated(chain, ["joint-offset"], count=7)
-    climbed = select_model(chain, rows, Setup(), 0)
-    offset, geometric, transmission, compliance, both = climbed.ladder.rungs
-    assert not offset.reason and kept(climbed) is offset
+    selected = select_model(chain, rows, Setup(), 0)
+    offset, geometric, transmission, compliance, both = selected.selection.rungs
+    assert not offset.reason and kept(selected) is offset
     assert not compliance.reason
     for rung in (geometric, transmission, both):
         assert rung.reason == "7 configurations are too few to leave a part out"
@@ -341,14 +351,14 @@ def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) ->
 def test_without_masses_the_compliance_rung_says_why() -> None:
     chain = calib_pin.load_chain("space6")
     rows = simulated(chain, ["placement"], Setup())
-    climbed = select_model(chain, rows, Setup(), 0)
-    rung = rungs(climbed)["+ compliance"]
+    selected = select_model(chain, rows, Setup(), 0)
+    rung = rungs(selected)["+ compliance"]
     assert rung.reason == (
         "'compliance' needs something that gravity pulls at: there is no gravity, or "
         "the links of 'space6' have no mass that loads a joint and there is no payload"
     )
     assert np.isnan(rung.score) and not rung.helps
-    assert kept(climbed).name == "geometric"
+    assert kept(selected).name == "geometric"
     # A payload is enough.
     assert not rungs(select_model(chain, rows, LOADED, 0))["+ compliance"].reason
 
@@ -359,8 +369,8 @@ def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
     with pytest.raises(InputError, match="several payloads, and the row names none"):
         select_model(chain, rows, Setup(payloads=payloads), 0)
     told = replace(rows, payload=("a", "b") * 10)
-    climbed = select_model(chain, told, Setup(payloads=payloads), 0)
-    rung = rungs(climbed)["+ compliance"]
+    selected = select_model(chain, told, Setup(payloads=payloads), 0)
+    rung = rungs(selected)["+ compliance"]
     assert not rung.reason and np.isfinite(rung.score)
 
 
@@ -377,17 +387,17 @@ def test_patterns_that_exist_on_one_rung_only(chain: Chain) -> None:
         prior={"*.compliance.k": 1.0},
         base_frame=FrameSetup((0.0, 0.0, 0.0)),
     )
-    climbed = select_model(chain, rows, setup, 0)
+    selected = select_model(chain, rows, setup, 0)
     plain = select_model(chain, rows, replace(setup, fixed=("base.frame.z",)), 0)
     names = ("joint offset", "+ transmission")
-    fewer = [rungs(plain)[n].rank - rungs(climbed)[n].rank for n in names]
+    fewer = [rungs(plain)[n].rank - rungs(selected)[n].rank for n in names]
     assert fewer[0] == 0 and fewer[1] >= 10
-    assert kept(climbed).name == kept(plain).name == "+ transmission"
+    assert kept(selected).name == kept(plain).name == "+ transmission"
     # The setup of the result has what its own parameters understand.
-    assert climbed.setup.fixed == setup.fixed
-    assert climbed.setup.bounds == {"joint_3.transmission.gain": 1.0}
-    assert climbed.setup.prior == {}
-    found = climbed.trained.problem.parameters
+    assert selected.model.fit.problem.setup.fixed == setup.fixed
+    assert selected.model.fit.problem.setup.bounds == {"joint_3.transmission.gain": 1.0}
+    assert selected.model.fit.problem.setup.prior == {}
+    found = selected.model.problem.parameters
     assert not found.free[found.index("joint_2.transmission.sin1")]
     assert found.free[found.index("joint_3.transmission.sin1")]
 
@@ -479,8 +489,8 @@ def waving(chain: Chain, rows: Measurements) -> Measurements:
 @pytest.mark.usefixtures("trainers")
 def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
     rows = waving(chain, simulated(chain, ["joint-offset"], Setup()))
-    climbed = select_model(chain, rows, Setup(), 0)
-    found = rungs(climbed)
+    selected = select_model(chain, rows, Setup(), 0)
+    found = rungs(selected)
     assert list(found) == [*RUNGS, "+ lazy", "+ wrong", "+ right"]
     below = ("joint-offset",)
     for name in ("lazy", "wrong", "right"):
@@ -488,30 +498,30 @@ def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
         assert (rung.learned, rung.parameters) == (name, below)
     assert found["+ lazy"].reason == "it has no mind to learn"
     assert not found["+ wrong"].helps and not found["+ wrong"].reason
-    assert kept(climbed) is found["+ right"] and kept(climbed).helps
-    assert kept(climbed).score < 0.3 * found["joint offset"].score
-    assert climbed.setup.learned == "right"
-    learned = climbed.trained.problem.error.learned
+    assert kept(selected) is found["+ right"] and kept(selected).helps
+    assert kept(selected).score < 0.3 * found["joint offset"].score
+    assert selected.model.fit.problem.setup.learned == "right"
+    learned = selected.model.problem.error.learned
     assert isinstance(learned, LearnedCorrection)
     assert isinstance(learned.model, Wave) and learned.model.size == 5e-4
     # Its errors on unseen rows, not those of the parameters alone.
-    after = np.concatenate([part.after for part in climbed.unseen])
+    after = np.concatenate([part.after for part in selected.parts])
     mean = np.linalg.norm(after, axis=1).mean()
-    assert kept(climbed).errors[0][2] == pytest.approx(mean)
+    assert kept(selected).errors[0][2] == pytest.approx(mean)
     assert mean < 0.3 * found["joint offset"].errors[0][2]
 
 
 @pytest.mark.usefixtures("trainers")
 def test_what_need_not_be_learned_is_not(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup())
-    climbed = select_model(chain, rows, Setup(learned="right"), 0)
+    selected = select_model(chain, rows, Setup(learned="right"), 0)
     # Only what the setup asks for is tried.
-    assert list(rungs(climbed)) == [*RUNGS, "+ right"]
-    assert kept(climbed).name == "geometric"
-    assert climbed.setup.learned is None
-    assert climbed.trained.problem.error.learned is None
-    assert not rungs(climbed)["+ right"].helps
-    assert rungs(climbed)["+ right"].parameters == ("placement",)
+    assert list(rungs(selected)) == [*RUNGS, "+ right"]
+    assert kept(selected).name == "geometric"
+    assert selected.model.fit.problem.setup.learned is None
+    assert selected.model.problem.error.learned is None
+    assert not rungs(selected)["+ right"].helps
+    assert rungs(selected)["+ right"].parameters == ("placement",)
 
 
 @pytest.mark.usefixtures("trainers")

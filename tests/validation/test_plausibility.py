@@ -83,7 +83,7 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
     theta = np.zeros(len(problem.parameters))
     problem = problem.register(theta)
     _, J = problem.linearize_rows(theta)
-    places = {screw.parameter.name: screw.place for screw in problem.error.screws}
+    places = {screw.parameter.name: screw.frame for screw in problem.error.screws}
     direction = np.zeros(len(theta))
     for k, name in enumerate(problem.parameters.names):
         if ".placement." in name and name[-2:] in (".x", ".y", ".z"):

@@ -23,7 +23,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.observations import PART
 from calib_pin.setup import AnchorSetup, Setup
-from calib_pin.validation.splits import folds
+from calib_pin.validation.splits import Grouping, folds
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
@@ -280,7 +280,7 @@ def test_folds_keep_stretches_together() -> None:
     rng = stream(0, 1)
     rows = job.measured(rng, q=defects.path(job, rng, 150))
     fitted = fit(make_problem(job.chain, rows, job.setup), np.random.default_rng(0))
-    masks = folds(rows, fitted, 0)
+    masks = folds(Grouping.of(rows, job.setup), fitted, 0)
     # A fold of random rows would have about 24 stretches of its 30 rows.
     for mask in masks:
         assert np.abs(np.diff(mask.astype(int))).sum() <= 8

@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections import Counter
 from collections.abc import Iterator
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import comb
 
 import numpy as np
@@ -17,20 +17,29 @@ from calib_pin.observations import AT, PART
 
 __all__ = ["causes"]
 
-MOST = 0.7
-"""Share of the rows of a target that must be out to blame the target."""
 
-FEW = 3
-"""Rows below which a share says nothing."""
+@dataclass(frozen=True)
+class CauseOptions:
+    """Limits from which outliers share a cause.
 
-CHANCE = 0.01
-"""Probability that so long a stretch comes about by chance."""
+    Attributes:
+        largest_share: Share of the rows of a target that must be out to blame the
+            target.
+        few: Rows below which a share says nothing.
+        chance: Probability that so long a stretch comes about by chance.
+        pairs: Rows among which exchanged pairs are sought; with more, that is not
+            the trouble.
+        fits: Part of its own size that the residual of an exchanged value may have.
+    """
 
-PAIRS = 100
-"""Rows among which exchanged pairs are sought; with more, that is not the trouble."""
+    largest_share: float = 0.7
+    few: int = 3
+    chance: float = 0.01
+    pairs: int = 100
+    fits: float = 0.2
 
-FITS = 0.2
-"""Part of its own size that the residual of an exchanged value may have."""
+
+OPTIONS = CauseOptions()
 
 
 def causes(
@@ -74,7 +83,10 @@ def _targets(
         return
     for name, number in lost.items():
         others = (int(out.sum()) - number) / max(len(target) - counts[name], 1)
-        if number >= max(FEW, MOST * counts[name]) and others < 0.5 * MOST:
+        if (
+            number >= max(OPTIONS.few, OPTIONS.largest_share * counts[name])
+            and others < 0.5 * OPTIONS.largest_share
+        ):
             rows = [k for k in np.flatnonzero(out).tolist() if target[k] == name]
             yield rows, f"target {name}"
 
@@ -88,14 +100,14 @@ def _places(
     counts, lost = Counter(place.tolist()), Counter(place[out].tolist())
     name, number = lost.most_common(1)[0]
     share, total = counts[name] / len(place), int(out.sum())
-    if not name or len(counts) < 2 or number < max(FEW, 0.5 * total):
+    if not name or len(counts) < 2 or number < max(OPTIONS.few, 0.5 * total):
         return
     # Binomial: so many there if it were a place like the others.
     chance = sum(
         comb(total, k) * share**k * (1.0 - share) ** (total - k)
         for k in range(number, total + 1)
     )
-    if chance < CHANCE:
+    if chance < OPTIONS.chance:
         yield np.flatnonzero(out & (place == name)).tolist(), f"place {name}"
 
 
@@ -115,7 +127,11 @@ def _stretches(
         # Rows of one configuration are out together anyway.
         length = len(np.unique(labels[rows]))
         one_file = len({data.files[row] for row in rows}) == 1
-        if one_file and length >= FEW and len(out) * share**length < CHANCE:
+        if (
+            one_file
+            and length >= OPTIONS.few
+            and len(out) * share**length < OPTIONS.chance
+        ):
             yield rows, _lines(problem, rows)
 
 
@@ -147,7 +163,7 @@ def _exchanged(
 ) -> Iterator[tuple[list[int], str]]:
     """Pairs of rows each of which fits what was measured in the other."""
     rows, data = np.flatnonzero(out), problem.data
-    if not 2 <= len(rows) <= PAIRS or problem.measurement.contact:
+    if not 2 <= len(rows) <= OPTIONS.pairs or problem.measurement.contact:
         return
     i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
     names = np.array(data.target)
@@ -165,7 +181,7 @@ def _exchanged(
         with np.errstate(invalid="ignore", over="ignore"):
             r = problem.measurement.residual(T, instrument, there) / sigma
             size = np.sqrt(np.where(np.isfinite(sigma), r**2, 0.0).sum(axis=1))
-        sizes.append(size < FITS * own[a])
+        sizes.append(size < OPTIONS.fits * own[a])
     for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():
         a, b = int(i[k]), int(j[k])
         yield [a], f"exchanged with {data.place(b)}"

@@ -10,7 +10,7 @@ to it.
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from math import ceil
 
 import numpy as np
@@ -22,18 +22,29 @@ from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["consensus"]
 
-TRIALS = 30
-"""Most subsets; one in ten is free of spoiled configurations if four of ten are."""
 
-SAME = 0.5
-"""Relative difference in squares of two that agree: a nominal robot's errors make many
-minima close to the right one, and the wrong ones are far off."""
+@dataclass(frozen=True)
+class ConsensusOptions:
+    """Limits of the search for a consensus.
 
-ROWS = 200
-"""Rows that are looked at; more do not make a better start."""
+    Attributes:
+        trials: Most subsets; one in ten is free of spoiled configurations if four
+            of ten are.
+        same: Relative difference in squares of two that agree: a nominal robot's
+            errors make many minima close to the right one, and the wrong ones are
+            far off.
+        measurements: Measurements that are looked at; more do not make a better start.
+        concentrations: Steps from a subset to its better half: the weights that
+            follow do the rest.
+    """
 
-CONCENTRATIONS = 1
-"""Steps from a subset to its better half: the weights that follow do the rest."""
+    trials: int = 30
+    same: float = 0.5
+    measurements: int = 200
+    concentrations: int = 1
+
+
+OPTIONS = ConsensusOptions()
 
 
 def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
@@ -45,15 +56,15 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         problem: The problem, with the robot at nominal.
         rng: Random generator of the subsets.
     """
-    few = replace(problem, data=problem.data.sample(ROWS))
+    few = replace(problem, data=problem.data.sample(OPTIONS.measurements))
     targets = _targets(few)
     size = _subset(few, len(targets))
     best, least = problem, np.inf
-    for _ in range(TRIALS):
+    for _ in range(OPTIONS.trials):
         about, total = _concentrated(few, _drawn(few, targets, size, rng), targets)
         if about is None:
             continue
-        agree = abs(total - least) <= SAME * least < np.inf
+        agree = abs(total - least) <= OPTIONS.same * least < np.inf
         if total < least:
             best, least = about, total
         if agree:
@@ -77,7 +88,7 @@ def _concentrated(
     """
     theta = np.zeros(len(problem.parameters))
     about, total = None, np.inf
-    for _ in range(1 + CONCENTRATIONS):
+    for _ in range(1 + OPTIONS.concentrations):
         try:
             found = replace(problem, data=problem.data.rows(rows)).register(theta)
         except (CalibPinError, np.linalg.LinAlgError):

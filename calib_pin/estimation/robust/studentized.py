@@ -19,6 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.estimation.directions import inverse_root
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
@@ -152,14 +153,8 @@ def studentized(
     )
     own = A[: finite.size].reshape(count, size, -1)
     own[bad] = 0.0
-    fitted = (
-        own[accepted].reshape(accepted.sum() * size, A.shape[1]),
-        A[finite.size :],
-    )
-    R = np.linalg.qr(np.concatenate(fitted), mode="r")
-    _, s, Vt = np.linalg.svd(R, full_matrices=False)
-    kept = s > 1e-12 * s.max(initial=0.0)
-    B = own @ (Vt[kept].T / s[kept])
+    fitted = own[accepted].reshape(accepted.sum() * size, A.shape[1])
+    B = own @ inverse_root(np.concatenate([fitted, A[finite.size :]]))
     r, counts = np.where(bad, 0.0, r), finite.astype(float)
     labels = problem.data.groups()
     order = np.argsort(labels, kind="stable")

@@ -23,7 +23,7 @@ about it until it stands.
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -47,60 +47,62 @@ __all__ = ["LOSSES", "robustly"]
 LOSSES = ("auto", "squared", "huber", "gnc")
 """Names of the losses."""
 
-CHANCE = 1e-5
-"""Probability, with normal noise, that one of all good configurations is set aside.
 
-What no parameter describes, gears and compliance, has more than a normal distribution
-beyond four or five deviations: with 0.01 TIAGo loses a good configuration of 37 and
-gains 16 % of error on others. Of one component in a hundred this is 5.3 deviations."""
+@dataclass(frozen=True)
+class RobustOptions:
+    """Limits of what is set aside, and of the search for it.
 
-DOUBT = 0.01
-"""The same where noise is all there is, as rows state it."""
+    Attributes:
+        chance: Probability, with normal noise, that one of all good configurations
+            is set aside. What no parameter describes, gears and compliance, has
+            more than a normal distribution beyond four or five deviations: with
+            0.01 TIAGo loses a good configuration of 37 and gains 16 % of error on
+            others. Of one component in a hundred this is 5.3 deviations.
+        stated_chance: The same where noise is all there is, as measurements state
+            it.
+        spoiled: Root mean square by robust scale from which few carry much of
+            chi-square. With normal noise and forty configurations of one component
+            it is above once in ten jobs; real robots, with tails, have up to 1.1.
+        held: Scale, in stated deviations, up to which there is no more than noise.
+        cut: Probability of a good configuration beyond c while the solution is
+            sought.
+        bent: Probability of a good configuration beyond where Huber's loss bends.
+        breakdown: Share of configurations beyond which those set aside may as well
+            be the right ones. Medians hold up to one half; with four of ten spoiled
+            a few good ones may go as well.
+        size: Expected errors of the robot while the solution is sought, in scales:
+            it holds what measurements do not tell, and hardly anything else.
+        largest_share: Largest share of configurations that a scale is taken from
+            while it is sought.
+        longest_step: Longest step of a frame or an instrument [m, rad], for steps
+            are not damped.
+        rounding: Part of the largest eigenvalue that rounding leaves.
+        steps: Most weighted steps; 12 are usual.
+        still: Largest change of a weight after which they stand.
+        polish: Steps to the solution of accepted configurations, a redescending one
+            away.
+        rounds: Most decisions about which configurations are accepted; two are
+            usual.
+    """
 
-SPOILED = 1.2
-"""Root mean square by robust scale from which few carry much of chi-square.
+    chance: float = 1e-5
+    stated_chance: float = 0.01
+    spoiled: float = 1.2
+    held: float = 1.3
+    cut: float = 0.01
+    bent: float = 0.1
+    breakdown: float = 0.45
+    size: float = 5.0
+    largest_share: float = 0.8
+    longest_step: float = 0.5
+    rounding: float = 1e-13
+    steps: int = 40
+    still: float = 0.01
+    polish: int = 2
+    rounds: int = 8
 
-With normal noise and forty configurations of one component it is above once in ten
-jobs; real robots, with tails, have up to 1.1."""
 
-HELD = 1.3
-"""Scale, in stated deviations, up to which there is no more than noise."""
-
-CUT = 0.01
-"""Probability of a good configuration beyond c while the solution is sought."""
-
-BENT = 0.1
-"""Probability of a good configuration beyond where Huber's loss bends."""
-
-BREAKDOWN = 0.45
-"""Share of configurations beyond which those set aside may as well be the right ones.
-
-Medians hold up to one half; with four of ten spoiled a few good ones may go as well."""
-
-SIZE = 5.0
-"""Expected errors of the robot while the solution is sought, in scales: it holds what
-the rows do not tell, and hardly anything else."""
-
-MOST = 0.8
-"""Largest share of configurations that a scale is taken from while it is sought."""
-
-LONGEST = 0.5
-"""Longest step of a frame or an instrument [m, rad], for steps are not damped."""
-
-ROUNDING = 1e-13
-"""Part of the largest eigenvalue that rounding leaves."""
-
-STEPS = 40
-"""Most weighted steps; 12 are usual."""
-
-STILL = 0.01
-"""Largest change of a weight after which they stand."""
-
-POLISH = 2
-"""Steps to the solution of accepted configurations, a redescending one away."""
-
-ROUNDS = 8
-"""Most decisions about which configurations are accepted; two are usual."""
+OPTIONS = RobustOptions()
 
 
 def robustly(
@@ -137,7 +139,7 @@ def robustly(
     if loss == "huber":
         return _bent(problem, squared, weight, fit_once)
     accepted = _selected(about, theta, weight)
-    for _ in range(ROUNDS):
+    for _ in range(OPTIONS.rounds):
         if not _enough(squared, accepted):
             return replace(plain(), disagreement=float(1.0 - accepted.mean()))
         if accepted.all():
@@ -182,8 +184,10 @@ def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
         found: Residuals about a fit.
         scale: Their scale by quantity, shape (Q,).
     """
-    stated = bool((scale <= HELD * found.least).all())
-    tail = (DOUBT if stated else CHANCE) / max(len(found.squares), 1)
+    stated = bool((scale <= OPTIONS.held * found.least).all())
+    tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
+        len(found.squares), 1
+    )
     return np.asarray(found.statistic(scale) <= found.limit(tail))
 
 
@@ -203,7 +207,10 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     much is left that they may hide.
     """
     every = np.ones(len(found.squares), bool)
-    if not _passed(found, scale).all() or (found.scale(every) > SPOILED * scale).any():
+    if (
+        not _passed(found, scale).all()
+        or (found.scale(every) > OPTIONS.spoiled * scale).any()
+    ):
         return True
     problem = fitted.problem
     for k, quantity in enumerate(problem.measurement.quantities):
@@ -216,7 +223,7 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
 
 def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
     """Whether the accepted configurations are a majority that determines the robot."""
-    if 1.0 - accepted.mean() > BREAKDOWN:
+    if 1.0 - accepted.mean() > OPTIONS.breakdown:
         return False
     return _weighted(squared.problem, accepted).distinct_values > squared.rank
 
@@ -239,7 +246,7 @@ def _sought(
     """
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
-    expected = Expected(np.eye(len(parameters))[:, robot], SIZE)
+    expected = Expected(np.eye(len(parameters))[:, robot], OPTIONS.size)
     every = replace(
         consensus(_plain(problem), rng), expected=expected, units=np.zeros(0)
     )
@@ -247,13 +254,13 @@ def _sought(
     theta, weight = np.zeros(len(parameters)), np.zeros(0)
     # A model of p parameters meets p values exactly, so more than half must count
     # (Rousseeuw and Leroy, Robust regression, 1987, theorem 6 of chapter 3).
-    share = min(0.5 * (1.0 + (rank + 1) / few.values), MOST)
-    for _ in range(STEPS):
+    share = min(0.5 * (1.0 + (rank + 1) / few.values), OPTIONS.largest_share)
+    for _ in range(OPTIONS.steps):
         r, J = few.linearize_rows(theta)
         found = _unfitted(few, r)
         scale = found.robust_scale(share)
         before, weight = weight, _weights(found, scale, loss)
-        if len(before) and np.abs(weight - before).max() < STILL:
+        if len(before) and np.abs(weight - before).max() < OPTIONS.still:
             break
         rows = np.sqrt(weight)[found.labels][:, None] / scale[found.columns]
         theta = theta + _step(few, r, J, rows)
@@ -267,8 +274,8 @@ def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
     squares = found.statistic(scale)
     if loss == "huber":
         with np.errstate(divide="ignore"):
-            return np.minimum(1.0, np.sqrt(found.limit(BENT) / squares))
-    cut = found.limit(CUT)
+            return np.minimum(1.0, np.sqrt(found.limit(OPTIONS.bent) / squares))
+    cut = found.limit(OPTIONS.cut)
     return np.asarray((cut / (squares + cut)) ** 2)
 
 
@@ -291,11 +298,13 @@ def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
     A = np.concatenate([weight[used, None] * J[used], J[count:]]) @ basis
     b = np.concatenate([weight[used] * r[used], r[count:]])
     eigenvalues, V = np.linalg.eigh(A.T @ A)
-    kept = eigenvalues > ROUNDING * eigenvalues[-1]
+    kept = eigenvalues > OPTIONS.rounding * eigenvalues[-1]
     along = V[:, kept].T @ (A.T @ b) / eigenvalues[kept]
     step = -(basis @ (V[:, kept] @ along))
     longest = np.abs(step[parameters.nuisance]).max(initial=0.0)
-    return np.asarray(step * min(1.0, LONGEST / max(longest, LONGEST)))
+    return np.asarray(
+        step * min(1.0, OPTIONS.longest_step / max(longest, OPTIONS.longest_step))
+    )
 
 
 def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.bool_]:
@@ -310,15 +319,15 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
     basis = np.diag(parameters.scales)[:, parameters.free]
     # There the weight of Geman and McClure is where z is c.
     accepted = weight >= 0.25
-    for _ in range(ROUNDS):
-        if accepted.mean() < 1.0 - BREAKDOWN:
+    for _ in range(OPTIONS.rounds):
+        if accepted.mean() < 1.0 - OPTIONS.breakdown:
             break
         rows = accepted[problem.data.groups()]
         held = _weighted(problem, accepted)
         if held.many:
             held = replace(held, data=held.data.sample(SAMPLE))
         alike = np.ones((len(held.data), held.components))
-        for _ in range(POLISH):
+        for _ in range(OPTIONS.polish):
             theta = theta + _step(held, *held.linearize_rows(theta), alike)
         found = studentized(problem, theta, basis, rows)
         scale = _scale(found, accepted)

@@ -1,31 +1,27 @@
-"""Folds, unseen rows, and what a residual model is given to learn from."""
+"""Folds, places, and errors of measurements that were not fitted."""
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, replace
-from typing import Any, Literal, Self
+from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import calib_pin
-from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fit import Fit, fit
+from calib_pin.estimation.fitted_model import fit_model
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.observations import Measurements
 from calib_pin.progress import portion
-from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
-from calib_pin.validation.splits import FOLDS, folds, places, validation_name
-from calib_pin.validation.training import cross_validate, train, training_rows
+from calib_pin.validation import splits
+from calib_pin.validation.held_out import cross_validate
+from calib_pin.validation.model_errors import fitted_errors, model_errors
+from calib_pin.validation.splits import FOLDS, Grouping, places
 
-Measured = Callable[..., Problem]
-
-RELATIVE = "relative-distance"
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
 
@@ -47,11 +43,15 @@ def measured_rows(
 # Folds.
 
 
+def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+    return splits.folds(Grouping.of(rows, fitted.problem.setup), fitted, seed)
+
+
 @pytest.mark.parametrize("seed", [0, 1])
 @pytest.mark.parametrize("repeats", [1, 4])
 def test_repetitions_stay_together(repeats: int, seed: int) -> None:
     chain, rows = measured_rows(repeats=repeats, count=43)
-    masks = folds(rows, train(chain, rows, SETUP, 0).fit, seed)
+    masks = folds(rows, fit_model(chain, rows, SETUP, 0).fit, seed)
     assert len(masks) == FOLDS
     np.testing.assert_array_equal(np.sum(masks, axis=0), 1)
     configurations = [
@@ -64,7 +64,7 @@ def test_repetitions_stay_together(repeats: int, seed: int) -> None:
 
 def test_folds_are_drawn_by_the_seed() -> None:
     chain, rows = measured_rows()
-    fitted = train(chain, rows, SETUP, 0).fit
+    fitted = fit_model(chain, rows, SETUP, 0).fit
     first, again, other = (np.array(folds(rows, fitted, seed)) for seed in (3, 3, 4))
     assert np.array_equal(first, again)
     assert not np.array_equal(first, other)
@@ -74,15 +74,15 @@ def test_few_configurations_have_no_folds() -> None:
     """What is fitted without a part must still determine the robot."""
     chain, rows = measured_rows()
     labels = rows.groups()
-    rank = train(chain, rows, SETUP, 0).fit.structure.rank
+    rank = fit_model(chain, rows, SETUP, 0).fit.structure.rank
     # So many configurations that four parts of five hold more values than that.
     enough = next(n for n in range(5, 40) if 3 * (n - -(-n // 5)) > rank)
     for count, expected in ((enough - 1, 0), (enough, FOLDS), (4, 0)):
         some = rows.rows(labels < count)
-        assert len(folds(some, train(chain, some, SETUP, 0).fit, 0)) == expected
+        assert len(folds(some, fit_model(chain, some, SETUP, 0).fit, 0)) == expected
     # Repetitions do not help.
     thrice = rows.rows(np.repeat(np.flatnonzero(labels < enough - 1), 3))
-    assert not folds(thrice, train(chain, thrice, SETUP, 0).fit, 0)
+    assert not folds(thrice, fit_model(chain, thrice, SETUP, 0).fit, 0)
 
 
 def test_every_plane_stays_in_every_part() -> None:
@@ -188,9 +188,10 @@ def in_sockets() -> tuple[Chain, Measurements]:
 
 def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Measurements]) -> None:
     chain, rows = in_sockets
-    fitted = train(chain, rows, IN_SOCKETS, 0).fit
+    fitted = fit_model(chain, rows, IN_SOCKETS, 0).fit
     masks = folds(rows, fitted, 0)
-    assert validation_name(rows, IN_SOCKETS, masks) == "leave-one-place-out"
+    name = Grouping.of(rows, IN_SOCKETS).validation_name(len(masks))
+    assert name == "leave-one-place-out"
     left_out = [
         {name[:-2] for name, left in zip(rows.target, mask, strict=True) if left}
         for mask in masks
@@ -220,18 +221,17 @@ def test_names_of_a_validation(
     if "position" in model:
         targets = ["position:", *(f"fixed-point:{name}" for name in targets)]
     rows = at_places(*targets, model=model)
-    masks = [np.zeros(len(rows), bool)] * count
-    assert validation_name(rows, Setup(), masks) == expected
+    assert Grouping.of(rows, Setup()).validation_name(count) == expected
 
 
 def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) -> None:
     """They are where their rows put them, and their distance is there to be found."""
     chain, rows = in_sockets
     of_back = np.array([name.startswith("back") for name in rows.target])
-    trained = train(chain, rows.rows(~of_back), IN_SOCKETS, 0)
+    trained = fit_model(chain, rows.rows(~of_back), IN_SOCKETS, 0)
     known = [feature.name for feature in trained.problem.measurement.features]
     assert set(known) == set(SOCKETS) - {"back/0", "back/1"}
-    unseen = trained.unseen(rows.rows(of_back), np.flatnonzero(of_back))
+    unseen = model_errors(trained, rows.rows(of_back), np.flatnonzero(of_back))
     np.testing.assert_array_equal(unseen.positions, np.flatnonzero(of_back))
     sizes = [np.linalg.norm(e, axis=1).mean() for e in (unseen.before, unseen.after)]
     # The noise of 50 um in three directions, against offsets of 3 mrad.
@@ -246,12 +246,15 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) ->
     assert (distance.value, distance.sigma) == (0.05, 1e-5)
     assert abs(distance.found - 0.05) < 1e-4 < abs(distance.nominal - 0.05)
     # Those that were fitted are told of with the fit.
-    fitted = {d.between[0]: d for d in trained.distances}
+    fitted = {
+        d.between[0]: d for d in fitted_errors(trained, rows.rows(~of_back)).distances
+    }
     assert set(fitted) == {"front/0", "left/0"}
     for d in fitted.values():
         assert d.fitted and abs(d.found - 0.05) < 3e-5
     # A row of a fitted socket has its place, whatever it says.
-    seen = trained.unseen(rows.rows(~of_back))
+    of_others = np.flatnonzero(~of_back)
+    seen = model_errors(trained, rows.rows(~of_back), of_others)
     assert seen.distances == ()
     errors = trained.fit.problem.errors(trained.fit.theta)
     np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
@@ -268,7 +271,11 @@ def test_a_known_distance_to_a_new_socket_fits_nothing(
         distances=(*FIFTY[:2], DistanceSetup(("back/0", "back/1"), 0.07, 1e-7)),
     )
     right, other = (
-        train(chain, rows.rows(~of_back), setup, 0).unseen(rows.rows(of_back))
+        model_errors(
+            fit_model(chain, rows.rows(~of_back), setup, 0),
+            rows.rows(of_back),
+            np.flatnonzero(of_back),
+        )
         for setup in (IN_SOCKETS, wrong)
     )
     np.testing.assert_array_equal(right.after, other.after)
@@ -280,7 +287,7 @@ def test_a_known_distance_to_a_new_socket_fits_nothing(
 
 def test_unseen_rows_are_not_fitted() -> None:
     chain, rows = measured_rows(repeats=2)
-    alike = train(chain, rows, SETUP, 0).fit
+    alike = fit_model(chain, rows, SETUP, 0).fit
     masks = folds(rows, alike, 0)
     parts = list(cross_validate(chain, rows, SETUP, masks, 0, alike))
     positions = np.concatenate([part.positions for part in parts])
@@ -299,7 +306,7 @@ def test_unseen_rows_are_not_fitted() -> None:
 
 def test_progress_of_a_cross_validation() -> None:
     chain, rows = measured_rows()
-    alike = train(chain, rows, SETUP, 0).fit
+    alike = fit_model(chain, rows, SETUP, 0).fit
     masks = folds(rows, alike, 0)
     told: list[tuple[str, float]] = []
 
@@ -321,151 +328,3 @@ def test_a_portion_never_goes_back() -> None:
         part(done)
     np.testing.assert_allclose(told, [0.2, 0.4, 0.4, 0.6, 0.6])
     assert portion(None, 0.0, 1.0) is None
-
-
-# What is learned from.
-
-
-FREE = ("position", "pose", "plane-distance")
-"""Models whose rows need not name anything."""
-
-KINDS = ["placement", "transmission"]
-
-
-@pytest.mark.parametrize("space", ["joint", "tip"])
-@pytest.mark.parametrize("model", FREE)
-def test_derivatives_of_training_rows(
-    model: str, space: str, special_chain: Chain, measured: Measured, framed: Setup
-) -> None:
-    geared = {"gear_ratios": framed.gear_ratios}
-    check_training_rows(measured(special_chain, model, KINDS, 5, **geared), space)
-
-
-@pytest.mark.parametrize("space", ["joint", "tip"])
-@pytest.mark.parametrize("model", sorted({*MEASUREMENT_MODELS} - {*FREE, RELATIVE}))
-def test_derivatives_with_named_points_and_places(
-    model: str, space: str, measured: Measured
-) -> None:
-    """On one chain: what a model adds knows nothing of the chain."""
-    chain = calib_pin.load_chain("space6")
-    check_training_rows(measured(chain, model, KINDS, 5), space)
-
-
-def check_training_rows(problem: Problem, space: str) -> None:
-    rng = np.random.default_rng(4)
-    theta = 0.02 * rng.normal(size=len(problem.parameters))
-    directions = rng.normal(size=(len(problem.error.screws), 3))
-    rows = training_rows(problem, theta, directions)
-    assert rows.shifts == 3
-    np.testing.assert_array_equal(rows.q, problem.data.q)
-    np.testing.assert_array_equal(rows.groups, problem.data.groups())
-    chain = problem.error.chain
-    np.testing.assert_array_equal(rows.revolute, chain.revolute)
-    call = rows.by_joint if space == "joint" else rows.by_tip
-    size = len(chain.joints) if space == "joint" else 6
-    correction, shift = np.zeros((5, size)), 0.01 * rng.normal(size=3)
-    if space == "joint":
-        # Twists of the tip do not add up; their derivative is that at zero.
-        correction = 0.02 * rng.normal(size=(5, size))
-    at = call(correction, shift)
-    step = 1e-6
-
-    def difference(by_correction: Floats, by_shift: Floats) -> Floats:
-        ahead, behind = (
-            call(correction + s * by_correction, shift + s * by_shift).residual
-            for s in (step, -step)
-        )
-        return np.asarray((ahead - behind) / (2.0 * step))
-
-    still = np.zeros_like(correction), np.zeros(3)
-    for k in range(size):
-        found = difference(np.tile(np.eye(size)[k], (5, 1)), still[1])
-        largest = np.abs(at.by_correction).max()
-        np.testing.assert_allclose(
-            at.by_correction[:, :, k], found, rtol=0, atol=2e-7 * largest
-        )
-    for k in range(3):
-        found = difference(still[0], np.eye(3)[k])
-        largest = np.abs(at.by_shift).max()
-        np.testing.assert_allclose(
-            at.by_shift[:, :, k], found, rtol=0, atol=2e-7 * largest
-        )
-    # Nothing learned leaves the residual of the problem.
-    plain = call(*still).residual
-    expected = problem.errors(theta) / problem.sigma
-    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
-
-
-@dataclass(frozen=True)
-class Steps:
-    """A correction of all joints by one number."""
-
-    size: float
-    shift: Floats
-    space: Literal["joint", "tip"] = "joint"
-
-    @property
-    def region(self) -> Self:
-        return self
-
-    def weight(self, q: Floats) -> Floats:
-        return np.ones(len(q))
-
-    def __call__(self, q: Floats) -> Floats:
-        return np.full_like(q, self.size)
-
-
-class Memory:
-    """A residual model that remembers what it was given."""
-
-    def __init__(self) -> None:
-        self.rows: list[TrainingRows] = []
-        self.draws: list[float] = []
-
-    def __call__(
-        self, rows: TrainingRows, rng: np.random.Generator, *, progress: Any = None
-    ) -> Steps:
-        self.rows.append(rows)
-        self.draws.append(rng.random())
-        return Steps(0.001, np.zeros(rows.shifts))
-
-
-@pytest.fixture
-def memory(monkeypatch: pytest.MonkeyPatch) -> Memory:
-    result = Memory()
-    monkeypatch.setitem(RESIDUAL_MODELS, "memory", result)  # type: ignore[arg-type]
-    return result
-
-
-def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
-    chain, rows = measured_rows()
-    plain = train(chain, rows, SETUP, 3)
-    learned = train(chain, rows, replace(SETUP, learned="memory"), 3)
-    np.testing.assert_array_equal(learned.fit.theta, plain.fit.theta)
-    assert learned.fit.problem.error.learned is None
-    # It learned from what the fit has left, about the fitted frames.
-    (given,) = memory.rows
-    # Not those that turn the tool, which no position shows.
-    assert given.shifts == learned.fit.rank
-    zero = np.zeros((len(rows), 6)), np.zeros(given.shifts)
-    sigma = plain.fit.problem.sigma
-    left = plain.fit.problem.errors(plain.fit.theta) / sigma
-    np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
-    # And it predicts.
-    corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
-    found = learned.unseen(rows)
-    before, after = found.before, found.after
-    np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
-    np.testing.assert_array_equal(before, plain.unseen(rows).before)
-
-
-def test_each_part_learns_without_the_others(memory: Memory) -> None:
-    chain, rows = measured_rows(repeats=2)
-    setup = replace(SETUP, learned="memory")
-    alike = train(chain, rows, SETUP, 0).fit
-    masks = folds(rows, alike, 0)
-    list(cross_validate(chain, rows, setup, masks, 7, alike))
-    for given, mask in zip(memory.rows, masks, strict=True):
-        np.testing.assert_array_equal(given.q, rows.q[~mask])
-    # The same seed in all of them.
-    assert len(set(memory.draws)) == 1

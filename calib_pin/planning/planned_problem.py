@@ -1,0 +1,138 @@
+"""The problem that a plan is made for, and what of it can be identified."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.directions import visible_directions, visible_nuisances
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.identifiability import Structure
+from calib_pin.estimation.nominal import register, structure_at
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.rows import assumed_sigma
+from calib_pin.observations import PLUS, Measurements
+from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.workspace import Candidates
+from calib_pin.setup import Setup
+from calib_pin.validation.assessment import registration_reason
+
+__all__ = [
+    "STRUCTURE",
+    "assumes_tool",
+    "identification",
+    "planned_problem",
+    "require_plannable",
+]
+
+BOUND = ("relative-distance", "fixed-point", "plane-contact", "sphere-contact")
+"""Models whose configurations are bound to each other, or to what is touched."""
+
+STRUCTURE = 300
+"""Candidates that show what can be identified at all."""
+
+ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
+"""Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
+
+
+def require_plannable(model: str) -> None:
+    """Refuse models that do not measure one configuration at any pose.
+
+    Raises:
+        OptionError: If it is such a model.
+    """
+    parts = model.split(PLUS)
+    if len(parts) > 1 or model in BOUND:
+        raise OptionError(
+            "configurations are planned for one instrument that measures each of them "
+            "by itself and without contact",
+            value=model,
+            allowed=", ".join(name for name in MEASUREMENT_MODELS if name not in BOUND),
+        )
+
+
+def planned_problem(
+    chain: Chain, model: str, setup: Setup, measured: Measurements | None
+) -> Problem:
+    """The problem about the frames of the setup, or those that rows show."""
+    if measured is not None:
+        problem = make_problem(chain, measured, setup)
+        found, result = register(problem, np.zeros(len(problem.parameters)))
+        if reason := registration_reason(found, result):
+            raise InputError(f"the rows to add to are too few: {reason}")
+        if isinstance(found.measurement, PlaneDistance):
+            # Rows may reach farther than the window that the setup states.
+            window = replace(found.measurement, reach=setup.ranger.range[1])
+            found = replace(found, measurement=window)
+        return found
+    problem = nominal_problem(chain, model, setup)
+    if len(setup.payloads) > 1:
+        heaviest = max(setup.payloads, key=lambda name: setup.payloads[name].mass)
+        problem = replace(problem, error=problem.error.carrying(heaviest))
+    if assumes_tool(problem):
+        error = problem.error
+        problem = replace(problem, error=error.with_frames(error.base, ASSUMED_TOOL))
+    return problem
+
+
+def assumes_tool(problem: Problem) -> bool:
+    """Whether a point on the tool must be assumed where nobody has stated it.
+
+    At the tip itself, on the last axis, it would tell less than a real target does.
+    """
+    tool, measurement = problem.setup.tool_frame, problem.measurement
+    quantities = [quantity.name for quantity in measurement.quantities]
+    unknown = tool.xyz is None and tool.estimate is not False
+    unknown &= measurement.sees_tool and not measurement.targets
+    return unknown and quantities == ["position"]
+
+
+def identification(
+    problem: Problem, candidates: Candidates, measured: Measurements | None = None
+) -> tuple[Structure, IdentificationRows, Floats]:
+    """What can be identified, its rows, and the information that is there already.
+
+    Args:
+        problem: The problem at nominal geometry.
+        candidates: What may be measured; only that can show anything.
+        measured: Rows that are there already.
+
+    Returns:
+        The structure, the rows of configurations in the identifiable subspace, and the
+        information of measured rows and priors in the same columns, shape (m, m).
+    """
+    zero = np.zeros(len(problem.parameters))
+    q, target = candidates.q[:STRUCTURE], candidates.target[:STRUCTURE]
+    if measured is not None:
+        few = measured.sample(STRUCTURE)
+        q, target = np.concatenate([q, few.q]), target + few.target
+    structure, J = structure_at(problem, zero, q, target)
+    nuisances = visible_nuisances(J, problem.parameters)
+    robot = visible_directions(J, problem.parameters)
+    if robot.shape[1] == 0:
+        raise OptionError(
+            "there is nothing of the robot to estimate: every parameter is fixed, or "
+            "none can be seen"
+        )
+    basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
+    rows = IdentificationRows(
+        problem=problem,
+        basis=basis,
+        nuisances=nuisances.shape[1],
+        measurement=problem.measurement,
+        sigma=assumed_sigma(problem.measurement, problem.setup.noise),
+    )
+    if measured is None:
+        # The problem's own rows only name the targets; priors count.
+        U = J[len(q) * problem.components :] @ basis
+    else:
+        _, own = problem.linearize_rows(zero)
+        U = own @ basis
+    return structure, rows, U.T @ U

@@ -1,0 +1,190 @@
+"""What a residual model is given to learn from, and what becomes of its correction."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from typing import Any, Literal, Self
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.fitted_model import fit_model
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.learning import training_rows
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.observations import Measurements
+from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.held_out import cross_validate
+from calib_pin.validation.model_errors import fitted_errors
+from calib_pin.validation.splits import Grouping, folds
+
+Measured = Callable[..., Problem]
+
+RELATIVE = "relative-distance"
+SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
+
+
+def measured_rows(
+    setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
+) -> tuple[Chain, Measurements]:
+    """Positions of `space6`; the readings of a configuration differ by noise."""
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", setup)
+    rng = np.random.default_rng(1)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(
+        problem, truth, rng, count=count, noise=5e-5, repeats=repeats
+    )
+    # Readings of one configuration need not stand side by side.
+    return chain, rows.rows(rng.permutation(len(rows)))
+
+
+FREE = ("position", "pose", "plane-distance")
+"""Models whose rows need not name anything."""
+
+KINDS = ["placement", "transmission"]
+
+
+@pytest.mark.parametrize("space", ["joint", "tip"])
+@pytest.mark.parametrize("model", FREE)
+def test_derivatives_of_training_rows(
+    model: str, space: str, special_chain: Chain, measured: Measured, framed: Setup
+) -> None:
+    geared = {"gear_ratios": framed.gear_ratios}
+    check_training_rows(measured(special_chain, model, KINDS, 5, **geared), space)
+
+
+@pytest.mark.parametrize("space", ["joint", "tip"])
+@pytest.mark.parametrize("model", sorted({*MEASUREMENT_MODELS} - {*FREE, RELATIVE}))
+def test_derivatives_with_named_points_and_places(
+    model: str, space: str, measured: Measured
+) -> None:
+    """On one chain: what a model adds knows nothing of the chain."""
+    chain = calib_pin.load_chain("space6")
+    check_training_rows(measured(chain, model, KINDS, 5), space)
+
+
+def check_training_rows(problem: Problem, space: str) -> None:
+    rng = np.random.default_rng(4)
+    theta = 0.02 * rng.normal(size=len(problem.parameters))
+    directions = rng.normal(size=(len(problem.error.screws), 3))
+    rows = training_rows(problem, theta, directions)
+    assert rows.shifts == 3
+    np.testing.assert_array_equal(rows.q, problem.data.q)
+    np.testing.assert_array_equal(rows.groups, problem.data.groups())
+    chain = problem.error.chain
+    np.testing.assert_array_equal(rows.revolute, chain.revolute)
+    call = rows.by_joint if space == "joint" else rows.by_tip
+    size = len(chain.joints) if space == "joint" else 6
+    correction, shift = np.zeros((5, size)), 0.01 * rng.normal(size=3)
+    if space == "joint":
+        # Twists of the tip do not add up; their derivative is that at zero.
+        correction = 0.02 * rng.normal(size=(5, size))
+    at = call(correction, shift)
+    step = 1e-6
+
+    def difference(by_correction: Floats, by_shift: Floats) -> Floats:
+        ahead, behind = (
+            call(correction + s * by_correction, shift + s * by_shift).residual
+            for s in (step, -step)
+        )
+        return np.asarray((ahead - behind) / (2.0 * step))
+
+    still = np.zeros_like(correction), np.zeros(3)
+    for k in range(size):
+        found = difference(np.tile(np.eye(size)[k], (5, 1)), still[1])
+        largest = np.abs(at.by_correction).max()
+        np.testing.assert_allclose(
+            at.by_correction[:, :, k], found, rtol=0, atol=2e-7 * largest
+        )
+    for k in range(3):
+        found = difference(still[0], np.eye(3)[k])
+        largest = np.abs(at.by_shift).max()
+        np.testing.assert_allclose(
+            at.by_shift[:, :, k], found, rtol=0, atol=2e-7 * largest
+        )
+    # Nothing learned leaves the residual of the problem.
+    plain = call(*still).residual
+    expected = problem.errors(theta) / problem.sigma
+    np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
+
+
+@dataclass(frozen=True)
+class Steps:
+    """A correction of all joints by one number."""
+
+    size: float
+    shift: Floats
+    space: Literal["joint", "tip"] = "joint"
+
+    @property
+    def region(self) -> Self:
+        return self
+
+    def weight(self, q: Floats) -> Floats:
+        return np.ones(len(q))
+
+    def __call__(self, q: Floats) -> Floats:
+        return np.full_like(q, self.size)
+
+
+class Memory:
+    """A residual model that remembers what it was given."""
+
+    def __init__(self) -> None:
+        self.rows: list[TrainingRows] = []
+        self.draws: list[float] = []
+
+    def __call__(
+        self, rows: TrainingRows, rng: np.random.Generator, *, progress: Any = None
+    ) -> Steps:
+        self.rows.append(rows)
+        self.draws.append(rng.random())
+        return Steps(0.001, np.zeros(rows.shifts))
+
+
+@pytest.fixture
+def memory(monkeypatch: pytest.MonkeyPatch) -> Memory:
+    result = Memory()
+    monkeypatch.setitem(RESIDUAL_MODELS, "memory", result)  # type: ignore[arg-type]
+    return result
+
+
+def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
+    chain, rows = measured_rows()
+    plain = fit_model(chain, rows, SETUP, 3)
+    learned = fit_model(chain, rows, replace(SETUP, learned="memory"), 3)
+    np.testing.assert_array_equal(learned.fit.theta, plain.fit.theta)
+    assert learned.fit.problem.error.learned is None
+    # It learned from what the fit has left, about the fitted frames.
+    (given,) = memory.rows
+    # Not those that turn the tool, which no position shows.
+    assert given.shifts == learned.fit.rank
+    zero = np.zeros((len(rows), 6)), np.zeros(given.shifts)
+    sigma = plain.fit.problem.sigma
+    left = plain.fit.problem.errors(plain.fit.theta) / sigma
+    np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
+    # And it predicts.
+    corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
+    found = fitted_errors(learned, rows)
+    before, after = found.before, found.after
+    np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
+    np.testing.assert_array_equal(before, fitted_errors(plain, rows).before)
+
+
+def test_each_part_learns_without_the_others(memory: Memory) -> None:
+    chain, rows = measured_rows(repeats=2)
+    setup = replace(SETUP, learned="memory")
+    alike = fit_model(chain, rows, SETUP, 0).fit
+    masks = folds(Grouping.of(rows, SETUP), alike, 0)
+    list(cross_validate(chain, rows, setup, masks, 7, alike))
+    for given, mask in zip(memory.rows, masks, strict=True):
+        np.testing.assert_array_equal(given.q, rows.q[~mask])
+    # The same seed in all of them.
+    assert len(set(memory.draws)) == 1

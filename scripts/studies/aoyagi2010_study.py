@@ -37,22 +37,7 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibratedModel, CalibrationResult
-
-__all__ = [
-    "COMPLIANCE",
-    "GENETIC",
-    "MODELS",
-    "RANDOM",
-    "Case",
-    "Selection",
-    "Settings",
-    "genetic_set",
-    "noise_floor",
-    "observability",
-    "robot",
-    "study",
-    "truth",
-]
+from studies.shared import summary
 
 MODELS = {
     "nominal": Setup(parameters=()),
@@ -145,6 +130,34 @@ class Case:
     def mean(self, model: str) -> float:
         """Mean error of a model on the verification configurations [m]."""
         return float(self.errors[model].mean())
+
+    def ratio(self, model: str) -> float:
+        """Mean error of a model over the noise floor."""
+        return self.mean(model) / self.floor
+
+    @property
+    def improvement(self) -> float:
+        """Factor by which the network lowers the mean error of geometry alone."""
+        return self.mean("geometric") / self.mean("network")
+
+    def numbers(self) -> dict[str, float]:
+        """The numbers that are written."""
+        errors = {
+            f"{model}_{key}": value
+            for model, distances in self.errors.items()
+            for key, value in summary(distances, "m").items()
+        }
+        return {
+            "O1": self.observability,
+            **errors,
+            "noise_floor_m": self.floor,
+            "noise_floor_spread_m": self.spread,
+            "network_over_floor": self.ratio("network"),
+            "structure_over_floor": self.ratio("structure"),
+            "geometric_over_network": self.improvement,
+            "structure_rank": self.rank,
+            "outside_trained_region": self.outside,
+        }
 
 
 Cases = Mapping[int, Mapping[str, Case]]

@@ -16,16 +16,6 @@ from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Region, Setup
 from studies.klimchik_model import HEAVY, POINTS, robot
 
-__all__ = [
-    "COMPLIANCE",
-    "REACH",
-    "Settings",
-    "configurations",
-    "measure",
-    "task_poses",
-    "truth",
-]
-
 COMPLIANCE = (3e-6, 3e-7, 5e-7, 3e-6, 3.5e-6, 2.5e-6)
 """True compliance of every joint [rad/Nm]."""
 

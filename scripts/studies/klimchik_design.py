@@ -32,16 +32,7 @@ from studies.klimchik_arm import (
     truth,
 )
 from studies.klimchik_model import POINTS, calibrated, robot, setup_of
-
-__all__ = [
-    "DESIGN",
-    "PLANNED",
-    "RANDOM",
-    "Design",
-    "Planned",
-    "at_test_poses",
-    "plan_poses",
-]
+from studies.shared import summary
 
 RANDOM, PLANNED = "random", "planned"
 """The two ways to choose configurations for the test poses."""
@@ -164,6 +155,10 @@ class Planned:
 
     predicted: float
     errors: Floats
+
+    def numbers(self) -> dict[str, float]:
+        """The numbers that are written."""
+        return {"predicted_rms_m": self.predicted} | summary(self.errors, "m")
 
 
 def at_test_poses(

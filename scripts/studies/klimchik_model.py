@@ -22,19 +22,6 @@ from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Setup, SolverSetup
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "HEAVY",
-    "LOADS",
-    "POINTS",
-    "Rank",
-    "calibrated",
-    "irreducible",
-    "others",
-    "ranks",
-    "robot",
-    "setup_of",
-]
-
 POINTS = {
     "point_1": (0.12, 0.0, -0.05),
     "point_2": (-0.06, 0.10, -0.05),

@@ -30,21 +30,7 @@ from calib_pin.validation.result import CalibrationResult
 from studies.klimchik_arm import Settings, configurations, measure, truth
 from studies.klimchik_design import Planned, at_test_poses
 from studies.klimchik_model import LOADS, POINTS, calibrated, robot, setup_of
-
-__all__ = [
-    "BOTH",
-    "GEOMETRY",
-    "MODELS",
-    "Accuracy",
-    "Compliances",
-    "Elastostatics",
-    "Seed",
-    "Turns",
-    "accuracies",
-    "alternating_least_squares",
-    "elastostatics",
-    "study",
-]
+from studies.shared import summary
 
 GEOMETRY, BOTH = "geometry", "geometry + compliance"
 """What is estimated of the robot in the elastostatic part."""
@@ -56,20 +42,20 @@ MODELS: Mapping[str, tuple[str, ...]] = {
 }
 """Errors of the robot by name of the model."""
 
-# --- two steps ---------------------------------------------------------------------
+# --- alternating least squares -----------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Turns:
-    """The joint solve beside the two steps that take turns.
+class Alternation:
+    """The joint solution beside alternating least squares (solver two-step).
 
     Attributes:
         difference: Largest difference of both solutions, in expected sizes of errors.
         cost: Relative difference of their costs.
-        converged: Whether the two steps say that they have converged.
-        steps: Steps of the joint solve.
-        mixed: Largest difference to the joint solution before the turns and after each
-            of them, until it is small or at the limit.
+        converged: Whether the alternation reports convergence.
+        steps: Steps of the joint solution.
+        mixed: Largest difference to the joint solution before the first round and after
+            every round, until it is small or at the limit.
         plain: The same without acceleration.
     """
 
@@ -81,19 +67,19 @@ class Turns:
     plain: tuple[float, ...]
 
 
-def alternating_least_squares(settings: Settings, rows: Measurements) -> Turns:
-    """Solve for base, points and robot jointly and by turns."""
-    joint, turns = (
+def alternating_least_squares(settings: Settings, rows: Measurements) -> Alternation:
+    """Solve for base, points and robot jointly, and alternating between them."""
+    joint, alternating = (
         fit(
             make_problem(robot(), rows, setup_of(solver=solver)),
             np.random.default_rng(0),
         )
         for solver in ("gauss-newton", "two-step")
     )
-    return Turns(
-        difference=_apart(joint, turns.theta),
-        cost=abs(turns.result.cost / joint.result.cost - 1.0),
-        converged=turns.result.status is Status.CONVERGED,
+    return Alternation(
+        difference=_apart(joint, alternating.theta),
+        cost=abs(alternating.result.cost / joint.result.cost - 1.0),
+        converged=alternating.result.status is Status.CONVERGED,
         steps=descend(joint.problem, joint.directions, joint.before).result.nit,
         mixed=_differences(settings, joint, MEMORY),
         plain=_differences(settings, joint, 0),
@@ -107,15 +93,15 @@ def _differences(settings: Settings, joint: Fit, memory: int) -> tuple[float, ..
     while found[-1] > settings.near and len(found) <= settings.rounds:
         if memory:
             # From the start again: what is mixed is all rounds before.
-            x = _turned(joint, joint.before, len(found), memory)
+            x = _alternated(joint, joint.before, len(found), memory)
         else:
-            x = _turned(joint, x, 1, memory)
+            x = _alternated(joint, x, 1, memory)
         found.append(_apart(joint, x))
     return tuple(found)
 
 
-def _turned(joint: Fit, start: Floats, rounds: int, memory: int) -> Floats:
-    """Where rounds of the two steps lead from a start: frames and points, robot."""
+def _alternated(joint: Fit, start: Floats, rounds: int, memory: int) -> Floats:
+    """Parameters after rounds from a start: first frames and points, then the robot."""
     problem, directions = joint.problem, joint.directions
     scales = problem.parameters.scales[:, None]
     return alternation(
@@ -171,8 +157,20 @@ class Elastostatics:
     compliances: Compliances
 
     def mean(self, model: str, load: str) -> float:
-        """Mean error on unseen configurations [m]."""
+        """Mean error at the validation configurations [m]."""
         return float(self.errors[model][load].mean())
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {
+            "rank": self.rank,
+            "errors": {
+                model: {load: summary(x, "m") for load, x in by_load.items()}
+                for model, by_load in self.errors.items()
+            },
+            "predicted_rms_m": self.predicted,
+            "compliance_rad_per_Nm": self.compliances,
+        }
 
 
 def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics:
@@ -328,13 +326,13 @@ class Seed:
     """What one seed gives.
 
     Attributes:
-        turns: Joint solve and two steps.
+        alternation: Joint solution and alternating least squares.
         elastostatics: With compliances and a payload.
         accuracies: By number of reference points.
         planned: At the test poses, by the choice of configurations.
     """
 
-    turns: Turns
+    alternation: Alternation
     elastostatics: Elastostatics
     accuracies: Mapping[int, Accuracy]
     planned: Mapping[str, Planned]
@@ -360,7 +358,7 @@ def study(settings: Settings, planned: Floats, seed: int) -> Seed:
         repeats=settings.repeats,
     )
     return Seed(
-        turns=alternating_least_squares(settings, rows),
+        alternation=alternating_least_squares(settings, rows),
         elastostatics=elastostatics(settings, of[1]),
         accuracies=accuracies(settings, of[2]),
         planned=at_test_poses(settings, planned, of[3]),

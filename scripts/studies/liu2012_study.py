@@ -31,21 +31,8 @@ from calib_pin.solvers import (
     differential_evolution,
     gauss_newton,
 )
-from calib_pin.solvers.differential_evolution import STRATEGIES
-
-__all__ = [
-    "LEAST_SQUARES",
-    "MUTATIONS",
-    "Case",
-    "Outcome",
-    "Seed",
-    "Settings",
-    "Validation",
-    "aligned",
-    "plane_errors",
-    "solve",
-    "study",
-]
+from calib_pin.solvers.differential_evolution import STRATEGIES, TRADEOFF
+from studies.shared import summary
 
 MUTATIONS = tuple(name for name in STRATEGIES if name != "tradeoff")
 """`tradeoff` is one of the others, and not run twice."""
@@ -133,6 +120,22 @@ class Outcome:
     validation: Validation
     history: Floats
 
+    @property
+    def largest(self) -> float:
+        """Largest distance error on the calibration configurations [m]."""
+        return float(np.abs(self.errors).max())
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {
+            "squares_m2": self.squares,
+            "largest_distance_error_m": self.largest,
+            "validation": {
+                name: summary(values, "rad" if name.startswith("orient") else "m")
+                for name, values in vars(self.validation).items()
+            },
+        }
+
 
 @dataclass(frozen=True)
 class Case:
@@ -160,6 +163,17 @@ class Case:
         """Relative difference of the costs of hybrid and Gauss-Newton."""
         reference = self.fits["gauss-newton"]
         return abs(self.fits["hybrid"] - reference) / reference
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        compared = {name: self[name].errors for name in ("nominal", TRADEOFF)}
+        robots = {"nominal": self.before, "truth": self.truth}
+        return {
+            **robots,
+            **self.outcomes,
+            "distance_errors_m": compared,
+            "fit_cost": self.fits,
+        }
 
 
 @dataclass(frozen=True)

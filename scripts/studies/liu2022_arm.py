@@ -22,16 +22,6 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 from calib_pin.planning.rows import IdentificationRows
 
-__all__ = [
-    "POSES",
-    "PUBLISHED",
-    "Arm",
-    "SpatialTwist",
-    "condition",
-    "conditions",
-    "singular_values",
-]
-
 PUBLISHED = {"hand-picked": "hand_picked.csv", "swarm": "swarm.csv"}
 """The published sets of configurations."""
 

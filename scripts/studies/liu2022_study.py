@@ -22,9 +22,9 @@ import calib_pin
 from calib_pin.control.trajectory import TipErrors, Trajectory, tip_errors, trapezoidal
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.planning import search as planning
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.rows import IdentificationRows, Pullback
-from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers.particle_swarm import ParticleSwarm, particle_swarm
 from studies import shared
@@ -37,24 +37,6 @@ from studies.liu2022_arm import (
     conditions,
     singular_values,
 )
-
-__all__ = [
-    "OURS",
-    "Judgment",
-    "Noisy",
-    "Record",
-    "Settings",
-    "Study",
-    "judge",
-    "linear_step",
-    "motion",
-    "nominal_errors",
-    "optimize",
-    "random_conditions",
-    "study",
-    "swarm",
-    "with_noise",
-]
 
 OURS = "ours"
 """The set that we plan, in which the arm keeps its distance from itself."""
@@ -106,7 +88,7 @@ def random_conditions(arm: Arm, count: int, rng: np.random.Generator) -> Floats:
 
 
 @dataclass(frozen=True)
-class Record:
+class Search:
     """How a search went.
 
     Attributes:
@@ -123,6 +105,10 @@ class Record:
     best: Floats
     seconds: float
 
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {"q_rad": self.q} | {k: x for k, x in vars(self).items() if k != "q"}
+
 
 class Watched:
     """The rows of the published matrix, with a record of what is asked of them.
@@ -134,6 +120,7 @@ class Watched:
     nuisances, differentiable = 0, True
 
     def __init__(self, rows: IdentificationRows) -> None:
+        """Begin with an empty record."""
         self._rows = rows
         self.conditions: list[float] = []
 
@@ -149,7 +136,7 @@ class Watched:
         return rows, pullback
 
 
-def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
+def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
     """Our six configurations: the search of `calib-pin plan` on the published matrix.
 
     Exchange among candidates, then descents by the analytic gradient. The result is
@@ -163,7 +150,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     arm, rng, begun = Arm.load(), np.random.default_rng(seed), perf_counter()
     rows = Watched(arm.rows)
     workspace = Workspace.create(arm.problem, arm.collisions() if avoid else None)
-    search = Search(
+    search = planning.Search(
         rows,
         workspace,
         CRITERIA["condition"],
@@ -178,7 +165,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     q = np.radians(np.round(np.degrees(found.q), 2))
     if not workspace.inside(q, found.target).all():
         q = found.q
-    return Record(
+    return Search(
         q=q,
         condition=condition(arm, q),
         evaluations=np.arange(1.0, len(rows.conditions) + 1.0),
@@ -187,7 +174,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     )
 
 
-def swarm(settings: Settings, seed: int) -> Record:
+def swarm(settings: Settings, seed: int) -> Search:
     """The published search: an improved particle swarm.
 
     Size and length of the published one are lost.
@@ -205,7 +192,7 @@ def swarm(settings: Settings, seed: int) -> Record:
         ParticleSwarm(particles=settings.particles, iterations=settings.iterations),
     )
     history = found.best_history
-    return Record(
+    return Search(
         q=found.x.reshape(POSES, -1),
         condition=float(history[-1]),
         evaluations=np.cumsum(size, dtype=float)[: len(history)],
@@ -348,9 +335,9 @@ class Study:
 
     nominal: TipErrors
     random: Floats
-    ours: Record
-    apart: Record
-    swarms: Sequence[Record]
+    ours: Search
+    apart: Search
+    swarms: Sequence[Search]
     judged: Mapping[str, Judgment]
     noisy: Sequence[Mapping[str, Noisy]]
 
@@ -363,7 +350,7 @@ def study(settings: Settings, seeds: int) -> Study:
         seeds: Number of seeds of the noise; the swarms have no more.
     """
     arm = Arm.load()
-    searches: list[Callable[[], Record]] = [
+    searches: list[Callable[[], Search]] = [
         partial(optimize, settings, 0),
         partial(optimize, settings, 0, avoid=True),
         *(partial(swarm, settings, k) for k in range(min(settings.swarms, seeds))),
@@ -381,5 +368,5 @@ def study(settings: Settings, seeds: int) -> Study:
     )
 
 
-def _run(search: Callable[[], Record]) -> Record:
+def _run(search: Callable[[], Search]) -> Search:
     return search()

@@ -10,7 +10,7 @@ from pathlib import Path
 
 import numpy as np
 
-from calib_pin.control.trajectory import TipErrors
+from calib_pin.control.tip_errors import TipErrors
 from calib_pin.io.measurements import write_configurations
 from calib_pin.kinematics.spatial import Floats
 from studies import shared

@@ -19,7 +19,7 @@ from time import perf_counter
 import numpy as np
 
 import calib_pin
-from calib_pin.control.trajectory import TipErrors, Trajectory, tip_errors, trapezoidal
+from calib_pin.control.tip_errors import TipErrors, tip_errors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.planning import search as planning
@@ -37,6 +37,7 @@ from studies.liu2022_arm import (
     conditions,
     singular_values,
 )
+from studies.trajectory import Trajectory, trapezoidal
 
 OURS = "ours"
 """The set that we plan, in which the arm keeps its distance from itself."""

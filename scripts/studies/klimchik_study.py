@@ -2,9 +2,9 @@
 
 A tracker measures reference points on the tool of a heavy six-joint robot, positions
 only: no orientation is ever measured, and all residuals share one unit. The geometry
-is an irreducible model of 18 parameters, base and tool have six each. Joints give way
-under gravity and a known payload. Configurations are chosen for the accuracy that they
-give at stated test poses.
+is an irreducible model of 18 parameters, base and tool have six each. Joints have
+compliance, loaded by gravity and a known payload. Configurations are chosen for the
+accuracy at stated test poses.
 
 The published robot, its errors and its tables are not available: `heavy6` has lengths
 near those of a KR 270, and all errors are drawn here, seed by seed.
@@ -33,7 +33,7 @@ from studies.klimchik_model import LOADS, POINTS, calibrated, robot, setup_of
 from studies.shared import summary
 
 GEOMETRY, BOTH = "geometry", "geometry + compliance"
-"""What is estimated of the robot in the elastostatic part."""
+"""Models of the elastostatic part."""
 
 MODELS: Mapping[str, tuple[str, ...]] = {
     "nominal": (),
@@ -92,7 +92,7 @@ def _differences(settings: Settings, joint: Fit, memory: int) -> tuple[float, ..
     found = [_apart(joint, x)]
     while found[-1] > settings.near and len(found) <= settings.rounds:
         if memory:
-            # From the start again: what is mixed is all rounds before.
+            # From the start again: the acceleration mixes all rounds before.
             x = _alternated(joint, joint.before, len(found), memory)
         else:
             x = _alternated(joint, x, 1, memory)
@@ -129,9 +129,9 @@ class Compliances:
     """Compliances of the joints, shape (6,) each [rad/Nm].
 
     Attributes:
-        value: Estimates; NaN of joints that nothing loads.
+        value: Estimates; NaN where unobservable.
         sigma: Their standard deviations.
-        unloaded: Standard deviations from the rows without load alone.
+        unloaded: Standard deviations from the measurements without load.
     """
 
     value: Floats
@@ -141,10 +141,10 @@ class Compliances:
 
 @dataclass(frozen=True)
 class Elastostatics:
-    """A robot that gives way, measured with and without a payload.
+    """A robot with joint compliance, measured with and without a payload.
 
     Attributes:
-        errors: Distances of the reference points to the true ones on the unseen
+        errors: Distances of the reference points to the true ones at the validation
             configurations by model and load, shape (3 K,) each [m].
         predicted: Root mean square that noise leaves of them, by load [m].
         rank: Rank of the geometry with the compliances.
@@ -174,7 +174,7 @@ class Elastostatics:
 
 
 def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics:
-    """Measure a robot that gives way, and fit it with and without compliances."""
+    """Measure a robot with joint compliance; fit it with and without compliances."""
     load = settings.load
     problem, theta = truth(rng, settings.length, settings.angle, load)
     rows = measure(
@@ -210,7 +210,7 @@ def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics
 
 
 def _compliances(found: CalibrationResult) -> tuple[Floats, Floats]:
-    """Compliances and standard deviations, NaN where there are none."""
+    """Compliances and standard deviations, NaN where unobservable."""
     of = {p.name: p for p in found.parameters}
     known = [of[f"{joint}.compliance.k"] for joint in robot().joints]
     value = [np.nan if p.sigma is None else p.value for p in known]
@@ -245,7 +245,7 @@ def _noise(found: CalibrationResult, rows: Measurements) -> float:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of the tool frame on unseen configurations, root mean squares.
+    """Errors of the tool frame at validation configurations, root mean squares.
 
     Attributes:
         rank: Rank of the fit.
@@ -253,7 +253,7 @@ class Accuracy:
         orientation: Error of its orientation [rad].
         robot: Both apart from a constant motion of the tool [m, rad].
         predicted: Position and orientation that noise leaves; NaN where a part of the
-            tool frame cannot be told.
+            tool frame is unobservable.
         predicted_robot: The same apart from a constant motion of the tool.
     """
 
@@ -323,7 +323,7 @@ def _rms(errors: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Seed:
-    """What one seed gives.
+    """Results of one seed.
 
     Attributes:
         alternation: Joint solution and alternating least squares.
@@ -342,7 +342,7 @@ def study(settings: Settings, planned: Floats, seed: int) -> Seed:
     """Draw robots and calibrate them in every way.
 
     Args:
-        settings: What is simulated.
+        settings: The settings of the simulation.
         planned: Configurations for the test poses, shape (N, 6).
         seed: Seed of the robots, the random configurations and the noise.
     """

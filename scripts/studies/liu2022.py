@@ -170,7 +170,11 @@ def _combinations(study: Study) -> Table:
         study.judged,
         "our calibration finds the combinations of exact poses",
     )
-    for k, (label, statistic) in enumerate((("mean", np.mean), ("largest", np.max))):
+    statistics: dict[str, Callable[[Floats], float]] = {
+        "mean": np.mean,
+        "largest": np.max,
+    }
+    for k, (label, statistic) in enumerate(statistics.items()):
         step = _by_set(lambda name: statistic(judged[name].linear))  # noqa: B023
         solved = _by_set(lambda name: statistic(judged[name].solved))  # noqa: B023
         noisy = _by_set(

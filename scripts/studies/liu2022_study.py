@@ -1,12 +1,12 @@
-"""Liu Qian et al. 2022, Manned Spaceflight 28(6), 711-719: where to measure an arm.
+"""Liu Qian et al. 2022, Manned Spaceflight 28(6), 711-719: optimal configurations.
 
 Tool poses at six configurations calibrate a seven-joint arm. The link errors have 34
-identifiable sums, so six poses tell hardly more than that: it matters which six. The
-publication picks them by hand, then by a particle swarm that lowers the condition
-number of its 36 x 34 matrix, and takes one linear least-squares step.
+identifiable linear combinations, for which 36 equations hardly suffice: it matters
+which six. The publication picks them by hand, then by a particle swarm that lowers the
+condition number of its 36 x 34 matrix, and takes one linear least-squares step.
 
 The matrix is theirs: twists of the tool in the base frame, lengths in m, angles in rad,
-and 34 of the 48 columns, one for each sum.
+and 34 of the 48 columns, one for each linear combination.
 """
 
 from __future__ import annotations
@@ -40,12 +40,12 @@ from studies.liu2022_arm import (
 from studies.trajectory import Trajectory, trapezoidal
 
 OURS = "ours"
-"""The set that we plan, in which the arm keeps its distance from itself."""
+"""The set that we plan, without self-collision."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is searched and simulated; lengths in m, angles in rad.
+    """The search and the simulation; lengths in m, angles in rad.
 
     Attributes:
         draws: Random sets of configurations.
@@ -112,7 +112,7 @@ class Search:
 
 
 class Watched:
-    """The rows of the published matrix, with a record of what is asked of them.
+    """The published matrix with a record of its condition numbers.
 
     Args:
         rows: The rows.
@@ -146,7 +146,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
     Args:
         settings: How to search.
         seed: Seed of the candidates and the starts.
-        avoid: Whether the arm may not come close to itself.
+        avoid: Whether self-collision is avoided.
     """
     arm, rng, begun = Arm.load(), np.random.default_rng(seed), perf_counter()
     rows = Watched(arm.rows)
@@ -210,7 +210,7 @@ class Noisy:
     """A calibration from noisy poses.
 
     Attributes:
-        errors: Relative errors of the sums, shape (33,).
+        errors: Relative errors of the linear combinations, shape (33,).
         tip: Errors along the trajectory.
     """
 
@@ -220,16 +220,17 @@ class Noisy:
 
 @dataclass(frozen=True)
 class Judgment:
-    """What exact poses at six configurations are good for.
+    """The calibration from exact poses at six configurations.
 
     Attributes:
         q: The configurations, shape (6, 7) [rad].
         singular_values: Of the published matrix, shape (34,).
-        linear: Relative errors of the sums after one linear step, shape (33,).
-        solved: The same after our calibration, of a truth that a fit can find.
+        linear: Relative errors of the linear combinations after one linear step, shape
+            (33,).
+        solved: The same after our calibration, of identifiable true errors.
         tip_linear: Errors along the trajectory after the linear step.
         tip_solved: The same after our calibration.
-        verdict: What the calibration says of itself.
+        verdict: Verdict of the calibration.
     """
 
     q: Floats
@@ -308,7 +309,7 @@ def with_noise(
 def _calibrate(
     arm: Arm, rows: Measurements, along: Floats
 ) -> tuple[Floats, str, TipErrors]:
-    """Errors (P,), verdict, and errors of the preset arm's tip after a calibration."""
+    """Errors (P,), verdict, and errors of the preset arm's tool after a calibration."""
     chain, setup = arm.problem.error.chain, arm.problem.setup
     found = calib_pin.calibrate(chain, rows, setup, validate=False)
     theta = np.array([parameter.value for parameter in found.parameters])
@@ -322,16 +323,16 @@ def _along(arm: Arm, q: Floats, theta: Floats) -> TipErrors:
 
 @dataclass(frozen=True)
 class Study:
-    """All that is computed.
+    """All results.
 
     Attributes:
         nominal: Errors of the nominal arm along the trajectory.
         random: Condition numbers of random sets.
         ours: Our search.
-        apart: Our search where the arm may not come close to itself.
+        apart: Our search without self-collision.
         swarms: Runs of the published search.
-        judged: What exact poses are good for, by set.
-        noisy: What noisy poses are good for, seed by seed and by set.
+        judged: Calibrations from exact poses, by set.
+        noisy: Calibrations from noisy poses, seed by seed and by set.
     """
 
     nominal: TipErrors
@@ -344,10 +345,10 @@ class Study:
 
 
 def study(settings: Settings, seeds: int) -> Study:
-    """Record and calibrate.
+    """Search and calibrate.
 
     Args:
-        settings: What is searched and simulated.
+        settings: The settings of search and simulation.
         seeds: Number of seeds of the noise; the swarms have no more.
     """
     arm = Arm.load()

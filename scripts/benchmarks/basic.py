@@ -31,7 +31,7 @@ def talos_rows() -> tuple[Chain, Measurements]:
 
 
 def fit_talos() -> None:
-    """A calibration of 61 measurements against scipy on the same residual, without a rank."""
+    """A calibration of TALOS against scipy on the same residual, without a rank."""
     chain, rows = talos_rows()
     seconds = best(lambda: calib_pin.calibrate(chain, rows, validate=False))
     problem = make_problem(chain, rows, Setup())

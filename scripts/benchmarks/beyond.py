@@ -24,7 +24,7 @@ TARGETS, SINGLE = 10_000, 100
 
 
 def main() -> None:
-    """Residual models on 500 measurements of a UR10, and joint commands for 10 000 poses."""
+    """Residual models of a UR10, and joint commands for 10 000 poses."""
     problem, theta = _truth()
     chain, rng = problem.error.chain, np.random.default_rng(2)
     rows = calib_pin.simulate(problem, theta, rng, count=ROWS, noise=NOISE)

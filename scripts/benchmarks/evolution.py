@@ -1,7 +1,7 @@
 """Differential evolution: ours beside the usual alternatives.
 
-All minimize the same cost: space6 with its 24 DH errors and the direction of the plane, 100
-distances. Ours are whole calibrations without validation, as the command runs them,
+All minimize the same cost: space6 with its 24 DH errors and the direction of the plane,
+100 distances. Ours are whole calibrations without validation, as the command runs them,
 and choose their own box around the nominal robot; the others search one that is about
 as large. All but Gauss-Newton may evaluate 150 members in 501 generations; evolutions
 of scipy take one first population.

@@ -1,7 +1,8 @@
 """Very many measurements: time, memory, and what the processor's arithmetic allows.
 
-Operations of a measurement (x, y, z) of a robot with n joints, M = 6 (n + 1) + 1 columns (the
-twists behind every link, and the residual), one for each sum and each product:
+Operations of a measurement (x, y, z) of a robot with n joints, M = 6 (n + 1) + 1
+columns (the twists behind every link, and the residual), one for each sum and each
+product:
 
 - the pose, a point (25) and three directions (21 each) through every joint: 88 n
 - three covectors of the tool (a turn and a wrench, 58) through every joint: 174 n
@@ -78,9 +79,7 @@ def main() -> None:
             f"{passes.get('triangular', 0) / size:>9.1f}{bound:>7.3f}s"
             f"{100 * bound / seconds:>6.0f}%{found['sigma0']:>8.4f}"
         )
-    print(
-        "steps, costs, factors: passes over all measurements; bound: floating-point bound"
-    )
+    print("steps, costs, factors: passes over all; bound: floating-point bound")
 
 
 def _gemm() -> float:

@@ -36,9 +36,9 @@ def test_within_a_tolerance() -> None:
 
 def report() -> Report:
     table = Table("Errors", "A note.")
-    small = Condition("small", "below", {"35": 0.2e-3, "100": 0.2e-3})
+    small = Condition("low", "below", {"35": 0.2e-3, "100": 0.2e-3})
     bounds = {"35": 0.2e-3}
-    ours = {"35": 0.1234e-3, "100": 0.5e-3}
+    ours = {"35": 0.123e-3, "100": 0.5e-3}
     table.add("largest", ours, "mm", small, published=bounds, bound="<")
     table.add("rank", {"35": 27})
     results = {"seeds": [np.array([math.nan, 1.0])]}
@@ -57,16 +57,16 @@ def test_the_terminal_has_units_published_values_and_conditions() -> None:
         "  rank                27",
         "A note.",
         "",
-        "NOT MET  small: largest, 35 0.1234 mm (below 0.2 mm), 100 0.5 mm (below 0.2 mm)",
+        "NOT MET  low: largest, 35 0.123 mm (below 0.2 mm), 100 0.5 mm (below 0.2 mm)",
     ]
-    assert report().met() == {"small": False}
+    assert report().met() == {"low": False}
 
 
 def test_the_document_is_in_si_units() -> None:
     document = plain(report().document())
     assert isinstance(document, dict)
     largest, rank = document["tables"][0]["records"]
-    assert (largest["unit"], largest["ours"]["35"]) == ("m", 0.1234e-3)
+    assert (largest["unit"], largest["ours"]["35"]) == ("m", 0.123e-3)
     assert largest["published"] == {"35": 0.2e-3} and largest["published_bound"] == "<"
     assert largest["conditions"][0]["met"] is False
     assert rank["ours"] == {"35": 27} and "published" not in rank

@@ -20,7 +20,7 @@ from calib_pin.control import (
     kinematics,
     reach,
 )
-from calib_pin.control.trajectory import tip_errors
+from calib_pin.control.tip_errors import tip_errors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.validation.result import CalibratedModel

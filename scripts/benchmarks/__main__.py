@@ -43,6 +43,9 @@ BENCHMARKS = {
 def main() -> None:
     """Run the benchmarks that are named, or all."""
     words = sys.argv[1:]
+    if words[:1] in (["-h"], ["--help"]):
+        print(f"usage: benchmark [NAMES] [OPTIONS]; NAMES are {', '.join(BENCHMARKS)}")
+        return
     first = next((k for k, word in enumerate(words) if word[:1] == "-"), len(words))
     named = words[:first]
     chosen = named or list(BENCHMARKS)

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import os
 import subprocess
 import sys
 import tempfile
@@ -13,17 +12,11 @@ import pinocchio as pin
 from scipy.optimize import least_squares
 
 import calib_pin
-from benchmarks.timing import best, show
+from benchmarks.timing import DATA, best, show, simulated
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-
-__all__ = ["commands", "fit_talos", "jacobian"]
-
-DATA = Path(
-    os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[3] / "shared" / "data")
-)
 
 
 def talos_rows() -> tuple[Chain, Measurements]:
@@ -33,15 +26,12 @@ def talos_rows() -> tuple[Chain, Measurements]:
     if file.is_file():
         return chain, calib_pin.read_measurements(file, chain)
     print(f"(no real measurements in {DATA}: simulated ones)")
-    tool = FrameSetup((0.1, 0.05, 0.1))
-    nominal = nominal_problem(chain, "position", Setup(tool_frame=tool))
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(nominal.parameters, rng)
-    return chain, calib_pin.simulate(nominal, truth, rng, count=61, noise=3e-4)
+    setup = Setup(tool_frame=FrameSetup((0.1, 0.05, 0.1)))
+    return chain, simulated(chain, "position", setup, 61, 3e-4)[2]
 
 
 def fit_talos() -> None:
-    """A calibration of 61 rows against scipy on the same residual, without a rank."""
+    """A calibration of TALOS against scipy on the same residual, without a rank."""
     chain, rows = talos_rows()
     seconds = best(lambda: calib_pin.calibrate(chain, rows, validate=False))
     problem = make_problem(chain, rows, Setup())
@@ -52,11 +42,11 @@ def fit_talos() -> None:
         least_squares(lambda x: problem.residual(x * scales), 0.0 * scales)
 
     reference = best(scipy_fit, 1)
-    show("TALOS calibration, 61 rows x 66", seconds, "scipy's", reference)
+    show("TALOS calibration, 61 x 66", seconds, "scipy's", reference)
 
 
 def jacobian() -> None:
-    """One Jacobian of 500 position rows x 48 parameters."""
+    """One Jacobian of 500 positions x 48 parameters."""
     chain = calib_pin.load_chain("space6")
     nominal = nominal_problem(chain, "position", Setup())
     rng = np.random.default_rng(0)
@@ -72,7 +62,7 @@ def jacobian() -> None:
             problem.residual(theta - shift)
 
     reference = best(differences, 3)
-    show("Jacobian, 500 rows x 48", seconds, "central differences", reference)
+    show("Jacobian, 500 positions x 48", seconds, "central differences", reference)
     model, data = chain.robot.model, chain.robot.model.createData()
 
     def kinematics() -> None:
@@ -107,16 +97,13 @@ def commands() -> None:
         whole = best(
             lambda: run("calibrate", "space6", str(rows), "-o", out, "--force"), 3
         )
-    show("calib-pin calibrate, 500 rows, 5-fold", whole, "one scipy fit", _scipy())
+    show("calib-pin calibrate, 500, 5-fold", whole, "one scipy fit", _scipy())
 
 
 def _scipy() -> float:
-    """Time of one scipy fit of 500 rows with differences [s]."""
+    """Time of one scipy fit of 500 measurements with differences [s]."""
     chain = calib_pin.load_chain("space6")
-    nominal = nominal_problem(chain, "position", Setup())
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(nominal.parameters, rng)
-    rows = calib_pin.simulate(nominal, truth, rng, count=500, noise=1e-4)
+    nominal, truth, rows = simulated(chain, "position", Setup(), 500, 1e-4)
     problem = nominal.about(0 * truth, rows.q, rows.target)
     scales = problem.parameters.scales
     return best(

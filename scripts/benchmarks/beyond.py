@@ -1,4 +1,4 @@
-"""What geometry cannot explain: learning it, and commands that use it."""
+"""Residual models, and joint commands with all corrections."""
 
 from __future__ import annotations
 
@@ -18,15 +18,13 @@ from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibratedModel
 
-__all__ = ["main"]
-
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 ROWS, NOISE = 500, 2e-5
 TARGETS, SINGLE = 10_000, 100
 
 
 def main() -> None:
-    """Residual models on 500 rows of a UR10, and joint commands for 10 000 poses."""
+    """Residual models of a UR10, and joint commands for 10 000 poses."""
     problem, theta = _truth()
     chain, rng = problem.error.chain, np.random.default_rng(2)
     rows = calib_pin.simulate(problem, theta, rng, count=ROWS, noise=NOISE)
@@ -38,7 +36,9 @@ def main() -> None:
             lambda setup=setup: calib_pin.calibrate(chain, rows, setup, validate=False),
             2,
         )
-        show(f"{name}, {ROWS} rows", seconds, "regression of the residual", plain)
+        show(
+            f"{name}, {ROWS} measurements", seconds, "regression of the residual", plain
+        )
     _commands(CalibratedModel.create(problem, theta))
 
 
@@ -54,7 +54,7 @@ def _truth() -> tuple[Problem, Floats]:
 
 
 def _left(chain: Chain, rows: Measurements) -> Floats:
-    """What geometry leaves of the rows, shape (N, 3) [m]."""
+    """Errors beyond geometry, shape (N, 3) [m]."""
     model = calib_pin.calibrate(chain, rows, validate=False).model
     return model.problem(rows).errors(model.theta)
 

@@ -1,7 +1,7 @@
 """A camera on the hand: a calibration by very many pixels, and one residual of them.
 
-What the residual is compared with is what one writes without a library: forward
-kinematics of Pinocchio for every image, and its points projected with numpy.
+The reference of the residual is written without a library: forward kinematics of
+Pinocchio for every image, and its points projected with numpy.
 """
 
 from __future__ import annotations
@@ -21,8 +21,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
-
-__all__ = ["main"]
 
 IMAGES = 10_000
 NOISE = 0.5

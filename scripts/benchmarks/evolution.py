@@ -1,7 +1,7 @@
-"""Differential evolution: ours beside what one would use otherwise.
+"""Differential evolution: ours beside the usual alternatives.
 
-All minimize the same cost: space6 with its 24 DH errors and the turn of the plane, 100
-distances. Ours are whole calibrations without validation, as the command runs them,
+All minimize the same cost: space6 with its 24 DH errors and the direction of the plane,
+100 distances. Ours are whole calibrations without validation, as the command runs them,
 and choose their own box around the nominal robot; the others search one that is about
 as large. All but Gauss-Newton may evaluate 150 members in 501 generations; evolutions
 of scipy take one first population.
@@ -32,8 +32,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import gauss_newton
-
-__all__ = ["main", "ranger_problem"]
 
 MEMBERS, GENERATIONS, F, CR = 150, 500, 0.6, 0.9
 

@@ -1,7 +1,7 @@
 """A guard for speed: every ratio of the races beside the one that was recorded.
 
-A ratio is the processor time of a path of the product by that of its reference. Both
-take turns and the shortest of each counts, so that a busy machine slows down both or
+A ratio is the processor time of a path of the product by that of its reference. They
+alternate and the shortest of each counts, so that a busy machine slows down both or
 neither. A path of more than FACTOR times its recorded ratio is measured once more, and
 then fails.
 
@@ -11,14 +11,11 @@ then fails.
 
 from __future__ import annotations
 
-import resource
 import sys
 import warnings
-from collections.abc import Callable
 
 from benchmarks.races import RACES, Race
-
-__all__ = ["RECORD", "main"]
+from benchmarks.timing import processor_time
 
 RECORD = "--record"
 """Option that prints the ratios as they are."""
@@ -34,7 +31,7 @@ to 100 times as long.
 """
 
 ROUNDS = 3
-"""Turns that path and reference take."""
+"""Rounds of path and reference."""
 
 RECORDED = {
     "calibrate --solver de, position": 0.019,
@@ -45,7 +42,7 @@ RECORDED = {
     "calibrate": 0.16,
     "calibrate --solver two-step": 0.42,
     "calibrate, five folds": 1.8,
-    "calibrate, 100 000 rows": 38,
+    "calibrate, 100 000 measurements": 38,
     "calibrate --learned gaussian-process": 16,
     "calibrate --learned network": 11,
     "Jacobian": 0.027,
@@ -87,18 +84,7 @@ def main() -> None:
 def _ratio(race: Race) -> float:
     """Time of the path by that of the reference, the shortest of each."""
     race.path()  # Loads and compiles.
-    times = [(_seconds(race.reference), _seconds(race.path)) for _ in range(ROUNDS)]
+    jobs = race.reference, race.path
+    times = [tuple(map(processor_time, jobs)) for _ in range(ROUNDS)]
     reference, path = map(min, zip(*times, strict=True))
     return path / reference / race.share
-
-
-def _seconds(job: Callable[[], object]) -> float:
-    """Processor time of a job, its threads and processes [s]."""
-    before = _spent()
-    job()
-    return _spent() - before
-
-
-def _spent() -> float:
-    whose = resource.RUSAGE_SELF, resource.RUSAGE_CHILDREN
-    return sum(sum(resource.getrusage(who)[:2]) for who in whose)

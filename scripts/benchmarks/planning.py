@@ -18,8 +18,6 @@ from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 
-__all__ = ["main"]
-
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 
 
@@ -68,7 +66,7 @@ def _exchange(name: str, size: int, count: int, *, fresh: bool) -> None:
         other = _search(slow, size, count)
         show(label, seconds, "fresh factorizations", best(other.by_exchange, 1))
     else:
-        print(f"{label:<40}{1e3 * seconds:9.1f} ms")
+        show(label, seconds)
     print(f"{'':<40}{'':>14}cost {found.cost:.6f}, greedy {greedy.cost:.6f}")
 
 
@@ -79,8 +77,9 @@ def _plan() -> None:
     seconds = best(lambda: calib_pin.plan(chain, "position", 15, setup), 3)
     plan = calib_pin.plan(chain, "position", 15, setup)
     print(
-        f"{'plan, 15 configurations of a 6R':<40}{1e3 * seconds:9.1f} ms  tip error "
-        f"{1e3 * plan.value:.4f} mm, at random {1e3 * plan.random:.4f} mm"
+        f"{'plan, 15 configurations of a 6R':<40}{1e3 * seconds:9.1f} ms  predicted "
+        f"tool-point uncertainty {1e3 * plan.value:.4f} mm, random baseline "
+        f"{1e3 * plan.random:.4f} mm"
     )
 
 
@@ -92,4 +91,4 @@ def _collisions() -> None:
         assert collisions is not None
         q = chain.random_configurations(1000, np.random.default_rng(0))
         seconds = best(lambda collisions=collisions, q=q: collisions.free(q), 3)
-        print(f"{f'1000 collision checks, {name}':<40}{1e3 * seconds:9.1f} ms")
+        show(f"1000 collision checks, {name}", seconds)

@@ -1,7 +1,7 @@
 """Paths of the product and their references, for the guard of speed.
 
-A path is what a command calls, with what its user would give it. Its reference is what
-one would write in Pinocchio, numpy or scipy, or the least that the work needs.
+A path is the call of a command with its user's input. Its reference is the same work
+written in Pinocchio, numpy or scipy, or the least that the work needs.
 """
 
 from __future__ import annotations
@@ -23,14 +23,13 @@ from sklearn.gaussian_process.kernels import RBF, WhiteKernel
 import calib_pin
 from benchmarks.evolution import ranger_problem
 from benchmarks.report import page_of, scatter_of
+from benchmarks.timing import simulated
 from calib_pin.control.compensation import compensate
-from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup, SolverSetup
 from calib_pin.validation.result import CalibrationResult
-
-__all__ = ["RACES", "Race"]
 
 
 @dataclass(frozen=True)
@@ -38,8 +37,8 @@ class Race:
     """A path of the product and its reference.
 
     Attributes:
-        path: What a command calls.
-        reference: What it is compared with.
+        path: The call of a command.
+        reference: The job it is compared with.
         share: How much of the path's work the reference does once.
     """
 
@@ -48,7 +47,7 @@ class Race:
     share: float = 1.0
 
 
-# What the paths look at.
+# Robot, measurements and settings of the paths.
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 NOISE = 1e-4
@@ -72,11 +71,7 @@ def _chain() -> calib_pin.Chain:
 
 def _simulated(model: str, count: int, setup: Setup) -> Measurements:
     """Measurements of a robot whose frames and instrument are nominal."""
-    nominal = nominal_problem(_chain(), model, setup)
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(nominal.parameters, rng)
-    truth = np.where(nominal.parameters.nuisance, 0.0, truth)
-    return calib_pin.simulate(nominal, truth, rng, count=count, noise=NOISE)
+    return simulated(_chain(), model, setup, count, NOISE, registered=True)[2]
 
 
 @cache
@@ -123,7 +118,7 @@ def evolution(model: str, **options: object) -> Race:
 
 
 def fit() -> Race:
-    """A fit of 500 rows beside that of scipy with the same residual."""
+    """A fit of 500 measurements beside that of scipy with the same residual."""
     rows = _positions(500)
     problem = make_problem(_chain(), rows, Setup())
     problem = problem.register(np.zeros(len(problem.parameters)))
@@ -135,13 +130,13 @@ def fit() -> Race:
 
 
 def two_step() -> Race:
-    """The same by turns, beside scipy."""
+    """Alternating least squares beside scipy."""
     rows = _positions(500)
     return replace(fit(), path=lambda: _fitted(rows, solver=SolverSetup("two-step")))
 
 
 def jacobian() -> Race:
-    """A Jacobian of 500 rows beside central differences."""
+    """A Jacobian of 500 measurements beside central differences."""
     problem = make_problem(_chain(), _positions(500), Setup())
     theta = np.full(len(problem.parameters), 1e-3)
     shifts = 1e-6 * np.eye(len(theta))
@@ -159,14 +154,14 @@ def validation() -> Race:
 
 
 def very_many() -> Race:
-    """A fit of 100 000 rows beside a product of large matrices."""
+    """A fit of 100 000 measurements beside a product of large matrices."""
     rows = _positions(100_000)
     A = np.random.default_rng(0).normal(size=(1200, 1200))
     return Race(lambda: _fitted(rows), lambda: A @ A)
 
 
 def reading() -> Race:
-    """Reading 20 000 rows beside numpy's reader."""
+    """Reading 20 000 measurements beside numpy's reader."""
     file = Path(_FOLDER.name) / "rows.csv"
     calib_pin.write_measurements(file, _positions(20_000))
     return Race(
@@ -188,7 +183,7 @@ def planning() -> Race:
 
 
 def identification() -> Race:
-    """What can be identified beside singular values of as many rows."""
+    """The identifiability analysis beside singular values of as many rows."""
     A = np.random.default_rng(0).normal(size=(600, 48))
     setup = Setup(tool_frame=TOOL)
     return Race(
@@ -199,7 +194,7 @@ def identification() -> Race:
 
 
 def evaluation() -> Race:
-    """Accuracy on 10 000 rows beside bare forward kinematics."""
+    """Accuracy on 10 000 measurements beside bare forward kinematics."""
     model, rows = _calibration().model, _positions(10_000)
     return Race(
         lambda: calib_pin.evaluate(model, rows),
@@ -209,7 +204,7 @@ def evaluation() -> Race:
 
 
 def simulation() -> Race:
-    """Simulating 10 000 rows beside bare forward kinematics."""
+    """Simulating 10 000 measurements beside bare forward kinematics."""
     q = _positions(10_000).q
     return Race(
         lambda: _simulated("position", 10_000, Setup(tool_frame=TOOL)),
@@ -282,7 +277,7 @@ RACES: Mapping[str, Callable[[], Race]] = {
     "calibrate": fit,
     "calibrate --solver two-step": two_step,
     "calibrate, five folds": validation,
-    "calibrate, 100 000 rows": very_many,
+    "calibrate, 100 000 measurements": very_many,
     "calibrate --learned gaussian-process": partial(learned, "gaussian-process"),
     "calibrate --learned network": partial(learned, "network"),
     "Jacobian": jacobian,

@@ -1,4 +1,4 @@
-"""The cost of a laser ranger on a plane, as one would write it without calib-pin.
+"""The cost of a laser distance sensor and a plane, written without calib-pin.
 
 space6 with errors of its DH parameters and of the plane's direction; the same numbers
 as those of the library, which `evolution` checks.
@@ -11,9 +11,7 @@ import pinocchio as pin
 
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.plane_distance import Plane
-
-__all__ = ["Ranger"]
+from calib_pin.measurement_models.features import Plane
 
 DH = np.array(
     [
@@ -53,7 +51,7 @@ class Ranger:
     """
 
     def __init__(self, problem: Problem, plane: Plane) -> None:
-        """Compute what does not depend on the parameters."""
+        """Compute all that is independent of the parameters."""
         assert plane.normal is not None
         self._q = problem.data.q
         self._c, self._s = np.cos(self._q).T, np.sin(self._q).T
@@ -79,7 +77,7 @@ class Ranger:
     def matrices(self, x: Floats) -> Floats:
         """Many members, shape (26, S) -> (S,): rotations and positions multiplied.
 
-        A joint's turn mixes two columns; a link is one product for all
+        A joint's rotation mixes two columns; a link is one product for all
         configurations of a member.
         """
         R, p, normal = self._geometry(x)

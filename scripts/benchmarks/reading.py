@@ -19,8 +19,6 @@ import numpy as np
 import calib_pin
 from calib_pin.observations import Measurements
 
-__all__ = ["main"]
-
 ROWS = 1_000_000
 ROBOT = "space6"
 
@@ -32,7 +30,7 @@ def main() -> None:
         # In a process of its own too, for a process starts with its parent's peak.
         _run("write", file)
         size = file.stat().st_size / 1e6
-        print(f"{ROWS} rows of 6 joints and x, y, z, {size:.0f} MB")
+        print(f"{ROWS} measurements of 6 joints and x, y, z, {size:.0f} MB")
         print(f"{'':<30}{'seconds':>9}{'CPU':>9}{'MB':>6}")
         spent = {}
         for name in ("calib_pin.read_measurements", "numpy.loadtxt"):

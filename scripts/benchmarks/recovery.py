@@ -1,4 +1,4 @@
-"""What simulation put in comes out, and errs as much as the covariance says.
+"""Recovery: errors of simulated calibrations against their covariance.
 
 For each way of measuring, calibrations of robots whose true errors lie in the gauge (of
 equal robots the one closest to nominal), frames and instrument included. NEES is the
@@ -33,8 +33,6 @@ from calib_pin.setup import (
     SphereSetup,
 )
 
-__all__ = ["CASES", "FRAMES", "Case", "Study", "Trials", "main"]
-
 RUNS = 200
 SIZE = 0.3
 """Standard deviation of the true errors in their expected sizes."""
@@ -49,8 +47,8 @@ class Case:
 
     Attributes:
         model: Measurement models.
-        setup: What is known of frames and instrument.
-        rows: Rows of each run.
+        setup: The setup.
+        rows: Measurements of each run.
         noise: Standard deviation of each component [m, rad, px].
         rank: The structural rank that is expected.
         robot: Name of a bundled robot.
@@ -164,7 +162,7 @@ CASES: Mapping[str, Case] = {
 
 @dataclass(frozen=True)
 class Trials:
-    """What came out of R runs.
+    """Results of R runs.
 
     Attributes:
         nees: NEES / rank, shape (R,).
@@ -206,7 +204,7 @@ class Study:
         return np.asarray(size * self.problem.parameters.scales * drawn)
 
     def calibrated(self, truth: Floats, noise: float) -> Fit:
-        """The fit of rows of that robot."""
+        """The fit of measurements of that robot."""
         rows = calib_pin.simulate(
             self.problem, truth, self.rng, count=self.case.rows, noise=noise
         )
@@ -255,11 +253,11 @@ class Study:
 
 
 def main() -> None:
-    """Print what comes out of 200 runs of each case."""
+    """Print the results of 200 runs of each case."""
     print(f"{RUNS} runs, ratios with three standard deviations of what chance gives")
     print(
         f"{'case':<26}{'rank':>4}{'NEES / rank':>20}{'covered':>12}"
-        f"{'new rows':>10}{'s/run':>8}"
+        f"{'held out':>10}{'s/run':>8}"
     )
     for name, case in CASES.items():
         study = Study(case)

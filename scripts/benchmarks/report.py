@@ -1,6 +1,6 @@
-"""The page of a calibration of very many rows: how long it takes, and how large it is.
+"""The report of a calibration from very many measurements: time and size.
 
-It is compared with what a single scatter plot of the same rows takes as SVG.
+The reference is a single scatter plot of the same measurements as SVG.
 """
 
 from __future__ import annotations
@@ -13,8 +13,7 @@ import numpy as np
 from matplotlib.figure import Figure
 
 import calib_pin
-from benchmarks.timing import best, show
-from calib_pin.estimation.formulation import nominal_problem
+from benchmarks.timing import best, show, simulated
 from calib_pin.io.documents import Provenance, calibration_document
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
@@ -22,10 +21,8 @@ from calib_pin.report.html import html_report
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["main", "page_of", "scatter_of"]
-
 ROWS = (10_000, 100_000)
-"""Numbers of fitted rows; as many others check the fit."""
+"""Numbers of fitted measurements; as many others validate the fit."""
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 PROVENANCE = Provenance((), "", 0.0, {"calib_pin": "", "pinocchio": "", "numpy": ""})
@@ -44,16 +41,14 @@ def main() -> None:
 
 def _result(count: int) -> CalibrationResult:
     chain = calib_pin.load_chain("pa10")
-    problem = nominal_problem(chain, "pose", Setup(tool_frame=TOOL))
-    rng = np.random.default_rng(1)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=2 * count)
+    setup = Setup(tool_frame=TOOL)
+    _, _, rows = simulated(chain, "pose", setup, 2 * count, seed=1)
     marked = replace(rows, validate=np.arange(2 * count) % 2 == 1)
     return calib_pin.calibrate(chain, marked)
 
 
 def page_of(result: CalibrationResult) -> bytes:
-    """All that a command does for the page."""
+    """The page as a command makes it."""
     chain = result.model.chain
     return html_report(
         result,
@@ -64,7 +59,7 @@ def page_of(result: CalibrationResult) -> bytes:
 
 
 def scatter_of(result: CalibrationResult) -> bytes:
-    """The fitted rows as one scatter plot."""
+    """The fitted measurements as one scatter plot."""
     sizes = result.fitted.sizes(result.fitted.quantities[0])
     stream = io.BytesIO()
     with mpl.rc_context({"svg.fonttype": "none"}):

@@ -1,7 +1,8 @@
-"""Very many rows: time, memory, and what the processor's arithmetic allows.
+"""Very many measurements: time, memory, and what the processor's arithmetic allows.
 
-Operations of a row (x, y, z) of a robot with n joints, M = 6 (n + 1) + 1 columns (the
-twists behind every link, and the residual), one for each sum and each product:
+Operations of a measurement (x, y, z) of a robot with n joints, M = 6 (n + 1) + 1
+columns (the twists behind every link, and the residual), one for each sum and each
+product:
 
 - the pose, a point (25) and three directions (21 each) through every joint: 88 n
 - three covectors of the tool (a turn and a wrench, 58) through every joint: 174 n
@@ -35,8 +36,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
 
-__all__ = ["main"]
-
 SIZES = (10_000, 100_000, 1_000_000)
 
 NOISE = 1e-4
@@ -52,7 +51,7 @@ OPERATIONS = {
     "normal": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
     "triangular": POSE + COVECTORS + 6 * COLUMNS**2,
 }
-"""Operations of a row by kind of pass over the rows."""
+"""Operations of a measurement by kind of pass."""
 
 
 def main() -> None:
@@ -64,7 +63,7 @@ def main() -> None:
         f"{peak / 1e9:.0f} GFlop/s at most"
     )
     print(
-        f"{'rows':>10}{'seconds':>9}{'us/row':>8}{'MB':>6}{'steps':>7}{'costs':>7}"
+        f"{'measured':>10}{'seconds':>9}{'us each':>8}{'MB':>6}{'steps':>7}{'costs':>7}"
         f"{'factors':>9}{'bound':>8}{'part':>7}{'sigma0':>8}"
     )
     for size in SIZES:
@@ -80,7 +79,7 @@ def main() -> None:
             f"{passes.get('triangular', 0) / size:>9.1f}{bound:>7.3f}s"
             f"{100 * bound / seconds:>6.0f}%{found['sigma0']:>8.4f}"
         )
-    print("steps, costs, factors: passes over all rows; bound: floating-point bound")
+    print("steps, costs, factors: passes over all; bound: floating-point bound")
 
 
 def _gemm() -> float:

@@ -1,4 +1,4 @@
-"""What a whole process costs, and Python against the command.
+"""The cost of a whole process, and Python against the command.
 
 The times are those of the processor, of processes one after the other in turns: they
 say the same on a busy machine. What everything is measured by is to import Pinocchio,
@@ -9,19 +9,14 @@ from __future__ import annotations
 
 import json
 import os
-import resource
 import subprocess
 import sys
 import tempfile
 from pathlib import Path
 
-import numpy as np
-
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
+from benchmarks.timing import DATA, processor_time, simulated
 from calib_pin.setup import FrameSetup, Setup
-
-__all__ = ["main"]
 
 TURNS = 3
 
@@ -45,8 +40,6 @@ start = time.perf_counter()
 calib_pin.calibrate(chain, rows)
 print(time.perf_counter() - start)
 """
-
-SHARED = Path(__file__).parents[3] / "shared" / "data"
 
 
 def main() -> None:
@@ -93,17 +86,14 @@ def _measure(folder: Path) -> None:
 
 def _rows(folder: Path) -> tuple[str, Path, str]:
     """Robot, file and tip: 500 poses of a UR10, or as many of a bundled robot."""
-    data = Path(os.environ.get("CALIB_PIN_DATA", SHARED))
-    file = data / "ur10_tmac" / "train.csv"
+    file = DATA / "ur10_tmac" / "train.csv"
     if file.is_file():
         return "example:ur10_robot", file, "tool0"
-    print(f"(no real measurements in {data}: simulated ones)")
+    print(f"(no real measurements in {DATA}: simulated ones)")
     chain = calib_pin.load_chain("space6")
-    problem = nominal_problem(chain, "pose", Setup(tool_frame=FrameSetup()))
-    rng = np.random.default_rng(0)
-    truth = calib_pin.draw_errors(problem.parameters, rng)
-    simulated = calib_pin.simulate(problem, truth, rng, count=500, noise=1e-4)
-    calib_pin.write_measurements(folder / "rows.csv", simulated)
+    setup = Setup(tool_frame=FrameSetup())
+    _, _, data = simulated(chain, "pose", setup, 500, 1e-4)
+    calib_pin.write_measurements(folder / "rows.csv", data)
     return "space6", folder / "rows.csv", ""
 
 
@@ -114,10 +104,7 @@ def _plain() -> dict[str, str]:
 
 def _cpu_seconds(words: list[str]) -> float:
     """Time of the processor that a Python process takes [s]."""
-    before = resource.getrusage(resource.RUSAGE_CHILDREN)
-    subprocess.run(
-        [sys.executable, *words], check=True, capture_output=True, env=_plain()
+    command = [sys.executable, *words]
+    return processor_time(
+        lambda: subprocess.run(command, check=True, capture_output=True, env=_plain())
     )
-    after = resource.getrusage(resource.RUSAGE_CHILDREN)
-    user = after.ru_utime - before.ru_utime
-    return user + after.ru_stime - before.ru_stime

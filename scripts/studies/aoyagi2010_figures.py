@@ -15,8 +15,6 @@ from matplotlib.ticker import NullLocator
 from studies import shared
 from studies.aoyagi2010_study import GENETIC, RANDOM, Case, Cases, Settings
 
-__all__ = ["draw"]
-
 C = shared.COLORS
 
 MODELS = {
@@ -34,21 +32,6 @@ LEAST = 2e-4
 
 FLOOR: dict[str, Any] = {"color": C["black"], "lw": 1.0}
 """How the noise floor is drawn."""
-
-
-def draw(folder: Path, settings: Settings, seeds: Sequence[Cases]) -> tuple[str, ...]:
-    """Write all figures.
-
-    Args:
-        folder: Where to.
-        settings: What was simulated.
-        seeds: What came out, seed by seed.
-
-    Returns:
-        Names of the files.
-    """
-    figures = {"points.png": _points, "verification.png": _verification}
-    return shared.draw(folder, figures, settings, seeds)
 
 
 def _points(path: Path, settings: Settings, seeds: Sequence[Cases]) -> None:
@@ -73,7 +56,7 @@ def _points(path: Path, settings: Settings, seeds: Sequence[Cases]) -> None:
             shared.log_axis(axes)
         count = len(seeds)
         of = f"median of {count} seeds" if count > 1 else "seed 0"
-        left.set_title(f"unseen configurations, {of}")
+        left.set_title(f"validation configurations, {of}")
         left.set_ylabel("mean error [mm]")
         right.set_title("the same over the noise floor")
         _legend(figure, Line2D([], [], label="noise floor", **FLOOR))
@@ -111,7 +94,7 @@ def _verification(path: Path, settings: Settings, seeds: Sequence[Cases]) -> Non
             axes.xaxis.set_major_formatter("{x:g}")
             axes.set_title(f"{count} points, seed 0")
             axes.set_xlabel("error [mm]")
-        panels[0].set_ylabel("unseen configurations below [%]")
+        panels[0].set_ylabel("validation configurations below [%]")
         _legend(figure, Line2D([], [], color=C["black"], ls=":", label="0.1 mm"))
 
 
@@ -126,3 +109,7 @@ def _legend(figure: Figure, last: Line2D) -> None:
     ]
     # Column by column: the models, then the rest.
     figure.legend(handles=[*models, *sets, last], loc="outside lower center", ncols=2)
+
+
+FIGURES: shared.Figures = {"points.png": _points, "verification.png": _verification}
+"""The figures by the names of their files."""

@@ -1,19 +1,19 @@
-"""Aoyagi et al. 2010 (IROS, Mitsubishi PA10): what geometry leaves, a network learns.
+"""Aoyagi et al. 2010 (IROS, Mitsubishi PA10): a network for the errors beyond geometry.
 
 A laser tracker measures a reflector on a seven-joint arm. Its geometry is calibrated
-by least squares; gravity on joints that give way and gears leave more than the tracker
-can miss, and a neural network learns that as corrections of the joint positions inside
-the forward kinematics. A genetic algorithm selects the points by the observability
-index O1 of Borm and Menq. All is judged on configurations that were not measured.
+by least squares; joint compliance under gravity and gears leave errors well above the
+noise, and a neural network learns them as corrections of the joint positions inside the
+forward kinematics. A genetic algorithm selects the points by the observability
+index O1 of Borm and Menq. All is judged on validation configurations.
 
 The nominal table and the results of the publication are lost: `pa10` has the public
 lengths, and its hidden errors are drawn here, seed by seed.
 
-What noise alone leaves is the noise floor: a model of the right structure, with errors
-of placement, transmission and compliance, is unbiased, so its least-squares fit has the
-covariance of the Cramer-Rao bound. The floor is the mean distance of the reflector by
-parameter errors of that covariance, over the verification configurations. It depends on
-the measured points, and falls with the root of their number.
+The noise floor is the error that noise alone leaves: a model of the right structure,
+with errors of placement, transmission and compliance, is unbiased, so its least-squares
+fit has the covariance of the Cramer-Rao bound. The floor is the mean distance of the
+reflector by parameter errors of that covariance, over the validation configurations. It
+depends on the measured points, and falls with the root of their number.
 """
 
 from __future__ import annotations
@@ -41,22 +41,7 @@ from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.result import CalibratedModel, CalibrationResult
-
-__all__ = [
-    "COMPLIANCE",
-    "GENETIC",
-    "MODELS",
-    "RANDOM",
-    "Case",
-    "Selection",
-    "Settings",
-    "genetic_set",
-    "noise_floor",
-    "observability",
-    "robot",
-    "study",
-    "truth",
-]
+from studies.shared import summary
 
 MODELS = {
     "nominal": Setup(parameters=()),
@@ -64,7 +49,7 @@ MODELS = {
     "network": Setup(parameters=("placement",), learned="network"),
     "structure": Setup(parameters=("placement", "transmission", "compliance")),
 }
-"""What is fitted, each with the tracker and the reflector anywhere."""
+"""Setups of the models; tracker and reflector are estimated in each."""
 
 RANDOM, GENETIC = "random", "genetic"
 """The two ways to choose points."""
@@ -73,25 +58,25 @@ COMPLIANCE = (2e-5, 4e-5, 4e-5, 6e-5, 1e-4, 1e-4, 1e-4)
 """True compliance of every joint [rad/Nm]."""
 
 TRACKER = FrameSetup(xyz=(1.5, -2.0, 0.5), rpy=(0.1, -0.2, 2.0))
-"""Where the base of the robot truly is, as the tracker sees it."""
+"""True placement of the robot base in the tracker."""
 
 REFLECTOR = FrameSetup(xyz=(0.06, -0.04, 0.03))
-"""Where the reflector truly is on the tool: beside the last axis."""
+"""True position of the reflector on the tool, beside the last axis."""
 
 DRAWS = 400
-"""Draws of parameter errors behind a noise floor, which they tell to half a percent."""
+"""Draws of parameter errors behind a noise floor, for half a percent of precision."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is simulated and what is chosen; lengths in m, angles in rad.
+    """The simulation and the selection; lengths in m, angles in rad.
 
     Attributes:
         counts: Numbers of points that are measured.
         genetic: Largest number of points that the genetic algorithm chooses; it takes
             a thousand candidates of which a thousand would be no choice.
-        candidates: Candidates that it chooses from.
-        verification: Configurations that the models are judged on.
+        candidates: Candidates of the selection.
+        verification: Number of validation configurations.
         noise: Standard deviation of every coordinate.
         length: Largest geometric error.
         angle: The same of angles.
@@ -110,7 +95,7 @@ class Settings:
 
 @dataclass(frozen=True)
 class Selection:
-    """A set of points that the genetic algorithm has chosen for the nominal robot.
+    """A set of points chosen by the genetic algorithm for the nominal robot.
 
     Attributes:
         q: The points, shape (N, n) [rad].
@@ -129,14 +114,14 @@ class Case:
 
     Attributes:
         observability: O1 of the points.
-        errors: Distances to the true positions on the verification configurations by
+        errors: Distances to the true positions at the validation configurations by
             model, shape (K,) each [m].
         floor: The noise floor [m].
         spread: Standard deviation, from one measurement of the same points to another,
             of the mean error that noise leaves [m].
         rank: Rank of the model of the right structure.
-        outside: Part of the verification configurations that is so far from all
-            measured ones that the correction of the network fades.
+        outside: Part of the validation configurations so far from all measured ones
+            that the correction of the network fades.
     """
 
     observability: float
@@ -147,8 +132,36 @@ class Case:
     outside: float
 
     def mean(self, model: str) -> float:
-        """Mean error of a model on the verification configurations [m]."""
+        """Mean error of a model at the validation configurations [m]."""
         return float(self.errors[model].mean())
+
+    def ratio(self, model: str) -> float:
+        """Mean error of a model over the noise floor."""
+        return self.mean(model) / self.floor
+
+    @property
+    def improvement(self) -> float:
+        """Factor by which the network lowers the mean error of geometry alone."""
+        return self.mean("geometric") / self.mean("network")
+
+    def numbers(self) -> dict[str, float]:
+        """The numbers that are written."""
+        errors = {
+            f"{model}_{key}": value
+            for model, distances in self.errors.items()
+            for key, value in summary(distances, "m").items()
+        }
+        return {
+            "O1": self.observability,
+            **errors,
+            "noise_floor_m": self.floor,
+            "noise_floor_spread_m": self.spread,
+            "network_over_floor": self.ratio("network"),
+            "structure_over_floor": self.ratio("structure"),
+            "geometric_over_network": self.improvement,
+            "structure_rank": self.rank,
+            "outside_trained_region": self.outside,
+        }
 
 
 Cases = Mapping[int, Mapping[str, Case]]
@@ -165,7 +178,7 @@ def genetic_set(settings: Settings, count: int) -> Selection:
     """Select points with the largest O1 of the geometric model, before any is measured.
 
     Args:
-        settings: What it chooses from.
+        settings: The settings of the selection.
         count: Number N of points.
     """
     started = time.perf_counter()
@@ -186,7 +199,7 @@ def _geometric(settings: Settings) -> Setup:
 
 
 def observability(settings: Settings, q: Floats) -> float:
-    """O1 of the geometric model at some points, shape (N, n), as planning has it."""
+    """O1 of the geometric model at some points, shape (N, n), as in planning."""
     rows = _rows(settings.noise)
     J = rows.rows(q, ("",) * len(q)).reshape(-1, rows.basis.shape[1])
     found = Information.of(J.T @ J, rows.nuisances)
@@ -196,7 +209,7 @@ def observability(settings: Settings, q: Floats) -> float:
 
 @cache
 def _rows(noise: float) -> IdentificationRows:
-    """Rows of the identification matrix, with the reflector where planning has it."""
+    """The identification matrix, with the reflector at the tool assumed in planning."""
     nominal = nominal_problem(robot(), "position", _geometric(Settings(noise=noise)))
     error = nominal.error
     problem = Problem(
@@ -212,7 +225,7 @@ def _rows(noise: float) -> IdentificationRows:
 
 
 def truth(settings: Settings, rng: np.random.Generator) -> tuple[Problem, Floats]:
-    """The true robot, tracker and reflector: a problem without rows, and (P,) values.
+    """The true robot, tracker and reflector: a problem without data, (P,) values.
 
     Args:
         settings: How large the errors are.
@@ -250,8 +263,8 @@ def study(settings: Settings, selected: Mapping[int, Selection], seed: int) -> C
     """Draw a robot, measure it at all sets of points, and judge all models.
 
     Args:
-        settings: What is simulated.
-        selected: What the genetic algorithm has chosen, by number of points.
+        settings: The settings of the simulation.
+        selected: The genetic selections, by number of points.
         seed: Seed of the robot, the random points and the noise.
     """
     chain, rng = robot(), np.random.default_rng(seed)
@@ -297,8 +310,8 @@ def noise_floor(result: CalibrationResult, q: Floats) -> tuple[float, float]:
     """Mean error of the position that noise alone leaves, and its spread [m].
 
     The model is linear over errors as small as those that noise leaves, so it is enough
-    to draw parameter errors of the fit's covariance. That stands for the deviations
-    that the rows state, not for those that their residuals show.
+    to draw parameter errors of the fit's covariance. It scales with the stated
+    standard deviations of the measurements, not with their residuals.
 
     Args:
         result: A fit of the right structure.
@@ -314,7 +327,7 @@ def noise_floor(result: CalibrationResult, q: Floats) -> tuple[float, float]:
     _, J = error.jacobian(q, np.array([p.value for p in result.parameters[:count]]))
     J = J[:, :3]
     values, vectors = np.linalg.eigh(result.covariance[:count, :count])
-    # What cannot be told has no variance, but for rounding.
+    # Unobservable directions have a variance that is numerically zero.
     half = vectors * np.sqrt(np.maximum(values, 0.0))
     draws = np.random.default_rng(0).standard_normal((DRAWS, count)) @ half.T
     moved = (J.reshape(-1, count) @ draws.T).reshape(len(q), 3, DRAWS)

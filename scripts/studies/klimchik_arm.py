@@ -16,30 +16,20 @@ from calib_pin.parameterizations.base import COMPONENTS
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Region, Setup
 from studies.klimchik_model import HEAVY, POINTS, robot
 
-__all__ = [
-    "COMPLIANCE",
-    "REACH",
-    "Settings",
-    "configurations",
-    "measure",
-    "task_poses",
-    "truth",
-]
-
 COMPLIANCE = (3e-6, 3e-7, 5e-7, 3e-6, 3.5e-6, 2.5e-6)
 """True compliance of every joint [rad/Nm]."""
 
 TRACKER = FrameSetup(xyz=(3.5, -2.5, 1.2), rpy=(0.02, -0.03, 2.0))
-"""Where the base of the robot truly is, as the tracker sees it."""
+"""True placement of the robot base in the tracker."""
 
 TOOL = FrameSetup(xyz=(0.002, -0.003, 0.251), rpy=(4e-3, -3e-3, 5e-3))
-"""Where it truly is."""
+"""True placement of the tool frame in the flange."""
 
 REACH = Region(box=((0.8, -2.5, 0.4), (3.2, 2.5, 3.2)))
-"""Where the flange is when it is measured, in front of the robot [m]."""
+"""Positions of the flange in the measurements, in front of the robot [m]."""
 
 WORKPIECE = Region(box=((1.5, -0.4, 0.6), (2.2, 0.4, 1.2)))
-"""Where the flange is at the test poses [m]."""
+"""Positions of the flange at the test poses [m]."""
 
 DRAWS = 2000
 """Configurations that are tried at once."""
@@ -50,7 +40,7 @@ TILT = np.cos(np.radians(60.0))
 
 @dataclass(frozen=True)
 class Settings:
-    """What is simulated and what is searched; lengths in m, angles in rad.
+    """The simulation and the search; lengths in m, angles in rad.
 
     Attributes:
         count: Configurations that are measured.
@@ -60,11 +50,11 @@ class Settings:
         angle: The same of angles.
         mass: Payload [kg].
         com: Its center of mass in the flange.
-        unseen: Configurations that the models are judged on.
-        rounds: Limit on the turns of the two steps that are compared.
-        near: Largest difference, in sizes of errors, at which they have arrived.
-        tests: Test poses that configurations are planned for.
-        candidates: Candidates that they are chosen from.
+        unseen: Number of validation configurations.
+        rounds: Limit on the rounds of alternating least squares.
+        near: Difference to the joint solution, in sizes of errors, that ends them.
+        tests: Number of test poses for the plan.
+        candidates: Number of candidates of the plan.
         starts: Random sets from which the search descends as well.
     """
 
@@ -91,13 +81,13 @@ class Settings:
 def truth(
     rng: np.random.Generator, length: float, angle: float, load: Payload | None = None
 ) -> tuple[Problem, Floats]:
-    """The true robot: a problem without rows, and parameter values, shape (P,).
+    """The true robot: a problem without measurements, and values, shape (P,).
 
     Args:
         rng: Random generator.
         length: Largest error of a placement [m].
         angle: The same of angles [rad].
-        load: The payload of a robot whose joints give way; None for a stiff one.
+        load: The payload of a robot with joint compliance; None for a stiff one.
     """
     setup = Setup(
         parameters=("placement",) if load is None else ("placement", "compliance"),
@@ -163,7 +153,7 @@ def measure(
         theta: Its parameter values, shape (P,).
         q: Configurations, shape (K, 6) [rad].
         rng: Random generator.
-        loads: What it carries, one after the other; empty for a stiff robot.
+        loads: Its loads, one after the other; empty for a stiff robot.
         noise: Standard deviation of a reading of a coordinate [m].
         repeats: Readings, which are averaged.
     """

@@ -32,16 +32,7 @@ from studies.klimchik_arm import (
     truth,
 )
 from studies.klimchik_model import POINTS, calibrated, robot, setup_of
-
-__all__ = [
-    "DESIGN",
-    "PLANNED",
-    "RANDOM",
-    "Design",
-    "Planned",
-    "at_test_poses",
-    "plan_poses",
-]
+from studies.shared import summary
 
 RANDOM, PLANNED = "random", "planned"
 """The two ways to choose configurations for the test poses."""
@@ -50,12 +41,12 @@ DESIGN = 2015
 """Seed of the test poses and the plan."""
 
 STRUCTURE = 300
-"""Candidates that show what can be identified."""
+"""Candidates for the identifiability analysis."""
 
 
 @dataclass(frozen=True)
 class AllPoints:
-    """Rows of configurations at which all reference points are measured.
+    """Identification matrices of configurations where all points are measured.
 
     Attributes:
         one: Rows of a configuration and one of its points.
@@ -93,14 +84,14 @@ class AllPoints:
 
 @dataclass(frozen=True)
 class Design:
-    """What a set of configurations will tell about the test poses.
+    """The expected accuracy at the test poses of a set of configurations.
 
     Attributes:
-        rows: What a configuration tells.
+        rows: Identification matrices of the configurations.
         tests: Test poses, shape (T, 6) [rad].
         criterion: Predicted error of the tool at the test poses.
-        workspace: Where configurations may be.
-        known: Information that is there before.
+        workspace: Constraints on the configurations.
+        known: Prior information matrix.
     """
 
     rows: AllPoints
@@ -164,6 +155,10 @@ class Planned:
 
     predicted: float
     errors: Floats
+
+    def numbers(self) -> dict[str, float]:
+        """The numbers that are written."""
+        return {"predicted_rms_m": self.predicted} | summary(self.errors, "m")
 
 
 def at_test_poses(

@@ -16,8 +16,6 @@ from studies.klimchik_design import PLANNED, RANDOM
 from studies.klimchik_model import LOADS
 from studies.klimchik_study import BOTH, GEOMETRY, Seed
 
-__all__ = ["draw"]
-
 C = shared.COLORS
 
 MODELS = {
@@ -28,39 +26,23 @@ MODELS = {
 """Color of every model."""
 
 
-def draw(folder: Path, settings: Settings, seeds: Sequence[Seed]) -> tuple[str, ...]:
-    """Write all figures.
-
-    Args:
-        folder: Where to.
-        settings: What was simulated.
-        seeds: What came out, seed by seed.
-
-    Returns:
-        Names of the files.
-    """
-    figures = {
-        "turns.png": _turns,
-        "elastostatics.png": _elastostatics,
-        "accuracy.png": _accuracy,
-    }
-    return shared.draw(folder, figures, settings, seeds)
-
-
-def _turns(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
-    """How the two steps come to the joint solution."""
+def _alternation(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
+    """The way of the alternation to the joint solution."""
     with shared.figure(path, 6.0, 3.6) as figure:
         axes = figure.subplots()
         for name, color in (("plain", C["orange"]), ("mixed", C["blue"])):
             for k, seed in enumerate(seeds):
-                way = getattr(seed.turns, name)
-                label = {"plain": "plain turns", "mixed": "two-step, accelerated"}
+                way = getattr(seed.alternation, name)
+                label = {
+                    "plain": "alternating, plain",
+                    "mixed": "two-step (accelerated)",
+                }
                 axes.plot(way, color=color, lw=1.0, label=label[name] if not k else "")
         axes.axhline(settings.near, color=C["black"], lw=1.0, ls=":")
         axes.set_yscale("log")
         axes.set_xlim(0)
         axes.set_xlabel("rounds: base and points, then the robot")
-        axes.set_ylabel("largest difference to the joint solve\n[expected sizes]")
+        axes.set_ylabel("largest difference to the joint solution\n[expected sizes]")
         axes.set_title(_of(seeds))
         axes.legend()
 
@@ -86,8 +68,7 @@ def _elastostatics(path: Path, settings: Settings, seeds: Sequence[Seed]) -> Non
         right.set_xlabel("joint, and standard deviation of its compliance")
         right.set_ylabel("found minus true [standard deviations]")
         right.set_title(f"compliances, {_of(seeds)}")
-        handles, labels = left.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, left)
 
 
 def _bars(axes: Axes, seeds: Sequence[Seed]) -> None:
@@ -105,7 +86,7 @@ def _bars(axes: Axes, seeds: Sequence[Seed]) -> None:
     axes.set_ylim(2e-3, 12.0)
     axes.set_xticks(range(len(LOADS)), list(LOADS.values()))
     axes.grid(axis="x", visible=False)
-    axes.set_ylabel("mean error on unseen configurations [mm]")
+    axes.set_ylabel("mean error at validation configurations [mm]")
     axes.set_title("median of seeds" if len(seeds) > 1 else "seed 0")
 
 
@@ -137,8 +118,7 @@ def _accuracy(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
         panels[2].set_xlabel(f"{settings.count} configurations")
         panels[2].set_title("test poses: position [µm]")
         panels[0].set_ylabel("error of the tool frame")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, panels[0])
 
 
 def _beside(axes: Axes, values: Floats) -> None:
@@ -168,3 +148,11 @@ def _rms(values: Floats) -> float:
 
 def _of(seeds: Sequence[Seed]) -> str:
     return f"{len(seeds)} seeds" if len(seeds) > 1 else "seed 0"
+
+
+FIGURES: shared.Figures = {
+    "turns.png": _alternation,
+    "elastostatics.png": _elastostatics,
+    "accuracy.png": _accuracy,
+}
+"""The figures by the names of their files."""

@@ -1,4 +1,4 @@
-"""The irreducible model of partial pose measurements, and what points can tell of it.
+"""The irreducible model of partial pose measurements, and its structural ranks.
 
 The robot is `heavy6`. Reference points on its tool are measured, positions only.
 """
@@ -22,19 +22,6 @@ from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.setup import FrameSetup, Payload, PointSetup, Setup, SolverSetup
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "HEAVY",
-    "LOADS",
-    "POINTS",
-    "Rank",
-    "calibrated",
-    "irreducible",
-    "others",
-    "ranks",
-    "robot",
-    "setup_of",
-]
-
 POINTS = {
     "point_1": (0.12, 0.0, -0.05),
     "point_2": (-0.06, 0.10, -0.05),
@@ -46,10 +33,10 @@ HEAVY = "heavy"
 """Name of the payload."""
 
 LOADS = {NOTHING: "without load", HEAVY: "with payload"}
-"""What the robot carries, by the name that rows give."""
+"""Titles of the loads, by their names in the measurements."""
 
 NOMINAL_TOOL = FrameSetup(xyz=(0.0, 0.0, 0.25), estimate=True)
-"""Where the tool frame should be in the flange."""
+"""Nominal placement of the tool frame in the flange."""
 
 
 @cache
@@ -64,14 +51,14 @@ def irreducible(chain: Chain) -> tuple[str, ...]:
     After each joint two translations and two rotations across its axis are kept, the
     errors of the next joint's placement without those along and about its axis. Where
     the next axis is perpendicular, one of these rotations is the offset of the next
-    joint. Where it is parallel, that offset is a turn about the axis together with the
-    translation across the common normal: it is kept in place of this translation. What
-    lies before the first joint belongs to the base. What lies after the last joint
-    belongs to the tool, which also takes what is along and about its axis.
+    joint. Where it is parallel, that offset is a rotation about the axis together with
+    the translation across the common normal: it is kept in place of this translation.
+    Errors before the first joint belong to the base. Errors after the last joint belong
+    to the tool, and so do those along and about its axis.
 
     Args:
-        chain: A chain of joints that turn about axes which are parallel or
-            perpendicular to their neighbors; the last two are not parallel.
+        chain: A chain of revolute joints with axes parallel or perpendicular to
+            their neighbors; the last two are not parallel.
     """
     kept: list[str] = []
     for k in range(1, len(chain.joints)):
@@ -114,7 +101,7 @@ def setup_of(
     load: Payload | None = None,
     solver: str = "gauss-newton",
 ) -> Setup:
-    """What is estimated, beside the place of the tracker.
+    """The setup of a calibration; the placement of the tracker is always estimated.
 
     Args:
         parameters: Errors of the robot.
@@ -141,13 +128,13 @@ def setup_of(
 
 
 def calibrated(rows: Measurements, setup: Setup) -> CalibrationResult:
-    """A calibration, which nothing but the truth is to judge."""
+    """A calibration, without validation."""
     return calib_pin.calibrate(robot(), rows, setup, validate=False)
 
 
 @dataclass(frozen=True)
 class Rank:
-    """What a number of reference points can tell of the geometry.
+    """Structural ranks of the geometry with a number of reference points.
 
     Attributes:
         parameters: Free parameters with all placement errors.
@@ -184,7 +171,7 @@ def ranks() -> dict[tuple[int, bool], Rank]:
 
 
 def _placed(setup: Setup) -> Setup:
-    """The setup with a first guess of the points, which rows would give otherwise."""
+    """The setup with initial points, which measurements would give otherwise."""
     targets = {
         name: replace(point, xyz=POINTS[name]) for name, point in setup.targets.items()
     }

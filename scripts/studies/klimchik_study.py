@@ -2,9 +2,9 @@
 
 A tracker measures reference points on the tool of a heavy six-joint robot, positions
 only: no orientation is ever measured, and all residuals share one unit. The geometry
-is an irreducible model of 18 parameters, base and tool have six each. Joints give way
-under gravity and a known payload. Configurations are chosen for the accuracy that they
-give at stated test poses.
+is an irreducible model of 18 parameters, base and tool have six each. Joints have
+compliance, loaded by gravity and a known payload. Configurations are chosen for the
+accuracy at stated test poses.
 
 The published robot, its errors and its tables are not available: `heavy6` has lengths
 near those of a KR 270, and all errors are drawn here, seed by seed.
@@ -30,24 +30,10 @@ from calib_pin.validation.result import CalibrationResult
 from studies.klimchik_arm import Settings, configurations, measure, truth
 from studies.klimchik_design import Planned, at_test_poses
 from studies.klimchik_model import LOADS, POINTS, calibrated, robot, setup_of
-
-__all__ = [
-    "BOTH",
-    "GEOMETRY",
-    "MODELS",
-    "Accuracy",
-    "Compliances",
-    "Elastostatics",
-    "Seed",
-    "Turns",
-    "accuracies",
-    "alternating_least_squares",
-    "elastostatics",
-    "study",
-]
+from studies.shared import summary
 
 GEOMETRY, BOTH = "geometry", "geometry + compliance"
-"""What is estimated of the robot in the elastostatic part."""
+"""Models of the elastostatic part."""
 
 MODELS: Mapping[str, tuple[str, ...]] = {
     "nominal": (),
@@ -56,20 +42,20 @@ MODELS: Mapping[str, tuple[str, ...]] = {
 }
 """Errors of the robot by name of the model."""
 
-# --- two steps ---------------------------------------------------------------------
+# --- alternating least squares -----------------------------------------------------
 
 
 @dataclass(frozen=True)
-class Turns:
-    """The joint solve beside the two steps that take turns.
+class Alternation:
+    """The joint solution beside alternating least squares (solver two-step).
 
     Attributes:
         difference: Largest difference of both solutions, in expected sizes of errors.
         cost: Relative difference of their costs.
-        converged: Whether the two steps say that they have converged.
-        steps: Steps of the joint solve.
-        mixed: Largest difference to the joint solution before the turns and after each
-            of them, until it is small or at the limit.
+        converged: Whether the alternation reports convergence.
+        steps: Steps of the joint solution.
+        mixed: Largest difference to the joint solution before the first round and after
+            every round, until it is small or at the limit.
         plain: The same without acceleration.
     """
 
@@ -81,19 +67,19 @@ class Turns:
     plain: tuple[float, ...]
 
 
-def alternating_least_squares(settings: Settings, rows: Measurements) -> Turns:
-    """Solve for base, points and robot jointly and by turns."""
-    joint, turns = (
+def alternating_least_squares(settings: Settings, rows: Measurements) -> Alternation:
+    """Solve for base, points and robot jointly, and alternating between them."""
+    joint, alternating = (
         fit(
             make_problem(robot(), rows, setup_of(solver=solver)),
             np.random.default_rng(0),
         )
         for solver in ("gauss-newton", "two-step")
     )
-    return Turns(
-        difference=_apart(joint, turns.theta),
-        cost=abs(turns.result.cost / joint.result.cost - 1.0),
-        converged=turns.result.status is Status.CONVERGED,
+    return Alternation(
+        difference=_apart(joint, alternating.theta),
+        cost=abs(alternating.result.cost / joint.result.cost - 1.0),
+        converged=alternating.result.status is Status.CONVERGED,
         steps=descend(joint.problem, joint.directions, joint.before).result.nit,
         mixed=_differences(settings, joint, MEMORY),
         plain=_differences(settings, joint, 0),
@@ -106,16 +92,16 @@ def _differences(settings: Settings, joint: Fit, memory: int) -> tuple[float, ..
     found = [_apart(joint, x)]
     while found[-1] > settings.near and len(found) <= settings.rounds:
         if memory:
-            # From the start again: what is mixed is all rounds before.
-            x = _turned(joint, joint.before, len(found), memory)
+            # From the start again: the acceleration mixes all rounds before.
+            x = _alternated(joint, joint.before, len(found), memory)
         else:
-            x = _turned(joint, x, 1, memory)
+            x = _alternated(joint, x, 1, memory)
         found.append(_apart(joint, x))
     return tuple(found)
 
 
-def _turned(joint: Fit, start: Floats, rounds: int, memory: int) -> Floats:
-    """Where rounds of the two steps lead from a start: frames and points, robot."""
+def _alternated(joint: Fit, start: Floats, rounds: int, memory: int) -> Floats:
+    """Parameters after rounds from a start: first frames and points, then the robot."""
     problem, directions = joint.problem, joint.directions
     scales = problem.parameters.scales[:, None]
     return alternation(
@@ -143,9 +129,9 @@ class Compliances:
     """Compliances of the joints, shape (6,) each [rad/Nm].
 
     Attributes:
-        value: Estimates; NaN of joints that nothing loads.
+        value: Estimates; NaN where unobservable.
         sigma: Their standard deviations.
-        unloaded: Standard deviations from the rows without load alone.
+        unloaded: Standard deviations from the measurements without load.
     """
 
     value: Floats
@@ -155,10 +141,10 @@ class Compliances:
 
 @dataclass(frozen=True)
 class Elastostatics:
-    """A robot that gives way, measured with and without a payload.
+    """A robot with joint compliance, measured with and without a payload.
 
     Attributes:
-        errors: Distances of the reference points to the true ones on the unseen
+        errors: Distances of the reference points to the true ones at the validation
             configurations by model and load, shape (3 K,) each [m].
         predicted: Root mean square that noise leaves of them, by load [m].
         rank: Rank of the geometry with the compliances.
@@ -171,12 +157,24 @@ class Elastostatics:
     compliances: Compliances
 
     def mean(self, model: str, load: str) -> float:
-        """Mean error on unseen configurations [m]."""
+        """Mean error at the validation configurations [m]."""
         return float(self.errors[model][load].mean())
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {
+            "rank": self.rank,
+            "errors": {
+                model: {load: summary(x, "m") for load, x in by_load.items()}
+                for model, by_load in self.errors.items()
+            },
+            "predicted_rms_m": self.predicted,
+            "compliance_rad_per_Nm": self.compliances,
+        }
 
 
 def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics:
-    """Measure a robot that gives way, and fit it with and without compliances."""
+    """Measure a robot with joint compliance; fit it with and without compliances."""
     load = settings.load
     problem, theta = truth(rng, settings.length, settings.angle, load)
     rows = measure(
@@ -212,7 +210,7 @@ def elastostatics(settings: Settings, rng: np.random.Generator) -> Elastostatics
 
 
 def _compliances(found: CalibrationResult) -> tuple[Floats, Floats]:
-    """Compliances and standard deviations, NaN where there are none."""
+    """Compliances and standard deviations, NaN where unobservable."""
     of = {p.name: p for p in found.parameters}
     known = [of[f"{joint}.compliance.k"] for joint in robot().joints]
     value = [np.nan if p.sigma is None else p.value for p in known]
@@ -247,7 +245,7 @@ def _noise(found: CalibrationResult, rows: Measurements) -> float:
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Errors of the tool frame on unseen configurations, root mean squares.
+    """Errors of the tool frame at validation configurations, root mean squares.
 
     Attributes:
         rank: Rank of the fit.
@@ -255,7 +253,7 @@ class Accuracy:
         orientation: Error of its orientation [rad].
         robot: Both apart from a constant motion of the tool [m, rad].
         predicted: Position and orientation that noise leaves; NaN where a part of the
-            tool frame cannot be told.
+            tool frame is unobservable.
         predicted_robot: The same apart from a constant motion of the tool.
     """
 
@@ -325,16 +323,16 @@ def _rms(errors: Floats) -> tuple[float, float]:
 
 @dataclass(frozen=True)
 class Seed:
-    """What one seed gives.
+    """Results of one seed.
 
     Attributes:
-        turns: Joint solve and two steps.
+        alternation: Joint solution and alternating least squares.
         elastostatics: With compliances and a payload.
         accuracies: By number of reference points.
         planned: At the test poses, by the choice of configurations.
     """
 
-    turns: Turns
+    alternation: Alternation
     elastostatics: Elastostatics
     accuracies: Mapping[int, Accuracy]
     planned: Mapping[str, Planned]
@@ -344,7 +342,7 @@ def study(settings: Settings, planned: Floats, seed: int) -> Seed:
     """Draw robots and calibrate them in every way.
 
     Args:
-        settings: What is simulated.
+        settings: The settings of the simulation.
         planned: Configurations for the test poses, shape (N, 6).
         seed: Seed of the robots, the random configurations and the noise.
     """
@@ -360,7 +358,7 @@ def study(settings: Settings, planned: Floats, seed: int) -> Seed:
         repeats=settings.repeats,
     )
     return Seed(
-        turns=alternating_least_squares(settings, rows),
+        alternation=alternating_least_squares(settings, rows),
         elastostatics=elastostatics(settings, of[1]),
         accuracies=accuracies(settings, of[2]),
         planned=at_test_poses(settings, planned, of[3]),

@@ -14,8 +14,6 @@ from calib_pin.solvers.differential_evolution import TRADEOFF
 from studies import shared
 from studies.liu2012_study import LEAST_SQUARES, Seed, Settings
 
-__all__ = ["draw", "median_history"]
-
 C = shared.COLORS
 
 LINES = {
@@ -33,25 +31,6 @@ AFTER = (
     {"color": C["blue"], "marker": "o"},
 )
 """Color and marker by case."""
-
-
-def draw(folder: Path, settings: Settings, seeds: Sequence[Seed]) -> tuple[str, ...]:
-    """Write all figures.
-
-    Args:
-        folder: Where to.
-        settings: What was simulated.
-        seeds: What came out, seed by seed.
-
-    Returns:
-        Names of the files.
-    """
-    figures = {
-        "convergence.png": _convergence,
-        "distances.png": _distances,
-        "validation.png": _validation,
-    }
-    return shared.draw(folder, figures, settings, seeds)
 
 
 def median_history(seeds: Sequence[Seed], count: int, mutation: str) -> Floats:
@@ -78,8 +57,7 @@ def _convergence(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
             axes.set_title(f"{count} configurations, median of {len(seeds)} seeds")
             axes.set_xlabel(f"generations of {settings.population} evaluations")
         panels[0].set_ylabel("sum of squared distance errors [mm²]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, panels[0])
 
 
 def _distances(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
@@ -98,8 +76,7 @@ def _distances(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
             axes.set_title(f"{count} configurations, seed 0")
             axes.set_xlabel("measurement")
         panels[0].set_ylabel("distance error, absolute [mm]")
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, panels[0])
 
 
 def _validation(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
@@ -120,14 +97,21 @@ def _validation(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
             shared.log_axis(axes)
             axes.set_ylabel(f"{name} error [{unit}]")
         panels[0].set_title(
-            "Tool on unseen configurations, seed 0, "
-            "apart from motions that no ranger sees"
+            "Tool at validation configurations, seed 0, "
+            "aligned by the unobservable motions"
         )
         panels[1].set_xlabel("validation configuration")
         panels[1].set_xticks(np.arange(1, settings.validation + 1))
-        handles, labels = panels[0].get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, panels[0])
 
 
 def _points(axes: Axes, values: Floats, style: dict[str, Any]) -> None:
     axes.plot(np.arange(1, len(values) + 1), values, ls="", markersize=4, **style)
+
+
+FIGURES: shared.Figures = {
+    "convergence.png": _convergence,
+    "distances.png": _distances,
+    "validation.png": _validation,
+}
+"""The figures by the names of their files."""

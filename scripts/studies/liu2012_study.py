@@ -1,13 +1,13 @@
-"""Liu, Ni, Liu, Xu 2012 (doi 10.1007/s11771-012-1095-1): a laser ranger on a plane.
+"""Liu, Ni, Liu, Xu 2012 (doi 10.1007/s11771-012-1095-1): a laser distance sensor.
 
 A six-joint arm measures distances to an inclined plane; differential evolution with
 several mutations finds its DH errors together with those of the plane. The nominal
 table of the publication is lost: `space6` has the same structure with lengths of our
 own. Its preset errors are lost too: here they are drawn, seed by seed.
 
-What a ranger cannot see, nobody can compare: a turn of everything about z of the base
-(the plane turns along), a shift along it, and a turn about the beam. Errors of poses
-are therefore judged apart from those three motions, one of each for all poses of a set.
+Three motions are unobservable: a rotation of robot and plane about z of the base, a
+shift along it, and a rotation about the beam. Errors of poses are therefore judged
+after an alignment by these three, one of each for all poses of a set.
 """
 
 from __future__ import annotations
@@ -24,43 +24,31 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, so3_log
-from calib_pin.measurement_models.plane_distance import Plane, PlaneDistance
+from calib_pin.measurement_models.features import Plane
+from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import (
     DifferentialEvolution,
     differential_evolution,
     gauss_newton,
 )
-from calib_pin.solvers.differential_evolution import STRATEGIES
-
-__all__ = [
-    "LEAST_SQUARES",
-    "MUTATIONS",
-    "Case",
-    "Outcome",
-    "Seed",
-    "Settings",
-    "Validation",
-    "aligned",
-    "plane_errors",
-    "solve",
-    "study",
-]
+from calib_pin.solvers.differential_evolution import STRATEGIES, TRADEOFF
+from studies.shared import summary
 
 MUTATIONS = tuple(name for name in STRATEGIES if name != "tradeoff")
 """`tradeoff` is one of the others, and not run twice."""
 
 LEAST_SQUARES = "least squares"
-"""Gauss-Newton in the same parameters: what an evolution can reach."""
+"""Gauss-Newton in the same parameters, the optimum of an evolution."""
 
 
 NONE: Floats = np.empty(0)
-"""The history of what has none."""
+"""The history of a solution without an evolution."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is simulated and how it is searched; lengths in m, angles in rad.
+    """The simulation and the search; lengths in m, angles in rad.
 
     Attributes:
         counts: Configurations that are measured, case by case.
@@ -77,7 +65,7 @@ class Settings:
         recombination: CR.
         generations: Limit G.
         target: The search ends at this sum of squared distance errors V, m^2.
-        mutations: What is tried.
+        mutations: Mutations that are compared.
     """
 
     counts: tuple[int, ...] = (35, 100)
@@ -103,10 +91,10 @@ class Validation:
 
     Attributes:
         distance: Distances [m].
-        position: Tool positions [m], apart from what no ranger sees.
-        orientation: Tool orientations [rad], apart from what no ranger sees.
-        position_found: Tool positions as they are [m].
-        orientation_found: Tool orientations as they are [rad].
+        position: Tool positions [m], aligned.
+        orientation: Tool orientations [rad], aligned.
+        position_found: Tool positions, not aligned [m].
+        orientation_found: Tool orientations, not aligned [rad].
     """
 
     distance: Floats
@@ -132,6 +120,22 @@ class Outcome:
     errors: Floats
     validation: Validation
     history: Floats
+
+    @property
+    def largest(self) -> float:
+        """Largest distance error on the calibration configurations [m]."""
+        return float(np.abs(self.errors).max())
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {
+            "squares_m2": self.squares,
+            "largest_distance_error_m": self.largest,
+            "validation": {
+                name: summary(values, "rad" if name.startswith("orient") else "m")
+                for name, values in vars(self.validation).items()
+            },
+        }
 
 
 @dataclass(frozen=True)
@@ -160,6 +164,17 @@ class Case:
         """Relative difference of the costs of hybrid and Gauss-Newton."""
         reference = self.fits["gauss-newton"]
         return abs(self.fits["hybrid"] - reference) / reference
+
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        compared = {name: self[name].errors for name in ("nominal", TRADEOFF)}
+        robots = {"nominal": self.before, "truth": self.truth}
+        return {
+            **robots,
+            **self.outcomes,
+            "distance_errors_m": compared,
+            "fit_cost": self.fits,
+        }
 
 
 @dataclass(frozen=True)
@@ -341,9 +356,9 @@ def _orientation(T: Floats, true: Floats) -> Floats:
 
 
 def aligned(T: Floats, true: Floats) -> Floats:
-    """Poses moved as no ranger can see, to lie closest to the true ones.
+    """Poses aligned to the true ones by the unobservable motions.
 
-    Turned about and shifted along z of the base by the positions, then turned about
+    Rotated about and shifted along z of the base by the positions, then rotated about
     the beams by the orientations.
 
     Args:
@@ -360,7 +375,7 @@ def aligned(T: Floats, true: Floats) -> Floats:
 
 
 def _turn(angle: float) -> Floats:
-    """A turn about z, shape (4, 4)."""
+    """A rotation about z, shape (4, 4)."""
     c, s = np.cos(angle), np.sin(angle)
     result = np.eye(4)
     result[:2, :2] = [[c, -s], [s, c]]

@@ -1,4 +1,4 @@
-"""The arm of Liu Qian et al. (2022) and the matrix that its configurations give."""
+"""The arm of Liu Qian et al. (2022) and its identification matrix."""
 
 from __future__ import annotations
 
@@ -22,16 +22,6 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 from calib_pin.planning.rows import IdentificationRows
 
-__all__ = [
-    "POSES",
-    "PUBLISHED",
-    "Arm",
-    "SpatialTwist",
-    "condition",
-    "conditions",
-    "singular_values",
-]
-
 PUBLISHED = {"hand-picked": "hand_picked.csv", "swarm": "swarm.csv"}
 """The published sets of configurations."""
 
@@ -41,10 +31,10 @@ POSES = 6
 
 @dataclass(frozen=True)
 class SpatialTwist(Pose):
-    """The pose of the tool as the publication compares it: a twist in the base frame.
+    """The pose of the tool, compared as published: a twist in the base frame.
 
     `residual = -((T_y - T) T^-1)`, its position part and half its skew part, to first
-    order a spatial twist, so that `by_twist = Ad(T)` where T_y = T.
+    order a spatial twist, so that `J_pose = Ad(T)` where T_y = T.
     """
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
@@ -82,16 +72,16 @@ class Arm:
     Attributes:
         problem: The arm measured by poses, both frames known.
         preset: The published errors, shape (P,).
-        truth: Errors with the same sums, of all such the closest to nominal: what a
-            fit can find, shape (P,).
-        sums: Coefficients of the 34 identifiable sums, shape (34, P).
-        kept: Positions of the parameters whose columns are kept, one for each sum.
+        truth: Errors with the same identifiable linear combinations, of all such the
+            closest to nominal, shape (P,).
+        combinations: Coefficients of these 34, shape (34, P).
+        kept: Indices of the parameters whose columns are kept, one for each of them.
     """
 
     problem: Problem
     preset: Floats
     truth: Floats
-    sums: Floats
+    combinations: Floats
     kept: tuple[int, ...]
 
     @staticmethod
@@ -106,13 +96,13 @@ class Arm:
         found, visible = analyze_structure(
             problem, np.zeros_like(preset), np.random.default_rng(0)
         )
-        sums = np.array([c.row(len(preset)) for c in found.combinations])
+        rows = np.array([c.row(len(preset)) for c in found.combinations])
         return Arm(
             problem=problem,
             preset=preset,
             truth=scale * (visible @ (visible.T @ (preset / scale))),
-            sums=sums,
-            # The sums are ordered by the column that stands for each of them.
+            combinations=rows,
+            # They are ordered by the column that stands for each of them.
             kept=tuple(c.terms[0][0] for c in found.combinations),
         )
 
@@ -131,7 +121,7 @@ class Arm:
     @staticmethod
     @cache
     def collisions() -> Collisions:
-        """What of the arm must not come close to itself."""
+        """The collision model of the arm."""
         found = load_collisions(Arm.load().problem.error.chain)
         assert found is not None, "the URDF describes solids"
         return found
@@ -148,7 +138,7 @@ class Arm:
     def measure(
         self, q: Floats, theta: Floats, noise: Mapping[str, float], seed: int
     ) -> Measurements:
-        """Poses that an instrument with some noise, perhaps none, sees."""
+        """Measured poses, with noise or without."""
         setup = replace(self.problem.setup, noise=dict(noise))
         return calib_pin.simulate(
             replace(self.problem, setup=setup),
@@ -159,8 +149,8 @@ class Arm:
         )
 
     def relative_errors(self, theta: Floats) -> Floats:
-        """Of the sums, where the true one is not zero."""
-        true, found = self.sums @ self.truth, self.sums @ theta
+        """Relative errors of the linear combinations whose true value is not zero."""
+        true, found = self.combinations @ self.truth, self.combinations @ theta
         # 7m_y + tool m_z is preset to zero.
         stated = np.abs(true) > 1e-12
         return np.asarray(np.abs(found - true)[stated] / np.abs(true[stated]))

@@ -7,12 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib_pin.control.trajectory import TipErrors
+from calib_pin.control.tip_errors import TipErrors
 from calib_pin.kinematics.spatial import Floats
 from studies import shared
 from studies.liu2022_study import OURS, Settings, Study, motion
-
-__all__ = ["draw"]
 
 C = shared.COLORS
 
@@ -28,21 +26,6 @@ COMPONENTS = {"x": C["orange"], "y": C["blue"], "z": C["green"]}
 
 QUANTITIES = {"position": ("mm", 1e3), "orientation": ("deg", np.degrees(1.0))}
 """Unit and factor of every quantity."""
-
-
-def draw(folder: Path, settings: Settings, study: Study) -> tuple[str, ...]:
-    """Write all figures.
-
-    Args:
-        folder: Where to.
-        settings: What was searched and simulated.
-        study: What came out.
-
-    Returns:
-        Names of the files.
-    """
-    figures = {"search.png": _search, "trajectory.png": _trajectory}
-    return shared.draw(folder, figures, settings, study)
 
 
 def _search(path: Path, settings: Settings, study: Study) -> None:
@@ -68,8 +51,7 @@ def _search(path: Path, settings: Settings, study: Study) -> None:
         left.set_title("search for six configurations")
         left.set_xlabel("evaluations of the matrix")
         left.set_ylabel("condition number")
-        handles, labels = left.get_legend_handles_labels()
-        figure.legend(handles, labels, loc="outside lower center", ncols=3)
+        shared.legend(figure, left)
         for name, (color, marker) in SETS.items():
             s = study.judged[name].singular_values
             label = f"{name}: {s[0] / s[-1]:.3g}"
@@ -122,3 +104,7 @@ def _of(tip: TipErrors, name: str) -> Floats:
 def _components(axes: Axes, time: Floats, values: Floats, dashes: str) -> None:
     for (name, color), column in zip(COMPONENTS.items(), values.T, strict=True):
         axes.plot(time, column, dashes, color=color, lw=1.2, label=name)
+
+
+FIGURES: shared.Figures = {"search.png": _search, "trajectory.png": _trajectory}
+"""The figures by the names of their files."""

@@ -1,12 +1,12 @@
-"""Liu Qian et al. 2022, Manned Spaceflight 28(6), 711-719: where to measure an arm.
+"""Liu Qian et al. 2022, Manned Spaceflight 28(6), 711-719: optimal configurations.
 
 Tool poses at six configurations calibrate a seven-joint arm. The link errors have 34
-identifiable sums, so six poses tell hardly more than that: it matters which six. The
-publication picks them by hand, then by a particle swarm that lowers the condition
-number of its 36 x 34 matrix, and takes one linear least-squares step.
+identifiable linear combinations, for which 36 equations hardly suffice: it matters
+which six. The publication picks them by hand, then by a particle swarm that lowers the
+condition number of its 36 x 34 matrix, and takes one linear least-squares step.
 
 The matrix is theirs: twists of the tool in the base frame, lengths in m, angles in rad,
-and 34 of the 48 columns, one for each sum.
+and 34 of the 48 columns, one for each linear combination.
 """
 
 from __future__ import annotations
@@ -19,12 +19,12 @@ from time import perf_counter
 import numpy as np
 
 import calib_pin
-from calib_pin.control.trajectory import TipErrors, Trajectory, tip_errors, trapezoidal
+from calib_pin.control.tip_errors import TipErrors, tip_errors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.planning import search as planning
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.rows import IdentificationRows, Pullback
-from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.solvers.particle_swarm import ParticleSwarm, particle_swarm
 from studies import shared
@@ -37,32 +37,15 @@ from studies.liu2022_arm import (
     conditions,
     singular_values,
 )
-
-__all__ = [
-    "OURS",
-    "Judgment",
-    "Noisy",
-    "Record",
-    "Settings",
-    "Study",
-    "judge",
-    "linear_step",
-    "motion",
-    "nominal_errors",
-    "optimize",
-    "random_conditions",
-    "study",
-    "swarm",
-    "with_noise",
-]
+from studies.trajectory import Trajectory, trapezoidal
 
 OURS = "ours"
-"""The set that we plan, in which the arm keeps its distance from itself."""
+"""The set that we plan, without self-collision."""
 
 
 @dataclass(frozen=True)
 class Settings:
-    """What is searched and simulated; lengths in m, angles in rad.
+    """The search and the simulation; lengths in m, angles in rad.
 
     Attributes:
         draws: Random sets of configurations.
@@ -106,7 +89,7 @@ def random_conditions(arm: Arm, count: int, rng: np.random.Generator) -> Floats:
 
 
 @dataclass(frozen=True)
-class Record:
+class Search:
     """How a search went.
 
     Attributes:
@@ -123,9 +106,13 @@ class Record:
     best: Floats
     seconds: float
 
+    def numbers(self) -> dict[str, object]:
+        """The numbers that are written."""
+        return {"q_rad": self.q} | {k: x for k, x in vars(self).items() if k != "q"}
+
 
 class Watched:
-    """The rows of the published matrix, with a record of what is asked of them.
+    """The published matrix with a record of its condition numbers.
 
     Args:
         rows: The rows.
@@ -134,6 +121,7 @@ class Watched:
     nuisances, differentiable = 0, True
 
     def __init__(self, rows: IdentificationRows) -> None:
+        """Begin with an empty record."""
         self._rows = rows
         self.conditions: list[float] = []
 
@@ -149,7 +137,7 @@ class Watched:
         return rows, pullback
 
 
-def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
+def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
     """Our six configurations: the search of `calib-pin plan` on the published matrix.
 
     Exchange among candidates, then descents by the analytic gradient. The result is
@@ -158,12 +146,12 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     Args:
         settings: How to search.
         seed: Seed of the candidates and the starts.
-        avoid: Whether the arm may not come close to itself.
+        avoid: Whether self-collision is avoided.
     """
     arm, rng, begun = Arm.load(), np.random.default_rng(seed), perf_counter()
     rows = Watched(arm.rows)
     workspace = Workspace.create(arm.problem, arm.collisions() if avoid else None)
-    search = Search(
+    search = planning.Search(
         rows,
         workspace,
         CRITERIA["condition"],
@@ -178,7 +166,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     q = np.radians(np.round(np.degrees(found.q), 2))
     if not workspace.inside(q, found.target).all():
         q = found.q
-    return Record(
+    return Search(
         q=q,
         condition=condition(arm, q),
         evaluations=np.arange(1.0, len(rows.conditions) + 1.0),
@@ -187,7 +175,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Record:
     )
 
 
-def swarm(settings: Settings, seed: int) -> Record:
+def swarm(settings: Settings, seed: int) -> Search:
     """The published search: an improved particle swarm.
 
     Size and length of the published one are lost.
@@ -205,7 +193,7 @@ def swarm(settings: Settings, seed: int) -> Record:
         ParticleSwarm(particles=settings.particles, iterations=settings.iterations),
     )
     history = found.best_history
-    return Record(
+    return Search(
         q=found.x.reshape(POSES, -1),
         condition=float(history[-1]),
         evaluations=np.cumsum(size, dtype=float)[: len(history)],
@@ -222,7 +210,7 @@ class Noisy:
     """A calibration from noisy poses.
 
     Attributes:
-        errors: Relative errors of the sums, shape (33,).
+        errors: Relative errors of the linear combinations, shape (33,).
         tip: Errors along the trajectory.
     """
 
@@ -232,16 +220,17 @@ class Noisy:
 
 @dataclass(frozen=True)
 class Judgment:
-    """What exact poses at six configurations are good for.
+    """The calibration from exact poses at six configurations.
 
     Attributes:
         q: The configurations, shape (6, 7) [rad].
         singular_values: Of the published matrix, shape (34,).
-        linear: Relative errors of the sums after one linear step, shape (33,).
-        solved: The same after our calibration, of a truth that a fit can find.
+        linear: Relative errors of the linear combinations after one linear step, shape
+            (33,).
+        solved: The same after our calibration, of identifiable true errors.
         tip_linear: Errors along the trajectory after the linear step.
         tip_solved: The same after our calibration.
-        verdict: What the calibration says of itself.
+        verdict: Verdict of the calibration.
     """
 
     q: Floats
@@ -320,7 +309,7 @@ def with_noise(
 def _calibrate(
     arm: Arm, rows: Measurements, along: Floats
 ) -> tuple[Floats, str, TipErrors]:
-    """Errors (P,), verdict, and errors of the preset arm's tip after a calibration."""
+    """Errors (P,), verdict, and errors of the preset arm's tool after a calibration."""
     chain, setup = arm.problem.error.chain, arm.problem.setup
     found = calib_pin.calibrate(chain, rows, setup, validate=False)
     theta = np.array([parameter.value for parameter in found.parameters])
@@ -334,36 +323,36 @@ def _along(arm: Arm, q: Floats, theta: Floats) -> TipErrors:
 
 @dataclass(frozen=True)
 class Study:
-    """All that is computed.
+    """All results.
 
     Attributes:
         nominal: Errors of the nominal arm along the trajectory.
         random: Condition numbers of random sets.
         ours: Our search.
-        apart: Our search where the arm may not come close to itself.
+        apart: Our search without self-collision.
         swarms: Runs of the published search.
-        judged: What exact poses are good for, by set.
-        noisy: What noisy poses are good for, seed by seed and by set.
+        judged: Calibrations from exact poses, by set.
+        noisy: Calibrations from noisy poses, seed by seed and by set.
     """
 
     nominal: TipErrors
     random: Floats
-    ours: Record
-    apart: Record
-    swarms: Sequence[Record]
+    ours: Search
+    apart: Search
+    swarms: Sequence[Search]
     judged: Mapping[str, Judgment]
     noisy: Sequence[Mapping[str, Noisy]]
 
 
 def study(settings: Settings, seeds: int) -> Study:
-    """Record and calibrate.
+    """Search and calibrate.
 
     Args:
-        settings: What is searched and simulated.
+        settings: The settings of search and simulation.
         seeds: Number of seeds of the noise; the swarms have no more.
     """
     arm = Arm.load()
-    searches: list[Callable[[], Record]] = [
+    searches: list[Callable[[], Search]] = [
         partial(optimize, settings, 0),
         partial(optimize, settings, 0, avoid=True),
         *(partial(swarm, settings, k) for k in range(min(settings.swarms, seeds))),
@@ -381,5 +370,5 @@ def study(settings: Settings, seeds: int) -> Study:
     )
 
 
-def _run(search: Callable[[], Record]) -> Record:
+def _run(search: Callable[[], Search]) -> Search:
     return search()

@@ -1,4 +1,4 @@
-"""What the studies share: options, seeds side by side, files, figures, conditions."""
+"""Shared by the studies: options, seeds in parallel, files, figures."""
 
 from __future__ import annotations
 
@@ -8,35 +8,24 @@ import json
 import platform
 import re
 import sys
-import textwrap
-from collections.abc import Callable, Iterable, Iterator, Mapping
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict, dataclass
+from dataclasses import is_dataclass
 from importlib.metadata import version
 from multiprocessing import get_context
 from pathlib import Path
 from typing import Any, NoReturn, TypeVar
 
 import matplotlib as mpl
+import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from matplotlib.ticker import LogFormatter
 from numba import config
 
 from calib_pin.io.files import write_atomically
-
-__all__ = [
-    "COLORS",
-    "Condition",
-    "each",
-    "figure",
-    "log_axis",
-    "options",
-    "versions",
-    "wrapped",
-    "write_json",
-]
+from calib_pin.kinematics.spatial import Floats
 
 COLORS = {
     "black": "#000000",
@@ -62,30 +51,11 @@ STYLE: dict[str, Any] = {
     "legend.frameon": False,
 }
 
-WIDTH = 80
-"""Columns of the terminal."""
+Figures = Mapping[str, Callable[..., None]]
+"""Functions that draw a figure into a path, by the names of the files."""
 
 _Item = TypeVar("_Item")
 _Result = TypeVar("_Result")
-
-
-@dataclass(frozen=True)
-class Condition:
-    """Something that a study must show.
-
-    Attributes:
-        text: What.
-        met: Whether it does.
-        numbers: The numbers behind that, by name with unit.
-    """
-
-    text: str
-    met: bool
-    numbers: Mapping[str, object]
-
-    def __str__(self) -> str:
-        """Lines for the terminal."""
-        return wrapped(f"{'met' if self.met else 'NOT MET':<8} {self.text}", 9)
 
 
 class _Parser(argparse.ArgumentParser):
@@ -95,13 +65,17 @@ class _Parser(argparse.ArgumentParser):
         sys.exit(f"{self.prog}: {message}")
 
 
-def options(name: str, description: str, seeds: int) -> argparse.ArgumentParser:
-    """Options that every study has.
+def options(
+    name: str, source: str, seeds: int, words: Sequence[str], **limits: tuple[int, str]
+) -> argparse.Namespace:
+    """The options of a study.
 
     Args:
         name: Name of the study.
-        description: What it is.
+        source: The publication.
         seeds: Number of seeds of the whole study.
+        words: The words of the command line.
+        limits: Default and help of further options that are numbers, by name.
     """
 
     def whole(word: str) -> int:
@@ -115,15 +89,16 @@ def options(name: str, description: str, seeds: int) -> argparse.ArgumentParser:
             raise argparse.ArgumentTypeError(f"'{word}' is not a folder")
         return Path(word)
 
-    parser = _Parser(prog=f"reproduce {name}", description=description)
-    parser.register("type", "count", whole)
-    parser.add_argument(
-        *("--seeds",),
-        type="count",
-        default=seeds,
-        metavar="N",
-        help="number of seeds, fewer for a short run (default: %(default)s)",
-    )
+    parser = _Parser(prog=f"reproduce {name}", description=source)
+    limits = {"seeds": (seeds, "number of seeds, fewer"), **limits}
+    for option, (default, text) in limits.items():
+        parser.add_argument(
+            *(f"--{option}",),
+            type=whole,
+            default=default,
+            metavar="N",
+            help=f"{text} for a short run (default: %(default)s)",
+        )
     parser.add_argument(
         *("-o", "--output"),
         type=folder,
@@ -131,7 +106,7 @@ def options(name: str, description: str, seeds: int) -> argparse.ArgumentParser:
         metavar="DIR",
         help="folder of the results (default: %(default)s)",
     )
-    return parser
+    return parser.parse_args(words)
 
 
 def each(
@@ -171,18 +146,52 @@ def versions() -> dict[str, str]:
     return python | {name: version(name) for name in packages}
 
 
-def renamed(settings: Any, names: Mapping[str, str]) -> dict[str, object]:
-    """Settings by name, some under other names, with their units."""
-    return {names.get(key, key): value for key, value in asdict(settings).items()}
-
-
 def write_json(path: Path, document: Mapping[str, object]) -> None:
-    """Write a document; lists of numbers take one line each."""
-    text = json.dumps(document, indent=2, allow_nan=False)
+    """Write a document, see `plain`; lists of numbers take one line each."""
+    text = json.dumps(plain(document), indent=2, allow_nan=False)
     text = re.sub(
         r"\[[-+.\deE,\s]+\]", lambda found: re.sub(r"\s+", " ", found[0]), text
     )
     write_atomically(path, f"{text}\n".encode(), force=True)
+
+
+def plain(value: object) -> object:
+    """A value as JSON has it; NaN and infinity are null.
+
+    Dataclasses become objects of their fields, or of what their method `numbers`
+    returns where they have one.
+    """
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if is_dataclass(value):
+        numbers = getattr(value, "numbers", None)
+        return plain(numbers() if numbers else vars(value))
+    if isinstance(value, np.ndarray | np.generic):
+        return plain(value.tolist())
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return None if isinstance(value, float) and not np.isfinite(value) else value
+
+
+def medians(values: Sequence[object]) -> object:
+    """Medians of values that are alike, number by number, see `plain`."""
+    documents = [plain(value) for value in values]
+    first = documents[0]
+    if isinstance(first, Mapping):
+        return {key: medians([d[key] for d in documents]) for key in first}  # type: ignore[index]
+    return float(np.median(documents))  # type: ignore[arg-type]
+
+
+def rms(values: Floats) -> float:
+    """The root mean square."""
+    return float(np.sqrt(np.mean(values**2)))
+
+
+def summary(errors: Floats, unit: str) -> dict[str, float]:
+    """Mean, root mean square and maximum of errors, by names that end in the unit."""
+    numbers = float(errors.mean()), rms(errors), float(errors.max())
+    names = (f"{name}_{unit}" for name in ("mean", "rms", "max"))
+    return dict(zip(names, numbers, strict=True))
 
 
 @contextmanager
@@ -203,22 +212,10 @@ def figure(path: Path, width: float, height: float) -> Iterator[Figure]:
     write_atomically(path, stream.getvalue(), force=True)
 
 
-def draw(
-    folder: Path, figures: Mapping[str, Callable[..., None]], *about: object
-) -> tuple[str, ...]:
-    """Write figures.
-
-    Args:
-        folder: Where to.
-        figures: What draws each into a path, by the name of its file.
-        about: What else it is given.
-
-    Returns:
-        Names of the files.
-    """
-    for name, draw_one in figures.items():
-        draw_one(folder / name, *about)
-    return tuple(figures)
+def legend(figure: Figure, axes: Axes, columns: int = 3) -> None:
+    """A legend of what some axes show, below the panels."""
+    handles, labels = axes.get_legend_handles_labels()
+    figure.legend(handles, labels, loc="outside lower center", ncols=columns)
 
 
 def log_axis(axes: Axes) -> None:
@@ -233,8 +230,3 @@ class _Plain(LogFormatter):
 
     def __call__(self, x: float, pos: int | None = None) -> str:
         return f"{x:g}" if super().__call__(x, pos) else ""
-
-
-def wrapped(text: str, indent: int = 0) -> str:
-    """Text in lines that fit the terminal, the later ones indented."""
-    return textwrap.fill(text, WIDTH, subsequent_indent=" " * indent)

@@ -16,8 +16,7 @@ import calib_pin
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.setup import Setup
-from studies import klimchik_figures, shared
-from studies.klimchik import Report
+from studies.klimchik import report
 from studies.klimchik_arm import (
     COMPLIANCE,
     Settings,
@@ -26,6 +25,7 @@ from studies.klimchik_arm import (
     truth,
 )
 from studies.klimchik_design import PLANNED, RANDOM, Design, plan_poses
+from studies.klimchik_figures import FIGURES
 from studies.klimchik_model import (
     HEAVY,
     POINTS,
@@ -111,12 +111,12 @@ def test_the_irreducible_model_fits_like_all_placement_errors() -> None:
 
 @pytest.mark.slow
 def test_two_steps_end_where_the_joint_solve_does(seed: Seed) -> None:
-    turns = seed.turns
-    assert turns.difference < 1e-6 and turns.cost < 1e-9
-    # The same number of plain turns comes closer and closer, and stays far away.
-    assert turns.mixed[-1] < SMALL.near and len(turns.mixed) - 1 <= SMALL.rounds
-    assert (np.diff(turns.plain[5:]) < 0.0).all()
-    assert turns.plain[-1] > 10.0 * SMALL.near and len(turns.plain) - 1 == SMALL.rounds
+    found = seed.alternation
+    assert found.difference < 1e-6 and found.cost < 1e-9
+    # The same number of plain rounds comes closer and closer, and stays far away.
+    assert found.mixed[-1] < SMALL.near and len(found.mixed) - 1 <= SMALL.rounds
+    assert (np.diff(found.plain[5:]) < 0.0).all()
+    assert found.plain[-1] > 10.0 * SMALL.near and len(found.plain) - 1 == SMALL.rounds
 
 
 @pytest.mark.slow
@@ -200,17 +200,18 @@ def test_rows_of_all_points_against_central_differences() -> None:
 def test_the_report_and_its_figures(
     planned: Floats, seed: Seed, tmp_path: Path
 ) -> None:
-    report = Report(SMALL, planned, [seed])
-    text = report.text()
+    result = report(SMALL, planned, [seed])
+    text = result.text()
     assert all(len(line) <= 80 for line in text.splitlines())
-    assert "nan" not in text
-    assert all(condition.met for condition in report.conditions())
-    shared.write_json(tmp_path / "klimchik.json", report.document())
+    assert "nan" not in text and "NOT MET" not in text
+    assert all(result.met().values())
+    result.publish(tmp_path, FIGURES, (SMALL, [seed]))
     document = json.loads((tmp_path / "klimchik.json").read_text())
     assert document["irreducible"] == list(irreducible(robot()))
-    assert document["settings"]["payload_kg"] == 250.0
+    assert document["settings"]["mass"] == 250.0
     (written,) = document["seeds"]
-    assert written["elastostatics"]["compliance_rad_per_Nm"][0] is None
-    assert written["points"]["1"]["predicted_m_rad"] == [None, None]
-    for name in klimchik_figures.draw(tmp_path, SMALL, [seed]):
+    compliances = written["elastostatics"]["compliance_rad_per_Nm"]
+    assert compliances["value"][0] is None
+    assert written["accuracies"]["1"]["predicted"] == [None, None]
+    for name in FIGURES:
         assert (tmp_path / name).read_bytes()[:8] == b"\x89PNG\r\n\x1a\n"

@@ -1,4 +1,4 @@
-"""What the verdict is worth: eight criteria on jobs whose truth is known.
+"""The quality of the verdict: eight criteria on jobs whose truth is known.
 
     scripts/benchmark verdict                        # a tenth of the jobs
     scripts/benchmark verdict --full                 # all of them

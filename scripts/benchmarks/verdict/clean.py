@@ -1,4 +1,4 @@
-"""Clean jobs: what is good must not be refused, and nothing to gain is no fault."""
+"""Clean jobs: good results must not be refused, and no gain is no fault."""
 
 from __future__ import annotations
 
@@ -9,8 +9,6 @@ import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, at_most
 from benchmarks.verdict.jobs import draw, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
-
-__all__ = ["CRITERION"]
 
 PERFECT = 4
 """Every so many jobs the robot is perfect."""

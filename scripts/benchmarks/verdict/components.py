@@ -14,8 +14,6 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.observations import PART
 from calib_pin.setup import AnchorSetup, Setup
 
-__all__ = ["CRITERION", "TRUTH"]
-
 EACH = 100
 """Measurements of each instrument."""
 
@@ -23,10 +21,10 @@ WRONG = 5.0
 """By how much their standard deviations are stated wrong, either way."""
 
 TRUTH = Setup(base_frame=BASE, tool_frame=TOOL)
-"""Where a tracker stands and its target is."""
+"""True placements of a tracker and its target."""
 
 WIRE = (1.5, 0.2, 0.4)
-"""Where a draw wire leaves, in the measuring frame [m]."""
+"""Anchor of a draw-wire encoder in the measurement frame [m]."""
 
 
 @dataclass(frozen=True)
@@ -37,7 +35,7 @@ class Components:
         number: Number of the job.
         found: Name, estimated by true standard deviation, and whether its interval
             holds the true one.
-        problem: What went wrong, if anything did.
+        problem: The error, if there is one.
     """
 
     number: int
@@ -50,7 +48,7 @@ class Components:
 
 
 def run(number: int) -> Components:
-    """A tracker and a draw wire, or the two quantities of a pose."""
+    """A tracker and a draw-wire encoder, or the two quantities of a pose."""
     rng = stream(number, 1)
     job = draw(number, model="pose", stated=True)
     true = log_uniform(rng, NOISE, 2)

@@ -19,8 +19,6 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import Setup
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["CRITERION", "far"]
-
 NORMAL = 1.959964
 """Standard deviations within which 95 % of a normal distribution lie."""
 
@@ -41,11 +39,11 @@ class Coverage:
 
     Attributes:
         number: Number of the job.
-        kind: What of it is special.
+        kind: Its peculiarity.
         inside: Combinations whose 95 % interval holds the truth.
         total: Their number.
         ratio: Squared actual by predicted tool error over the workspace.
-        problem: What went wrong, if anything did.
+        problem: The error, if there is one.
     """
 
     number: int
@@ -71,7 +69,7 @@ KINDS = {
     "far first guess": "point-distance",
     "unmodeled": "position",
 }
-"""What is special, and the measurement model it is looked at with."""
+"""Peculiarities, each with its measurement model."""
 
 
 def run(number: int) -> Coverage:
@@ -79,7 +77,7 @@ def run(number: int) -> Coverage:
     kind = list(KINDS)[number % len(KINDS)]
     rng = stream(number, 1)
     stated = kind in ("priors", "far first guess")
-    # What is assumed where nothing is stated is LENGTH.
+    # LENGTH is assumed where nothing is stated.
     length = LENGTH if stated else LENGTH * float(np.exp(rng.uniform(-1.0, 1.0)))
     job = draw(
         number, model=KINDS[kind], multiple=3, stated=stated, size=SIZE, noise=length

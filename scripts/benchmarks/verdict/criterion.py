@@ -8,16 +8,6 @@ from typing import Generic, TypeVar
 
 import numpy as np
 
-__all__ = [
-    "Criterion",
-    "Line",
-    "at_most",
-    "between",
-    "missing",
-    "named",
-    "square",
-]
-
 T = TypeVar("T")
 
 NUMBERS = 12

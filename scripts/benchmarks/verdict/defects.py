@@ -15,8 +15,6 @@ from calib_pin.kinematics.spatial import Floats, se3_exp
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, PointSetup, Setup
 
-__all__ = ["DEFECTS", "Case", "exchanged", "narrow", "path", "spoil", "stuck"]
-
 ROWS = 60
 """Measurements where the issue names a number."""
 
@@ -36,12 +34,12 @@ NARROW = 0.2
 
 @dataclass(frozen=True)
 class Case:
-    """What `calibrate` gets.
+    """The input of `calibrate`.
 
     Attributes:
         job: The job.
         rows: Its measurements.
-        setup: What the user states.
+        setup: The user's setup.
         validation: Further measurements to check with.
         like: New configurations like those that were measured, shape (N, n); None
             where they fill the workspace.
@@ -61,7 +59,7 @@ def spoil(
 
     Args:
         rows: The measurements, of one model.
-        index: The rows that are spoiled, shape (K,).
+        index: Indices of the spoiled measurements, shape (K,).
         size: Size of each error [m], shape (K,).
         rng: Random generator of their directions.
     """
@@ -270,7 +268,7 @@ DEFECTS: Mapping[str, Callable[[int], Case]] = {
     "one of 60, 20 mm, stated": _one_stated,
     "one of 60": _one_bad,
     "gross errors": _gross,
-    "two rows exchanged": _exchanged,
+    "two measurements exchanged": _exchanged,
     "instrument moved": _moved,
     "lengths 1-5 % too large": _scaled,
     "socket distance": _socket,

@@ -1,4 +1,4 @@
-"""Simulated jobs: a robot with known errors, an instrument, and what the user states.
+"""Simulated jobs: a robot with known errors, an instrument, and the user's setup.
 
 A job is made from its number alone, so that each can be run again by itself. The true
 frames and instruments are not those that the user states: he states what he can know.
@@ -31,17 +31,6 @@ from calib_pin.setup import (
     Setup,
     Triple,
 )
-
-__all__ = [
-    "MODELS",
-    "ROBOTS",
-    "SEED",
-    "Equipment",
-    "Job",
-    "draw",
-    "log_uniform",
-    "stream",
-]
 
 SEED = 16
 """Seed of all jobs, beside their numbers."""
@@ -84,8 +73,8 @@ class Equipment:
     """An instrument.
 
     Attributes:
-        truth: Where it stands and what it is.
-        stated: What the user states about it.
+        truth: Its true placement and properties.
+        stated: The user's setup of it.
     """
 
     truth: Setup
@@ -102,10 +91,10 @@ class Job:
         chain: Its nominal chain.
         problem: The true instrument about the nominal robot.
         theta: True parameter values, shape (P,).
-        setup: What the user states.
+        setup: The user's setup.
         minimal: Fewest configurations that determine everything.
         count: Configurations to measure.
-        stated: Whether the rows state their standard deviations.
+        stated: Whether the measurements state their standard deviations.
     """
 
     number: int
@@ -379,4 +368,4 @@ MODELS: Mapping[str, Callable[[calib_pin.Chain, np.random.Generator], Equipment]
     "point-distance": _wires,
     "relative-distance": _relative,
 }
-"""What each measurement model needs."""
+"""Equipment of every measurement model."""

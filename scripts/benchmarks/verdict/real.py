@@ -5,22 +5,16 @@ The data are not part of the repository: `CALIB_PIN_DATA`, else `../shared/data`
 
 from __future__ import annotations
 
-import os
 from collections.abc import Callable, Iterator, Sequence
 from dataclasses import replace
-from pathlib import Path
 
 import numpy as np
 
 import calib_pin
+from benchmarks.timing import DATA
 from benchmarks.verdict.criterion import Criterion, Line, between, missing
 from calib_pin.setup import DistanceSetup, Setup
 from calib_pin.validation.result import CalibrationResult
-
-__all__ = ["CRITERION", "known_distances", "panda_2"]
-
-BESIDE = Path(__file__).parents[4] / "shared" / "data"
-DATA = Path(os.environ.get("CALIB_PIN_DATA", BESIDE))
 
 SAME = 1.01
 """Error by the one before that is not worse: what other weights of good measurements
@@ -163,7 +157,7 @@ def _words(text: str) -> list[str]:
 
 
 def blocks() -> Iterator[Line]:
-    """The ladder's promise beside the error on held-out stretches of the file."""
+    """The prediction of model selection beside the error on held-out stretches."""
     chain = _ur10()
     rows = _read("ur10_tmac/train.csv", chain, "position")
     promised, found = [], []
@@ -177,7 +171,7 @@ def blocks() -> Iterator[Line]:
         ((_, _, accuracy),) = calib_pin.evaluate(result.model, rows.rows(held)).errors
         found.append(accuracy.mean)
     ratio = float(np.mean(found) / np.mean(promised))
-    text = "UR10, held-out stretches by the ladder's prediction"
+    text = "UR10, held-out stretches by predicted error"
     yield between(text, ratio, 1.0 / 1.5, 1.5)
 
 

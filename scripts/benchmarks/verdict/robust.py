@@ -1,4 +1,4 @@
-"""Robustness: what gross errors leave of the fit of the good measurements alone."""
+"""Robustness: fits with gross errors beside fits of the good measurements alone."""
 
 from __future__ import annotations
 
@@ -12,8 +12,6 @@ from benchmarks.verdict.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import MODELS, draw, log_uniform, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
-
-__all__ = ["CRITERION"]
 
 SHARES = (0.2, 0.4)
 """Parts of the measurements that are spoiled."""

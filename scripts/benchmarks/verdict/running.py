@@ -1,4 +1,4 @@
-"""Run the jobs of the criteria, and print what came out beside its limit."""
+"""Run the jobs of the criteria, and print the figures beside their limits."""
 
 from __future__ import annotations
 
@@ -22,8 +22,6 @@ from benchmarks.verdict import (
 )
 from benchmarks.verdict.criterion import Criterion
 from benchmarks.verdict.jobs import SEED
-
-__all__ = ["CRITERIA", "main"]
 
 CRITERIA: dict[str, Criterion[Any]] = {
     "clean": clean.CRITERION,

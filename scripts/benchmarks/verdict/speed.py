@@ -1,4 +1,4 @@
-"""Time: what robust estimation costs on clean measurements, and with outliers."""
+"""Time: the cost of robust estimation on clean measurements, and with outliers."""
 
 from __future__ import annotations
 
@@ -13,8 +13,6 @@ from benchmarks.verdict.criterion import Criterion, Line, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import Job, draw, log_uniform, stream
 from calib_pin.observations import Measurements
-
-__all__ = ["CRITERION"]
 
 ROWS = 500
 """Measurements of a UR10."""

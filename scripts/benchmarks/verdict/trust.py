@@ -11,8 +11,6 @@ from benchmarks.verdict.defects import DEFECTS
 from benchmarks.verdict.jobs import draw
 from benchmarks.verdict.truth import Outcome, judged, refused
 
-__all__ = ["CRITERION"]
-
 
 def run(number: int) -> Outcome:
     """A job with the defect whose turn it is."""

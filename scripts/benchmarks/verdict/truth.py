@@ -1,4 +1,4 @@
-"""What a calibration is worth, by the true robot that simulation knows.
+"""The true error of a calibration, known from simulation.
 
 Tool positions of the true, the calibrated and the nominal robot are compared with the
 displacements of base and tool fitted away, since users register these anew: they are
@@ -16,19 +16,17 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.result import CalibratedModel, CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
 
-__all__ = ["WORKSPACE", "Outcome", "judged", "position_error", "refused"]
-
 WORKSPACE = 300
-"""Configurations that errors are looked at."""
+"""Number of configurations at which errors are evaluated."""
 
 
 @dataclass(frozen=True)
 class Outcome:
-    """What came out of a job; errors are rms tool positions [m].
+    """The outcome of a job; errors are rms tool positions [m].
 
     Attributes:
         number: Number of the job.
-        kind: What it is about, such as a defect.
+        kind: Its subject, such as a defect.
         label: The job in a few words.
         group: Names by which outcomes are counted.
         verdict: The verdict; `refused` where the input was, `crash` for a traceback.
@@ -95,7 +93,7 @@ def judged(
     Args:
         job: The job.
         result: The result.
-        kind: What it is about.
+        kind: Its subject.
         group: Names by which outcomes are counted.
         there: New configurations like those that were measured, shape (N, n).
     """

@@ -12,8 +12,6 @@ from benchmarks.verdict.defects import ROWS, narrow, path, stuck
 from benchmarks.verdict.jobs import draw, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
 
-__all__ = ["CRITERION"]
-
 MODELS = ("position", "pose", "point-distance")
 """Measurement models that see the tool wherever it is."""
 

@@ -1,18 +1,13 @@
-"""Trapezoidal motions within their limits, and errors of the tip."""
+"""Trapezoidal motions within their limits."""
 
 from __future__ import annotations
-
-from collections.abc import Callable
-from typing import Any
 
 import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from calib_pin.control.trajectory import Trajectory, tip_errors, trapezoidal
-from calib_pin.errors import OptionError
-from calib_pin.kinematics.spatial import so3_exp
+from studies.trajectory import Trajectory, trapezoidal
 
 START = np.radians([10.0, -100.0, 80.0, 100.0, -80.0, 90.0, 5.0])
 GOAL = np.radians([60.0, 30.0, 20.0, 20.0, 30.0, 75.0, 15.0])
@@ -40,9 +35,6 @@ def check_limits(
     changed = np.abs(np.diff(motion.velocity, axis=0)) / step
     rounding = 1e-14 * np.max(velocity) / step
     assert (changed <= acceleration * (1 + 1e-9) + rounding).all()
-
-
-# --- motions -----------------------------------------------------------------------
 
 
 def test_cruise_between_two_ramps() -> None:
@@ -160,99 +152,3 @@ def test_no_way_is_one_sample(place: list[float]) -> None:
 def test_hardly_a_way(way: float) -> None:
     motion = trapezoidal([0.0], [way], 1e3, 1e3, 1.0)
     assert motion.q[-1, 0] == way and np.isfinite(motion.velocity).all()
-
-
-@pytest.mark.parametrize(
-    ("changes", "fields"),
-    [
-        (
-            {"start": [0.0]},
-            {"reason": "start has shape (1,), the goal (2,)", "allowed": "the same"},
-        ),
-        ({"start": [[0.0]]}, {"reason": "start has shape (1, 1), the goal (2,)"}),
-        ({"start": [0.0, np.nan]}, {"reason": "start is not finite"}),
-        ({"goal": [0.0, np.inf]}, {"reason": "goal is not", "value": [0.0, np.inf]}),
-        ({"goal": ["x", 0.0]}, {"reason": "goal does not", "value": ["x", 0.0]}),
-        (
-            {"velocity": [1.0] * 3},
-            {"reason": "velocity has shape (3,)", "allowed": "one number, or 2"},
-        ),
-        (
-            {"velocity": 0.0},
-            {"reason": "velocity is not", "value": 0.0, "allowed": "above 0"},
-        ),
-        (
-            {"velocity": [1.0, -1.0]},
-            {"reason": "velocity is not positive", "value": [1.0, -1.0]},
-        ),
-        ({"acceleration": 0.0}, {"reason": "acceleration is not", "value": 0.0}),
-        ({"acceleration": np.nan}, {"reason": "acceleration is not finite"}),
-        (
-            {"acceleration": np.ones((2, 2))},
-            {"reason": "acceleration has shape (2, 2)"},
-        ),
-        (
-            {"period": 0.0},
-            {"reason": "period is not", "value": 0.0, "allowed": "above 0"},
-        ),
-        ({"period": -1.0}, {"reason": "period is not positive", "value": -1.0}),
-        ({"period": np.inf}, {"reason": "period is not finite", "value": np.inf}),
-        (
-            {"period": 1e-9},
-            {"reason": "takes 2 s, too", "value": 1e-9, "allowed": "at most 1000000"},
-        ),
-        ({"velocity": 1e-308}, {"reason": "takes 1e+308 s, too long"}),
-        ({"goal": [1e308, 0.0], "velocity": 1e-3}, {"reason": "takes inf s, too long"}),
-    ],
-)
-def test_what_it_refuses(
-    changes: dict[str, Any], fields: dict[str, Any], refused: Callable[..., Any]
-) -> None:
-    arguments = {
-        "start": [0.0, 0.0],
-        "goal": [1.0, 0.5],
-        "velocity": 1.0,
-        "acceleration": 1.0,
-        "period": 0.1,
-    }
-    with refused(OptionError, **fields):
-        trapezoidal(**{**arguments, **changes})
-
-
-# --- errors of the tip -------------------------------------------------------------
-
-
-def poses(count: int, seed: int) -> np.ndarray:
-    rng = np.random.default_rng(seed)
-    T = np.tile(np.eye(4), (count, 1, 1))
-    T[:, :3, :3] = so3_exp(rng.normal(size=(count, 3)))
-    T[:, :3, 3] = rng.normal(size=(count, 3))
-    return T
-
-
-def test_errors_are_those_in_the_base_frame() -> None:
-    rng = np.random.default_rng(0)
-    shifts, turns = rng.normal(scale=0.1, size=(2, 20, 3))
-    true = poses(20, seed=1)
-    predicted = true.copy()
-    predicted[:, :3, 3] += shifts
-    predicted[:, :3, :3] = so3_exp(turns) @ true[:, :3, :3]
-    found = tip_errors(true, predicted)
-    np.testing.assert_allclose(found.position, shifts, atol=1e-15)
-    np.testing.assert_allclose(found.orientation, turns, atol=1e-14)
-    np.testing.assert_allclose(found.distances, np.linalg.norm(shifts, axis=1))
-    np.testing.assert_allclose(found.angles, np.linalg.norm(turns, axis=1))
-    assert found.largest == pytest.approx((np.abs(shifts).max(), np.abs(turns).max()))
-
-
-def test_equal_poses_have_no_errors() -> None:
-    assert tip_errors(poses(3, 0), poses(3, 0)).largest == pytest.approx((0.0, 0.0))
-    assert tip_errors(np.zeros((0, 4, 4)), np.zeros((0, 4, 4))).largest == (0.0, 0.0)
-
-
-@pytest.mark.parametrize(
-    ("true", "predicted"), [((2, 4, 4), (3, 4, 4)), ((4, 4), (4, 4)), ((2, 3), (2, 3))]
-)
-def test_poses_must_match(true: tuple[int, ...], predicted: tuple[int, ...]) -> None:
-    with pytest.raises(OptionError, match="true poses have shape"):
-        tip_errors(np.zeros(true), np.zeros(predicted))

@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.io.urdf import captured_stderr
+from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["locate_mesh", "read_mesh"]

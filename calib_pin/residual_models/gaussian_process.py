@@ -19,7 +19,6 @@ from scipy.linalg import cho_solve, cholesky, solve_triangular
 from scipy.linalg.lapack import dpotri
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
@@ -31,6 +30,7 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.covariance import Covariance
 from calib_pin.residual_models.documents import checked, numbers, stated
+from calib_pin.residual_models.likelihood import most_likely
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
 __all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
@@ -252,14 +252,7 @@ def fit_gaussian_process(
 
     Raises:
         InputError: If there are too few rows.
-        OptionError: If scikit-learn is not installed.
     """
-    try:
-        from calib_pin.residual_models.likelihood import most_likely
-    except ModuleNotFoundError as error:
-        raise OptionError(
-            "a Gaussian process needs scikit-learn: pip install calib-pin[learn]"
-        ) from error
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
     region = TrainedRegion.of(rows.q, rows.revolute, rng)

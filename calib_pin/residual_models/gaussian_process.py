@@ -16,7 +16,6 @@ from typing import Any, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotri
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats
@@ -30,7 +29,7 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.covariance import Covariance
 from calib_pin.residual_models.documents import checked, numbers, stated
-from calib_pin.residual_models.likelihood import most_likely
+from calib_pin.residual_models.likelihood import left_out, most_likely
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
 __all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
@@ -350,10 +349,11 @@ class _Draft:
             rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
             self.z = -released @ (absorbed.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
-        left_out, surprise = _left_out(process._factor, alpha, self.rows.groups[chosen])
-        left_out = left_out.reshape(before.shape)
-        if not convincing(before, left_out):
-            weights, left_out, self.z = 0.0 * weights, before, 0.0 * self.z
+        groups = self.rows.groups[chosen]
+        predicted, surprise = left_out(process._factor, alpha, groups)
+        predicted = predicted.reshape(before.shape)
+        if not convincing(before, predicted):
+            weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z
         # All variances times one number predict the same, but less surely: few rows
         # chose them, and all rows tell how large they are.
         return replace(
@@ -365,7 +365,7 @@ class _Draft:
             weights=weights / surprise,
             held_out=(
                 float(np.sqrt((before**2).mean())),
-                float(np.sqrt((left_out**2).mean())),
+                float(np.sqrt((predicted**2).mean())),
             ),
         )
 
@@ -387,26 +387,3 @@ def _absorbed(G: Floats) -> tuple[Floats, Floats]:
 
 def _outer(columns: Floats) -> Floats:
     return np.asarray(columns @ columns.T)
-
-
-def _left_out(
-    factor: Floats, alpha: Floats, groups: NDArray[np.int64]
-) -> tuple[Floats, float]:
-    """Residuals of each group of rows, predicted from all the others.
-
-    Rasmussen and Williams 2006, eq. 5.12, for groups in place of single values.
-
-    Returns:
-        Residuals, shape (N d,), and their mean square in predicted variances.
-    """
-    inverse, _ = dpotri(factor, lower=1)
-    labels = np.repeat(groups, len(alpha) // len(groups))
-    order = np.argsort(labels, kind="stable")
-    cuts = np.flatnonzero(np.diff(labels[order])) + 1
-    result = np.empty_like(alpha)
-    for part in np.split(order, cuts):
-        block = np.tril(inverse[np.ix_(part, part)])
-        block += np.tril(block, -1).T
-        result[part] = np.linalg.solve(block, alpha[part])
-    square = float(result @ alpha) / len(alpha)
-    return result, square if square > 0.0 else 1.0

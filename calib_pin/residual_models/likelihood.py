@@ -7,14 +7,16 @@ the covariance by every parameter in memory, and takes twice as long.
 from __future__ import annotations
 
 import numpy as np
+from numpy.typing import NDArray
 from scipy.linalg import LinAlgError, cho_solve, cholesky
+from scipy.linalg.lapack import dpotri
 from scipy.optimize import Bounds, minimize
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.covariance import Covariance
 
-__all__ = ["most_likely"]
+__all__ = ["left_out", "most_likely"]
 
 BOUNDS = {
     "own": (1e-6, 1e4),
@@ -139,3 +141,31 @@ def _by_logarithms(
     by_all *= covariance.alls(angle, angle)
     long = np.einsum("jab,abi->i", by_all, distance, optimize=True)
     return np.concatenate([own, short, by_all.sum((1, 2)), long / covariance.long**2])
+
+
+def left_out(
+    factor: Floats, alpha: Floats, groups: NDArray[np.int64]
+) -> tuple[Floats, float]:
+    """Residuals of each group of measurements, predicted from all the others.
+
+    Rasmussen and Williams 2006, eq. 5.12, for groups in place of single values.
+
+    Args:
+        factor: Lower Cholesky factor of the covariance of the residuals, (N d, N d).
+        alpha: Residuals times the inverse covariance, shape (N d,).
+        groups: Group of each measurement, shape (N,).
+
+    Returns:
+        Residuals, shape (N d,), and their mean square in predicted variances.
+    """
+    inverse, _ = dpotri(factor, lower=1)
+    labels = np.repeat(groups, len(alpha) // len(groups))
+    order = np.argsort(labels, kind="stable")
+    cuts = np.flatnonzero(np.diff(labels[order])) + 1
+    result = np.empty_like(alpha)
+    for part in np.split(order, cuts):
+        block = np.tril(inverse[np.ix_(part, part)])
+        block += np.tril(block, -1).T
+        result[part] = np.linalg.solve(block, alpha[part])
+    square = float(result @ alpha) / len(alpha)
+    return result, square if square > 0.0 else 1.0

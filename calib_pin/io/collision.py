@@ -49,9 +49,9 @@ def load_collisions(
     """Collisions of a chain's robot with itself and with obstacles.
 
     Without an SRDF, links joined by one joint are not checked against each other, nor
-    those that touch at nearly every configuration. With one, only what it disables is
-    left out. Links that are closer than the clearance at nearly every configuration
-    are only kept from touching; obstacles always keep it.
+    those that touch at nearly every configuration. With one, only the pairs that it
+    disables are left out. Links that are closer than the clearance at nearly every
+    configuration are only kept from touching; obstacles always keep it.
 
     Args:
         chain: The chain whose joints move.
@@ -61,7 +61,7 @@ def load_collisions(
             those of ROS and the folders above the URDF.
         clearance: Distance that is kept [m].
         notice: Called with one line for each check that is left out or weakened.
-        file: Where the obstacles are stated, for messages.
+        file: File that states the obstacles, for messages.
 
     Returns:
         The collisions, or None if the URDF describes no solids.
@@ -186,7 +186,7 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
 def _link_error(
     robot: Robot, link: str, reason: str, hint: str = "another mesh"
 ) -> RobotError:
-    """An error about a link, in one line that says what can be done."""
+    """An error about a link, in one line with its remedy."""
     document = parse_document(robot.source, robot.file)
     element = next(
         (

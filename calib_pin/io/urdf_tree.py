@@ -26,7 +26,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
 
     Args:
         source: The bytes of the URDF.
-        file: Where they come from, for messages.
+        file: Name of the source, for messages.
 
     Returns:
         The robot.

@@ -38,7 +38,7 @@ THICKNESS = 1e-6
 class Collisions:
     """Self-collision of a robot and its collisions with obstacles, along one chain.
 
-    Joints outside the chain stand at zero. Meshes are surfaces: what lies wholly within
+    Joints outside the chain stand at zero. Meshes are surfaces: a solid wholly within
     one does not touch it.
 
     Args:
@@ -133,7 +133,7 @@ class Collisions:
         """The same for some of the pairs.
 
         Args:
-            kept: Their places in `pairs`, in the order in which they are to be checked.
+            kept: Their indices in `pairs`, in the order of the checks.
             clearances: Distance that each of `pairs` is to keep instead, shape (number
                 of pairs,) [m].
         """
@@ -195,7 +195,7 @@ def _results(geometry: pin.GeometryModel, clearances: Floats) -> pin.GeometryDat
 def _hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
     """The geometry with convex solids around its meshes.
 
-    That is their convex hull. What is flat gets its bounding box instead, a little
+    That is their convex hull. A flat solid gets its bounding box instead, a little
     thicker: Qhull crashes on flat meshes, and Pinocchio's managers pass over solids
     without a volume.
     """

@@ -1,7 +1,7 @@
 """Errors that calib-pin raises on purpose.
 
-Everything a user can cause derives from `CalibPinError` and carries the place
-(file, line, column), the offending value and what is allowed, so that the command
+Every error a user can cause derives from `CalibPinError` and carries the location
+(file, line, column), the offending value and the allowed ones, so that the command
 line can print it as one line and a program can read the parts.
 """
 
@@ -31,12 +31,12 @@ class InputError(CalibPinError):
     """A value in an input file, or given by a caller, cannot be used.
 
     Attributes:
-        reason: What is wrong, without the place.
+        reason: The fault, without its location.
         file: File in which it stands, if any.
         line: Line number, counted from 1, if known.
         column: Name of the column or key, if known.
         value: The offending value as it was written, if there is one.
-        allowed: What may stand there instead, if that can be said.
+        allowed: The values allowed instead, if they can be listed.
     """
 
     def __init__(
@@ -120,7 +120,7 @@ def require_known(what: str, name: object, known: Iterable[str]) -> None:
     """Refuse a name that does not exist.
 
     Args:
-        what: What it is the name of, such as `solver`.
+        what: The kind of name, such as `solver`.
         name: The name.
         known: The names that exist.
 

@@ -1,4 +1,4 @@
-"""Error parameters: what they are called, how large they may be, which are free.
+"""Error parameters: their names, units, expected sizes, bounds and priors.
 
 The numbers themselves are plain arrays in the order of a `ParameterSet`; the set says
 what each entry means. A new set is made wherever something changes.
@@ -28,10 +28,11 @@ class Parameter:
         name: `<owner>.<kind>.<component>`.
         unit: Unit of the value, such as `m` or `rad`.
         scale: Expected size of the value, in its unit; makes parameters comparable.
-        nuisance: True for what belongs to the measurement and not to the robot:
+        nuisance: True for parameters of the measurement rather than the robot:
             base frame, tool frame, planes. Nuisances absorb all that they can.
-        outer: True for what stands where the base does and not on the tool: planes,
-            sockets. In sums it comes before the base, wherever it stands in a set.
+        outer: True for parameters of objects that stand where the base does, not on
+            the tool: planes, sockets. In identifiable linear combinations it comes
+            before the base, wherever it stands in a set.
         free: Whether the value is estimated.
         lower: Lower bound, in the unit.
         upper: Upper bound, in the unit.
@@ -109,7 +110,7 @@ class ParameterSet:
 
     @cached_property
     def eliminated(self) -> NDArray[np.intp]:
-        """Positions in the order in which sums are formed, shape (P,)."""
+        """Positions in the order of elimination by linear combinations, shape (P,)."""
         return np.argsort([not p.outer for p in self.parameters], kind="stable")
 
     @cached_property

@@ -1,4 +1,4 @@
-"""How long work tells how far it is."""
+"""Callbacks that report the progress of long work."""
 
 from __future__ import annotations
 
@@ -7,10 +7,10 @@ from collections.abc import Callable
 __all__ = ["Progress", "Stages", "named", "portion"]
 
 Progress = Callable[[float], None]
-"""Told the part that is done, 0 to 1."""
+"""Called with the completed fraction, 0 to 1."""
 
 Stages = Callable[[str, float], None]
-"""Told the stage and the part that is done, 0 to 1."""
+"""Called with the stage and its completed fraction, 0 to 1."""
 
 
 def named(progress: Stages | None, stage: str) -> Progress | None:

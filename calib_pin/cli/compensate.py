@@ -57,8 +57,8 @@ def compensate(
         typer.Option(
             "--frame",
             metavar="NAME",
-            help="What targets are given in: measuring (default), as measurements "
-            "are, or base, the base link.",
+            help="Frame of the targets: measuring (default), that of the "
+            "measurements, or base, the base link.",
             rich_help_panel=TARGETS,
         ),
     ] = None,
@@ -67,8 +67,8 @@ def compensate(
         typer.Option(
             "--point",
             metavar="NAME",
-            help="What is placed there: tool (default), the target that was "
-            "measured, or tip, the tip link.",
+            help="Point to bring there: tool (default), the measured point, or tip, "
+            "the tip link.",
             rich_help_panel=TARGETS,
         ),
     ] = None,
@@ -77,7 +77,7 @@ def compensate(
         typer.Option(
             "--payload",
             metavar="NAME",
-            help="What the robot carries, by its name in the setup of the calibration; "
+            help="Payload of the robot, by its name in the setup of the calibration; "
             "none for nothing.",
             rich_help_panel=TARGETS,
         ),
@@ -105,16 +105,15 @@ def compensate(
     calibration must not be trusted (nothing is written).
     """
     import shlex
-    from dataclasses import replace
 
     import numpy as np
 
+    from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import encode
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
-    from calib_pin.parameterizations import NOTHING
     from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
@@ -131,16 +130,7 @@ def compensate(
     doubts: list[str] = []
     model = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
-    if payload is None and not model.geometric and len(model.setup.payloads) > 1:
-        raise OptionError(
-            "the calibration knows several payloads; say with --payload which one is "
-            "carried",
-            file=calibration,
-            allowed=", ".join([*model.setup.payloads, NOTHING]),
-        )
-    if payload is not None:
-        require_known("payload", payload, [*model.setup.payloads, NOTHING])
-        model = replace(model, error=model.error.carrying(payload))
+    model = with_payload(model, payload, calibration)
     check_outputs((output,), _read_along(calibration, model), force)
     asked = read_target_file(
         targets,
@@ -163,14 +153,12 @@ def compensate(
             "the tool was measured as a point: its orientation is the stated one, or "
             "that of the tip link"
         )
-    # What cannot be written must not turn up after the work.
+    # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
-    free = model.error.parameters.free
-    of_base, of_tip = frame == "base", point == "tip"
-    if asked.T is None:
-        of_base = of_tip = True
-    if ((of_base and free[:6].any()) or (of_tip and free[-6:].any())) and not quiet:
+    motion = asked.T is None
+    of_base, of_tip = motion or frame == "base", motion or point == "tip"
+    if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
         notice(
             "base or tool were estimated along with the robot, so where the base link "
             "and the tip link are is known up to a fixed displacement each; state them "
@@ -179,11 +167,9 @@ def compensate(
     ends = frame or FRAMES[0], point or POINTS[0]
     with progress_bar(quiet=quiet) as bar:
         found = _run(model, asked, *ends, position, stage(bar, "compensate"))
-    motion = asked.T is None
     (rows,) = np.nonzero(found.reached)
-    whole = len(rows) == len(found)
     torn = motion and bool(found.jumps.any())
-    good = not doubts and whole and not torn
+    good = not doubts and found.complete and not torn
     written = bool(len(rows)) and not doubts and (good or not motion)
     contents = {}
     if written:
@@ -214,9 +200,9 @@ def compensate(
     elif doubts:
         notice(f"untrusted: {doubts[0]}")
     elif not good:
-        missed = asked.lines[found.jumps if whole else ~found.reached]
-        what = "corrections jump" if whole else "out of reach"
-        notice(f"{what}: {targets}, {line_list(missed)}")
+        missed = asked.lines[found.jumps if found.complete else ~found.reached]
+        cause = "discontinuity in joint space" if found.complete else "out of reach"
+        notice(f"{cause}: {targets}, {line_list(missed)}")
     return 0 if good else 2
 
 

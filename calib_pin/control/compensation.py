@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass, fields, replace
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -21,14 +22,17 @@ from calib_pin.control import (
     reach,
 )
 from calib_pin.control.tip_errors import tip_errors
+from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations import NOTHING
 from calib_pin.progress import Progress
 from calib_pin.validation.result import CalibratedModel
 
-__all__ = ["Compensation", "compensate", "follow"]
+__all__ = ["Compensation", "compensate", "ends_estimated", "follow", "with_payload"]
 
 JUMP = 0.1
-"""Change of the corrections from row to row that no smooth motion has [rad, m]."""
+"""Change of the corrections between neighboring configurations that no smooth
+motion has [rad, m]."""
 
 
 BLOCK = 2000
@@ -87,6 +91,11 @@ class Compensation:
         return np.asarray(found[np.isfinite(found).all(axis=1)])
 
     @property
+    def complete(self) -> bool:
+        """Whether all targets are reached."""
+        return bool(self.reached.all())
+
+    @property
     def jumps(self) -> NDArray[np.bool_]:
         """Whether the corrections change too much from the row before, shape (N,).
 
@@ -94,6 +103,46 @@ class Compensation:
         """
         change = np.abs(np.diff(self.q - self.nominal, axis=0)).max(axis=1, initial=0.0)
         return np.concatenate([[False], change > JUMP])[: len(self)]
+
+
+def with_payload(
+    model: CalibratedModel, payload: str | None, file: str | Path | None = None
+) -> CalibratedModel:
+    """The calibrated robot with a payload that its setup knows.
+
+    Args:
+        model: The calibrated robot.
+        payload: Name of the payload, `none` for nothing; may be left out where the
+            calibration needs none or knows only one.
+        file: File of the calibration, for messages.
+
+    Raises:
+        OptionError: If there is no payload of that name, or it is missing.
+    """
+    known = [*model.setup.payloads, NOTHING]
+    if payload is not None:
+        require_known("payload", payload, known)
+        return replace(model, error=model.error.carrying(payload))
+    if not model.geometric and len(model.setup.payloads) > 1:
+        raise OptionError(
+            "the calibration knows several payloads; say with --payload which one is "
+            "carried",
+            file=file,
+            allowed=", ".join(known),
+        )
+    return model
+
+
+def ends_estimated(model: CalibratedModel, *, base: bool, tip: bool) -> bool:
+    """Whether the base or the tool frame was estimated along with the robot.
+
+    Args:
+        model: The calibrated robot.
+        base: Whether the base frame matters.
+        tip: Whether the tool frame matters.
+    """
+    free = model.error.parameters.free
+    return bool((base and free[:6].any()) or (tip and free[-6:].any()))
 
 
 @serial_blas
@@ -113,8 +162,8 @@ def compensate(
         model: The calibrated robot.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that commands shall be close to, shape (N, n) [rad, m].
-        frame: What the targets are given in, see `inverse_kinematics.kinematics`.
-        point: What is placed there.
+        frame: Frame of the targets, see `control.kinematics`.
+        point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
         progress: Told the part that is done, 0 to 1.
 

@@ -26,51 +26,53 @@ from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["descend"]
 
-REACHED = 1e-9
-"""Error of a target that counts as reached [m, rad]."""
 
-SETTLED = 1e-8
-"""Motion towards the start that is not worth a step [rad, m]."""
+@dataclass(frozen=True)
+class DescentOptions:
+    """Tolerances of a descent.
 
-NEAR = 0.05
-"""Error below which the joints slide towards the start [m, rad]."""
+    Attributes:
+        reached: Error of a target that counts as reached [m, rad].
+        settled: Motion towards the start that is not worth a step [rad, m].
+        near: Error below which the joints slide towards the start [m, rad].
+        longest: Longest step of a joint [rad, m]; half of it along the self-motion.
+        narrow: Steps along the self-motion shorter than this lead nowhere [rad, m].
+        damping: Damping at the start, by squared error.
+        least_damping: Least damping, by squared error.
+        hopeless: Damping, by squared error, at which no step makes the error smaller.
+        floor: Least square of a singular value that is inverted.
+        stalled: Part of the squared error that a step must promise to remove.
+        block: Rows that are solved together; more would need gigabytes.
+    """
 
-LONGEST = 1.0
-"""Longest step of a joint [rad, m]; half of it along the self-motion."""
+    reached: float = 1e-9
+    settled: float = 1e-8
+    near: float = 0.05
+    longest: float = 1.0
+    narrow: float = 1e-3
+    damping: float = 0.05
+    least_damping: float = 0.01
+    hopeless: float = 1e10
+    floor: float = 1e-12
+    stalled: float = 1e-5
+    block: int = 16384
 
-NARROW = 1e-3
-"""Steps along the self-motion shorter than this lead nowhere [rad, m]."""
 
-DAMPING = 0.05
-"""Damping at the start, by squared error."""
-
-LEAST = 0.01
-"""Least damping, by squared error."""
-
-HOPELESS = 1e10
-"""Damping, by squared error, at which no step makes the error smaller."""
-
-FLOOR = 1e-12
-"""Least square of a singular value that is inverted."""
-
-STALLED = 1e-5
-"""Part of the squared error that a step must promise to remove."""
-
-BLOCK = 16384
-"""Rows that are solved together; more would need gigabytes."""
+OPTIONS = DescentOptions()
+"""The default options."""
 
 
 def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
     """Solutions from a guess.
 
     Args:
-        task: What shall be reached.
-        guess: Where the descents begin, shape (N, n) [rad, m].
-        effort: How far they go, and whether redundant joints slide to the start.
+        task: The targets.
+        guess: Joint positions to begin at, shape (N, n) [rad, m].
+        effort: Tolerance and number of steps.
     """
     if not len(guess):
         return Solutions.none(guess)
-    blocks = [slice(k, k + BLOCK) for k in range(0, len(guess), BLOCK)]
+    blocks = [slice(k, k + OPTIONS.block) for k in range(0, len(guess), OPTIONS.block)]
     return Solutions.joined(
         [_Descent(task.rows(rows), effort).run(guess[rows]) for rows in blocks]
     )
@@ -81,7 +83,7 @@ class _Rows:
     """Rows that are not finished, A of N.
 
     Attributes:
-        index: Their places among all rows, shape (A,).
+        index: Their indices among all rows, shape (A,).
         q: Joint positions, shape (A, n).
         e: Errors, as far as they count, in the axes of the tool, shape (A, m).
         J: Body twists of the tool by joint position, shape (A, 6, n).
@@ -116,9 +118,9 @@ class _Rows:
             q=q,
             e=e,
             J=J,
-            damping=np.full(count, DAMPING),
+            damping=np.full(count, OPTIONS.damping),
             held=np.zeros(q.shape, bool),
-            radius=np.full(count, 0.5 * LONGEST),
+            radius=np.full(count, 0.5 * OPTIONS.longest),
             away=np.linalg.norm(q - task.start, axis=1),
             dq=np.zeros(q.shape),
             promised=np.zeros(count),
@@ -152,15 +154,15 @@ class _Descent:
             slides = redundant and iteration < self.effort.slides
             if not slides:
                 rows = finish(self._exact(rows.e))
-            near = np.linalg.norm(rows.e, axis=1) < NEAR
-            sliding = slides & near & (rows.radius > NARROW)
+            near = np.linalg.norm(rows.e, axis=1) < OPTIONS.near
+            sliding = slides & near & (rows.radius > OPTIONS.narrow)
             length = self._step(rows, sliding)
             exact = self._exact(rows.e)
-            settled = exact & (~sliding | ((length < SETTLED) & ~rows.frees))
-            stalled = ~exact & (rows.promised < STALLED) & ~rows.frees
+            settled = exact & (~sliding | ((length < OPTIONS.settled) & ~rows.frees))
+            stalled = ~exact & (rows.promised < OPTIONS.stalled) & ~rows.frees
             # Before it gives up, a row tries without being pulled to the start.
             rows.radius[stalled] *= 0.25
-            done = settled | (stalled & ~sliding) | (rows.damping > HOPELESS)
+            done = settled | (stalled & ~sliding) | (rows.damping > OPTIONS.hopeless)
             rows = finish(done)
             if not len(rows.index):
                 break
@@ -168,7 +170,7 @@ class _Descent:
         finish(np.ones(len(rows.index), bool))
         position = np.linalg.norm(errors[:, :3], axis=1)
         angle = np.linalg.norm(errors[:, 3:], axis=1)
-        limit = max(REACHED, self.effort.error)
+        limit = max(OPTIONS.reached, self.effort.error)
         return Solutions(q, (position < limit) & (angle < limit), position, angle)
 
     def _exact(self, e: Floats) -> Booleans:
@@ -186,19 +188,19 @@ class _Descent:
             J=rows.J[:, : self.task.size],
             e=rows.e.copy(),
             pull=way.copy(),
-            damping=rows.damping * squared + FLOOR,
+            damping=rows.damping * squared + OPTIONS.floor,
             # A step that was not taken, or shortened, has not come to its limits.
             held=rows.held & self.task.joints.at_limit(rows.q),
             moves=np.zeros(rows.q.shape),
             hessian=None,
         )
         if sliding.any():
-            # The force that keeps the target must not hold what the error adds to it.
+            # The force that keeps the target must not contain the part of the error.
             still = replace(system, e=np.zeros_like(rows.e))
             system.curve(rows.J, still.solve()[1], sliding)
         dq, y = system.solve()
         length: Floats = np.abs(dq).max(axis=1)
-        longest = np.where(sliding, rows.radius, LONGEST)
+        longest = np.where(sliding, rows.radius, OPTIONS.longest)
         # Before limits are looked at: many would be in the way of a long step. First
         # the motion to the start is shortened, then, if need be, all.
         (long,) = np.nonzero(sliding & (length > longest))
@@ -246,10 +248,10 @@ class _Descent:
         at_upper = joints.upper - rows.q < rows.q - joints.lower
         force = system.force(dq, y)
         inward = np.where(at_upper, -force, force)
-        stays = held & (np.abs(system.moves) < SETTLED)
+        stays = held & (np.abs(system.moves) < OPTIONS.settled)
         inward = np.where(stays, inward, 0.0)
         worst = inward.argmax(axis=1)[:, None]
-        frees = np.take_along_axis(inward, worst, axis=1)[:, 0] > SETTLED
+        frees = np.take_along_axis(inward, worst, axis=1)[:, 0] > OPTIONS.settled
         held[frees, worst[frees, 0]] = False
         return np.asarray(frees)
 
@@ -259,16 +261,16 @@ class _Descent:
         e, J = self.task.rows(rows.index).errors(q)
         error, before = np.linalg.norm(e, axis=1), np.linalg.norm(rows.e, axis=1)
         better = error < before
-        taken = better | (sliding & (error < 2.0 * NEAR))
+        taken = better | (sliding & (error < 2.0 * OPTIONS.near))
         rows.q = np.where(taken[:, None], q, rows.q)
         rows.e = np.where(taken[:, None], e, rows.e)
         rows.J = np.where(taken[:, None, None], J, rows.J)
-        eased = np.maximum(0.5 * rows.damping, LEAST)
+        eased = np.maximum(0.5 * rows.damping, OPTIONS.least_damping)
         rows.damping = np.where(better | sliding, eased, 8.0 * rows.damping)
         # Where the error is small, a step along the self-motion must come closer.
         away = np.linalg.norm(q - self.task.start[rows.index], axis=1)
         worse = (away > rows.away) & (before < 0.1 * rows.radius * length)
         factor = np.where(~taken | worse, 0.5, 2.0)
-        radius = np.minimum(factor * rows.radius, 0.5 * LONGEST)
+        radius = np.minimum(factor * rows.radius, 0.5 * OPTIONS.longest)
         rows.radius = np.where(sliding, radius, rows.radius)
         rows.away = np.where(taken, away, rows.away)

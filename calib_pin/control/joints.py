@@ -1,4 +1,4 @@
-"""What inverse kinematics takes and gives: kinematics, joints and solutions."""
+"""Input and output of inverse kinematics: kinematics, joints and solutions."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ __all__ = ["Booleans", "Indices", "Joints", "Kinematics", "Solutions"]
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
-position (N, 6, n). The twists may neglect what is small; that costs a step or two."""
+position (N, 6, n). The twists may neglect small terms; that costs a step or two."""
 
 Booleans: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.int64]
@@ -24,12 +24,12 @@ Indices: TypeAlias = NDArray[np.int64]
 
 @dataclass(frozen=True)
 class Joints:
-    """What the joints of a chain can do.
+    """Limits and kinds of the joints of a chain.
 
     Attributes:
         lower: Lower limits, shape (n,) [rad, m]; minus infinity where there is none.
         upper: Upper limits, shape (n,) [rad, m]; infinity where there is none.
-        revolute: True for joints that turn, shape (n,).
+        revolute: True for revolute joints, shape (n,).
     """
 
     lower: Floats
@@ -79,7 +79,7 @@ class Joints:
         x^(n+1) = x + 1 (Roberts' generalized golden ratio), from the middle.
         """
         home, n = self.home, len(self.home)
-        # Half a turn either way holds every pose of a joint that turns further.
+        # Half a turn either way holds every pose of a revolute joint of wider limits.
         far = self.revolute | np.isinf(self.lower) | np.isinf(self.upper)
         lower = np.where(far, np.maximum(self.lower, home - np.pi), self.lower)
         upper = np.where(far, np.minimum(self.upper, home + np.pi), self.upper)
@@ -120,7 +120,7 @@ class Solutions:
 
     @staticmethod
     def none(q: Floats) -> Solutions:
-        """Nothing reached from joint positions, shape (N, n)."""
+        """Unreached targets, at joint positions of shape (N, n)."""
         unknown = np.full(len(q), np.inf)
         return Solutions(q, np.zeros(len(q), bool), unknown, unknown)
 

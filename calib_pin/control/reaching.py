@@ -20,27 +20,36 @@ from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["reach", "search"]
 
-SAMPLES = 2048
-"""Configurations among which those with poses near a target are looked for."""
 
-POOL = 64
-"""Samples near a target of which some are tried."""
+@dataclass(frozen=True)
+class SearchOptions:
+    """Sizes and weights of a search.
 
-ROUNDS = (1, 2, 4, 8, 16)
-"""Samples of the pool from which a target is tried at once, round after round."""
+    Attributes:
+        samples: Configurations among which those with poses near a target are looked
+            for.
+        pool: Samples near a target of which some are tried.
+        rounds: Samples of the pool from which a target is tried at once, round after
+            round.
+        turn: Weight of a rotation matrix beside a position, both by their spread: a
+            wrist turns more easily than an arm reaches.
+        away: Weight of a joint's way from the start beside a position by its spread
+            [1/rad].
+        most: Targets that are searched for at a time; many more would need gigabytes.
+        block: Targets that are compared with all samples at a time.
+    """
 
-TURN = 0.25
-"""Weight of a rotation matrix beside a position, both by their spread: a wrist turns
-more easily than an arm reaches."""
+    samples: int = 2048
+    pool: int = 64
+    rounds: tuple[int, ...] = (1, 2, 4, 8, 16)
+    turn: float = 0.25
+    away: float = 0.15
+    most: int = 50_000
+    block: int = 256
 
-AWAY = 0.15
-"""Weight of a joint's way from the start beside a position by its spread [1/rad]."""
 
-MOST = 50_000
-"""Targets that are searched for at a time; many more would need gigabytes."""
-
-BLOCK = 256
-"""Targets that are compared with all samples at a time."""
+OPTIONS = SearchOptions()
+"""The default options."""
 
 
 def reach(
@@ -59,7 +68,7 @@ def reach(
     Args:
         evaluate: The kinematics.
         targets: Poses to reach, shape (N, 4, 4).
-        start: What the solutions shall be close to, shape (N, n) [rad, m].
+        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
         joints: Limits, which are never left.
         orientation: Whether orientations count; else only positions do.
 
@@ -107,7 +116,7 @@ def search(
         evaluate: The kinematics.
         targets: Poses to reach, shape (N, 4, 4).
         joints: Limits, which are never left.
-        start: What the solutions shall be close to, if they can, shape (N, n)
+        start: Joint positions that solutions shall be close to, shape (N, n)
             [rad, m]; by default those in the middle are preferred, and redundant
             joints stay where they are found.
         nominal: Kinematics that are nearly the same, on which the first search is done.
@@ -127,7 +136,7 @@ def search(
         >>> bool(search(evaluate, targets, Joints.of(chain)).reached.all())
         True
     """
-    if len(targets) > MOST:
+    if len(targets) > OPTIONS.most:
         halves = slice(len(targets) // 2), slice(len(targets) // 2, None)
         return Solutions.joined(
             [
@@ -164,7 +173,7 @@ def search(
 
 
 def _retried(task: Task, index: _Index, found: Solutions, effort: Effort) -> Solutions:
-    """What was found, or for rows without success the best of further descents.
+    """The solutions, or for rows without success the best of further descents.
 
     Of the samples near a target, those are tried first whose joint positions are far
     from all where descents began and ended.
@@ -172,9 +181,9 @@ def _retried(task: Task, index: _Index, found: Solutions, effort: Effort) -> Sol
     (left,) = np.nonzero(~found.reached)
     if not len(left):
         return found
-    pool = index.nearest(task.rows(left), POOL)
+    pool = index.nearest(task.rows(left), OPTIONS.pool)
     apart = task.joints.distances(pool, found.q[left, None])
-    for count in ROUNDS:
+    for count in OPTIONS.rounds:
         picked = np.empty((len(left), count, pool.shape[2]))
         for k in range(count):
             best = apart.argmax(axis=1)[:, None, None]
@@ -214,21 +223,25 @@ class _Index:
     @staticmethod
     def of(task: Task) -> _Index:
         """The index of the kinematics of a task."""
-        samples = task.joints.samples(SAMPLES)
+        samples = task.joints.samples(OPTIONS.samples)
         T, _ = task.evaluate(samples)
         spread = float(np.sqrt(T[:, :3, 3].var(axis=0).sum()))
-        weights = (1.0, TURN * spread if task.orientation else 0.0, AWAY * spread)
+        weights = (
+            1.0,
+            OPTIONS.turn * spread if task.orientation else 0.0,
+            OPTIONS.away * spread,
+        )
         return _Index(samples, _features(T, samples, weights), weights)
 
     def nearest(self, task: Task, count: int) -> Floats:
         """The samples nearest to targets and start, shape (N, count, n)."""
         result = np.empty((len(task.targets), count, self.samples.shape[1]))
-        # Half the squared distance, but for what all samples of a target share.
+        # Half the squared distance, without the part that all samples share.
         features = np.vstack([self.features.T, 0.5 * (self.features**2).sum(axis=1)])
         # One array for all: asking for memory takes longer than the products.
-        space = np.empty((BLOCK, len(self.samples)), features.dtype)
-        for first in range(0, len(result), BLOCK):
-            rows = slice(first, first + BLOCK)
+        space = np.empty((OPTIONS.block, len(self.samples)), features.dtype)
+        for first in range(0, len(result), OPTIONS.block):
+            rows = slice(first, first + OPTIONS.block)
             wanted = _features(task.targets[rows], task.start[rows], self.weights)
             ones = np.ones((len(wanted), 1), wanted.dtype)
             distances = space[: len(wanted)]

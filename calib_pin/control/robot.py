@@ -30,8 +30,8 @@ def kinematics(
 
     Args:
         model: The calibrated robot.
-        frame: What poses are given in: `measuring`, or `base`, the base link.
-        point: What is placed: `tool`, or `tip`, the tip link.
+        frame: Frame of the poses: `measuring`, or `base`, the base link.
+        point: The placed point: `tool`, or `tip`, the tip link.
         nominal: Whether the robot is taken without its errors; the frames stay.
 
     Returns:
@@ -48,7 +48,7 @@ def kinematics(
         if frame == "base":
             T = invert(base) @ T
         if point == "tip":
-            # Through the tool, which also carries what was learned of its motion.
+            # Through the tool, which also carries the learned motion.
             T, J = T @ invert(tool), adjoint(tool) @ J
         return T, J
 
@@ -56,7 +56,7 @@ def kinematics(
 
 
 def _ends(error: ErrorModel, q: Floats) -> tuple[Floats, Floats]:
-    """Base and tool frame, each (4, 4), or (N, 4, 4) where what was learned fades."""
+    """Base and tool frame, each (4, 4), or (N, 4, 4) where the correction fades."""
     base, tool = error.base.homogeneous, error.tool.homogeneous
     if error.learned is None:
         return base, tool
@@ -86,8 +86,8 @@ def commands(
         model: The calibrated robot.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        frame: What the targets are given in, see `kinematics`.
-        point: What is placed there.
+        frame: Frame of the targets, see `kinematics`.
+        point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
 
     Example:

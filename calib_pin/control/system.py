@@ -26,7 +26,7 @@ class System:
     """The linear system of a step.
 
     Attributes:
-        J: Derivative of what counts of the pose, shape (A, m, n).
+        J: Derivative of the components of the target, shape (A, m, n).
         e: Errors, shape (A, m).
         pull: Way towards the start, shape (A, n).
         damping: Squares of singular values below it are not inverted, shape (A,).
@@ -77,7 +77,7 @@ class System:
         return self.moves + pull + times(Y, y), y
 
     def force(self, dq: Floats, y: Floats) -> Floats:
-        """What pushes each joint, shape (A, n); zero for those that are not held."""
+        """Force on each joint, shape (A, n); zero for those that are not held."""
         resistance = dq if self.hessian is None else times(self.hessian, dq)
         return np.asarray(self.pull + times(np.swapaxes(self.J, 1, 2), y) - resistance)
 
@@ -109,7 +109,7 @@ class System:
         """Hessians that are definite along the self-motion, shape (K, n, n).
 
         A large weight on the directions of the target changes no step, since the step
-        is given there; what is then still negative lies along the self-motion.
+        is given there; a curvature that is still negative lies along the self-motion.
         """
         held, J = self.held[rows], self.J[rows]
         J = np.where(held[:, None], 0.0, J)

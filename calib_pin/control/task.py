@@ -1,4 +1,4 @@
-"""What a descent shall reach, and how far it goes."""
+"""The targets of a descent, and its effort."""
 
 from __future__ import annotations
 
@@ -19,7 +19,7 @@ class Task:
     Attributes:
         evaluate: The kinematics.
         targets: Poses, shape (N, 4, 4).
-        start: What the solutions shall be close to, shape (N, n) [rad, m].
+        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
         joints: Limits, which are never left.
         orientation: Whether orientations count; else only positions do.
     """
@@ -59,7 +59,7 @@ class Task:
 
 @dataclass(frozen=True)
 class Effort:
-    """How far a descent goes.
+    """Tolerance and number of steps of a descent.
 
     Attributes:
         error: Error at which a row is finished [m, rad].

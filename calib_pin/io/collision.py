@@ -1,4 +1,4 @@
-"""What a robot may collide with: the solids of its URDF, an SRDF, and obstacles."""
+"""Collision geometry: the solids of a URDF, an SRDF, and obstacles."""
 
 from __future__ import annotations
 
@@ -15,8 +15,9 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.meshes import locate_mesh
-from calib_pin.io.urdf import captured_stderr, locate_robot
+from calib_pin.io.urdf import locate_robot
 from calib_pin.io.urdf_bytes import parse_document
+from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
@@ -48,19 +49,19 @@ def load_collisions(
     """Collisions of a chain's robot with itself and with obstacles.
 
     Without an SRDF, links joined by one joint are not checked against each other, nor
-    those that touch at nearly every configuration. With one, only what it disables is
-    left out. Links that are closer than the clearance at nearly every configuration
-    are only kept from touching; obstacles always keep it.
+    those that touch at nearly every configuration. With one, only the pairs that it
+    disables are left out. Links that are closer than the clearance at nearly every
+    configuration are only kept from touching; obstacles always keep it.
 
     Args:
         chain: The chain whose joints move.
-        obstacles: What stands around the robot.
+        obstacles: Obstacles around the robot.
         srdf: File that says which links need no check.
         package_dirs: Folders that hold the packages of `package://` meshes; then come
             those of ROS and the folders above the URDF.
         clearance: Distance that is kept [m].
-        notice: Told in one line each what is not checked, or not as asked.
-        file: Where the obstacles are stated, for messages.
+        notice: Called with one line for each check that is left out or weakened.
+        file: File that states the obstacles, for messages.
 
     Returns:
         The collisions, or None if the URDF describes no solids.
@@ -110,13 +111,13 @@ def load_collisions(
 def _as_built(
     chain: Chain, collisions: Collisions, guess: bool, tell: Callable[[str], None]
 ) -> Collisions:
-    """What a robot can keep: not a clearance that its links never have.
+    """The collisions without clearances that a robot's links never have.
 
     Args:
         chain: The chain of the robot.
         collisions: All pairs that may not touch.
         guess: Whether links that touch at nearly every configuration are left out.
-        tell: Told in one line each what changes.
+        tell: Called with one line for each change.
     """
     # The same pairs come out at every run, whatever the seed of the plan.
     q = chain.random_configurations(SAMPLES, np.random.default_rng(0))
@@ -185,7 +186,7 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
 def _link_error(
     robot: Robot, link: str, reason: str, hint: str = "another mesh"
 ) -> RobotError:
-    """An error about a link, in one line that says what can be done."""
+    """An error about a link, in one line with its remedy."""
     document = parse_document(robot.source, robot.file)
     element = next(
         (
@@ -283,12 +284,12 @@ def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
         }
 
     # MoveIt 2 can also disable all pairs of a link, and enable some of them again.
-    silent = {
+    disabled = {
         element.get("link", "")
         for element in root.iterfind("disable_default_collisions")
     }
-    of_silent = {frozenset((link, other)) for link in silent for other in robot.links}
-    return named("disable_collisions") | of_silent - named("enable_collisions")
+    pairs = {frozenset((link, other)) for link in disabled for other in robot.links}
+    return named("disable_collisions") | pairs - named("enable_collisions")
 
 
 def _by_design(

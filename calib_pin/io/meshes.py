@@ -1,4 +1,4 @@
-"""The meshes that a URDF names: where their files are, and what these hold."""
+"""The meshes that a URDF names: their files and their surfaces."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.io.urdf import captured_stderr
+from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["locate_mesh", "read_mesh"]
@@ -23,7 +23,7 @@ def locate_mesh(
     """The file of a mesh, or None if there is none.
 
     Args:
-        written: What the URDF says: a path from its own folder, or `package://`.
+        written: The name in the URDF: a path from its own folder, or `package://`.
         urdf: Path of the URDF.
         package_dirs: Folders that hold the packages of `package://` meshes; then come
             those of ROS and the folders above the URDF.
@@ -42,7 +42,7 @@ def read_mesh(path: Path, scale: Sequence[float]) -> tuple[Floats, NDArray[np.in
 
     Args:
         path: The file.
-        scale: What coordinates are multiplied by, (3,).
+        scale: Factors of the coordinates, shape (3,).
 
     Returns:
         Vertices, shape (V, 3) [m], and the three vertices of every triangle, shape

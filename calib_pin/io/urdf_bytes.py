@@ -36,7 +36,7 @@ _BYTE_ORDER_MARKS = (
 _DECLARED = re.compile(rb"""<\?xml[^>]*?\sencoding\s*=\s*["']([\w.:-]+)["']""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
-# What the C++ reader takes: float() also takes 1_000, nan and Arabic digits.
+# The numbers of the C++ reader: float() also takes 1_000, nan and Arabic digits.
 _NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
 
 
@@ -72,7 +72,7 @@ class Document:
     """A well-formed XML document.
 
     Attributes:
-        file: Where it comes from, for messages.
+        file: Name of the source, for messages.
         data: The document in UTF-8 without byte order mark.
         codec: Python's name of the encoding in the file.
         mark: Byte order mark at the start of the file, often empty.
@@ -104,7 +104,7 @@ class Document:
         )
 
     def values(self, element: Element) -> tuple[dict[str, tuple[int, int]], int]:
-        """Places of the attribute values as written, and of the last one's end."""
+        """Offsets of the attribute values as written, and the end of the last one."""
         places = {}
         end = element.start + 1 + len(element.tag.encode())
         while match := _ATTRIBUTE.match(self.data, end):

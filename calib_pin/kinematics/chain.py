@@ -1,7 +1,8 @@
 """A kinematic chain of a URDF robot, from a base frame to a tip frame.
 
 The two frames may stand anywhere in the tree. Joints on the way from the base up to
-the common ancestor are passed backwards; the regressor takes care of their sign:
+the common ancestor are traversed from child to parent; the regressor takes care of
+their sign:
 with `T_base_tip = T_root_base^-1 T_root_tip` the body twist of the tip is
 
     R_tip xi - Ad(T_base_tip^-1) R_base xi
@@ -20,13 +21,20 @@ import pinocchio as pin
 
 from calib_pin.errors import RobotError, nearest
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.kinematics.tree import (
+    LINK,
+    Configurations,
+    link_frame,
+    reduced,
+    support,
+)
 from calib_pin.setup import Payload
 
 __all__ = ["FREE_TRAVEL", "Chain", "Robot"]
 
 FREE_TRAVEL = 1.0
-"""How far a joint that slides goes either way where its URDF states no limits [m]: as
-long as the usual linear axis that carries a robot."""
+"""Travel of a prismatic joint either way where its URDF states no limits [m]: that of
+the usual linear axis that carries a robot."""
 
 
 @dataclass(frozen=True)
@@ -67,11 +75,11 @@ class Chain:
     Attributes:
         joints: Names of the n moving joints, from base to tip.
         revolute: True for revolute and continuous joints, shape (n,).
-        reversed: True for joints passed from child to parent, shape (n,).
+        reversed: True for joints traversed from child to parent, shape (n,).
         lower: Lower position limits, shape (n,) [rad, m]; where there is none, half a
-            turn back, or `FREE_TRAVEL` for a joint that slides.
+            turn back, or `FREE_TRAVEL` for a prismatic joint.
         upper: Upper position limits, shape (n,) [rad, m]; the same forward.
-        inverted: Names of joints whose limits in the URDF cross; they count as none.
+        inverted: Names of joints with inverted limits in the URDF; they count as none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in the frame of the chain's joint before
             them in the tree, else in the root link at zero joint positions, n SE3.
@@ -110,8 +118,8 @@ class Chain:
         self.tip = _link(robot, tip, "tip")
 
         full = robot.model
-        up = _support(full, self.base)
-        down = _support(full, self.tip)
+        up = support(full, self.base)
+        down = support(full, self.tip)
         shared = sum(1 for a, b in zip(up, down, strict=False) if a == b)
         path = [*reversed(up[shared:]), *down[shared:]]
         if not path:
@@ -128,15 +136,15 @@ class Chain:
                     file=robot.file,
                 )
         locked = [j for j in range(1, full.njoints) if j not in set(path)]
-        self._model = _reduced(full, locked)
+        self._model = reduced(full, locked)
         self._data = self._model.createData()
         self._ids = [self._model.getJointId(name) for name in self.joints]
         # The regressor has six columns per joint in the order of the tree.
         columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
         in_order = np.array_equal(columns, np.arange(len(columns)))
         self._columns = slice(None) if in_order else columns
-        self._base_id = _frame(self._model, _LINK + self.base)
-        self._tip_id = _frame(self._model, _LINK + self.tip)
+        self._base_id = link_frame(self._model, LINK + self.base)
+        self._tip_id = link_frame(self._model, LINK + self.tip)
 
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
@@ -146,21 +154,17 @@ class Chain:
         self.axes: Floats = np.where(
             self.revolute[:, None], subspaces[:, 3:], subspaces[:, :3]
         )
-        self._q_index = np.array([self._model.idx_qs[j] for j in self._ids])
         # A continuous joint has two entries in q and one in the velocities.
         self._v_index = np.array([self._model.idx_vs[j] for j in self._ids])
-        self._continuous = np.array([self._model.nqs[j] == 2 for j in self._ids])
-        lower = self._model.lowerPositionLimit[self._q_index]
-        upper = self._model.upperPositionLimit[self._q_index]
-        # Two zeros are what people write who mean no limit.
+        self._configurations = Configurations(self._model, self._ids)
+        single = ~self._configurations.continuous
+        lower = self._model.lowerPositionLimit[self._configurations.index]
+        upper = self._model.upperPositionLimit[self._configurations.index]
+        # People who mean no limit write two zeros.
         stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
-        limited = ~self._continuous & stated & (np.abs(upper - lower) < 1e6)
+        limited = single & stated & (np.abs(upper - lower) < 1e6)
         self.inverted: tuple[str, ...] = tuple(
-            name
-            for name, wrong in zip(
-                self.joints, ~self._continuous & (lower > upper), strict=True
-            )
-            if wrong
+            self.joints[j] for j in np.flatnonzero(single & (lower > upper))
         )
         free = np.where(self.revolute, np.pi, FREE_TRAVEL)
         self.lower: Floats = np.where(limited, lower, -free)
@@ -168,7 +172,7 @@ class Chain:
         self.placements: tuple[pin.SE3, ...] = tuple(
             self._model.jointPlacements[j].copy() for j in self._ids
         )
-        tip_frame = full.frames[_frame(full, self.tip)]
+        tip_frame = full.frames[link_frame(full, self.tip)]
         self.tip_placement: pin.SE3 = tip_frame.placement.copy()
         self.ends: tuple[pin.SE3, pin.SE3] = (
             self._model.frames[self._base_id].placement.copy(),
@@ -254,7 +258,7 @@ class Chain:
             payload: Carried by the tip.
 
         Returns:
-            Torques, shape (N, n) [Nm, N for joints that slide].
+            Torques, shape (N, n) [Nm, N for prismatic joints].
         """
         self._place(None)
         model = self._model.copy()
@@ -297,14 +301,14 @@ class Chain:
         prepare: Callable[..., object],
         of_frame: Callable[..., Floats],
     ) -> tuple[Floats, Floats]:
-        """Tip poses in the base frame, and the tip's body twists by something.
+        """Tip poses in the base frame, and body twists of the tip.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
             placements: Joint placements in chain order; None for the nominal ones.
             width: Number of columns.
-            prepare: What Pinocchio does with a configuration.
-            of_frame: Its local twists of a frame after that, shape (6, width).
+            prepare: Pinocchio's function for a configuration.
+            of_frame: Its local twists of a frame afterwards, shape (6, width).
         """
         model, data, local = self._model, self._data, pin.LOCAL
         tip_id, base_id = self._tip_id, self._base_id
@@ -332,7 +336,7 @@ class Chain:
         prepare: Callable[..., object],
         fill: Callable[[int], None] | None = None,
     ) -> Floats:
-        """Tip poses in the base frame; tells when each configuration is in place."""
+        """Tip poses in the base frame; `fill` is called at each configuration."""
         model, data, place = self._model, self._data, pin.updateFramePlacement
         tip_id, base_id = self._tip_id, self._base_id
         self._place(placements)
@@ -360,13 +364,6 @@ class Chain:
         for joint, placement in zip(self._ids, chosen, strict=True):
             self._model.jointPlacements[joint] = placement
 
-    def _configurations(self, q: Floats) -> Floats:
-        """Pinocchio's configuration vectors: continuous joints take cos and sin."""
-        result = np.zeros((len(q), self._model.nq))
-        result[:, self._q_index] = np.where(self._continuous, np.cos(q), q)
-        result[:, self._q_index[self._continuous] + 1] = np.sin(q[:, self._continuous])
-        return result
-
 
 def _link(robot: Robot, name: str, role: str) -> str:
     if name not in robot.links:
@@ -377,31 +374,3 @@ def _link(robot: Robot, name: str, role: str) -> str:
             allowed=", ".join(robot.links) if len(robot.links) <= 12 else None,
         )
     return name
-
-
-_LINK = "\0"
-"""Marks the names of links in a reduced model; no XML can contain it."""
-
-
-def _reduced(full: pin.Model, locked: Sequence[int]) -> pin.Model:
-    """The model with some joints locked at zero.
-
-    Pinocchio looks for a locked joint's frame by its name alone and fails where a
-    link bears the same name, so links are renamed first.
-    """
-    model = full.copy()
-    for frame in model.frames:
-        if frame.type == pin.FrameType.BODY:
-            frame.name = _LINK + frame.name
-    return pin.buildReducedModel(model, locked, pin.neutral(model))
-
-
-def _frame(model: pin.Model, link: str) -> int:
-    """Frame of a link; a joint may bear the same name."""
-    return int(model.getFrameId(link, pin.FrameType.BODY))
-
-
-def _support(model: pin.Model, link: str) -> list[int]:
-    """Moving joints from the root of the tree to a link."""
-    joint = model.frames[_frame(model, link)].parentJoint
-    return [j for j in model.supports[joint] if j != 0]

@@ -16,6 +16,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.tree import Configurations
 
 __all__ = ["Collisions"]
 
@@ -31,13 +32,13 @@ FLAT = 1e-6
 """Thickness by length up to which a mesh counts as flat."""
 
 THICKNESS = 1e-6
-"""What the bounding box of a flat solid is thicker than the solid [m]."""
+"""Thickness that the bounding box of a flat solid adds to the solid [m]."""
 
 
 class Collisions:
     """Self-collision of a robot and its collisions with obstacles, along one chain.
 
-    Joints outside the chain stand at zero. Meshes are surfaces: what lies wholly within
+    Joints outside the chain stand at zero. Meshes are surfaces: a solid wholly within
     one does not touch it.
 
     Args:
@@ -72,8 +73,7 @@ class Collisions:
         ids = [model.getJointId(name) for name in chain.joints]
         self._chain = chain
         self._model, self._data = model, model.createData()
-        self._q_index = np.array([model.idx_qs[joint] for joint in ids])
-        self._continuous = np.array([model.nqs[joint] == 2 for joint in ids])
+        self._configurations = Configurations(model, ids)
         solids = geometry.geometryObjects
         every = [(pair.first, pair.second) for pair in geometry.collisionPairs]
         moving = [_moves(model, solids[a], solids[b], ids) for a, b in every]
@@ -94,7 +94,7 @@ class Collisions:
         )
 
     def free(self, q: Floats) -> NDArray[np.bool_]:
-        """Where no pair is closer than its clearance.
+        """Configurations where no pair is closer than its clearance.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
@@ -105,7 +105,7 @@ class Collisions:
         return np.array([self._is_free(full) for full in self._configurations(q)], bool)
 
     def contacts(self, q: Floats) -> NDArray[np.bool_]:
-        """Which pairs are closer than their clearance.
+        """Pairs that are closer than their clearance.
 
         Args:
             q: Joint positions, shape (N, n) [rad, m].
@@ -133,7 +133,7 @@ class Collisions:
         """The same for some of the pairs.
 
         Args:
-            kept: Their places in `pairs`, in the order in which they are to be checked.
+            kept: Their indices in `pairs`, in the order of the checks.
             clearances: Distance that each of `pairs` is to keep instead, shape (number
                 of pairs,) [m].
         """
@@ -155,13 +155,6 @@ class Collisions:
             self._model, self._data, self._meshes, self._found, full
         )
 
-    def _configurations(self, q: Floats) -> Floats:
-        """Configuration vectors of the whole robot, of which the chain takes a part."""
-        full = np.tile(pin.neutral(self._model), (len(q), 1))
-        full[:, self._q_index] = np.where(self._continuous, np.cos(q), q)
-        full[:, self._q_index[self._continuous] + 1] = np.sin(q[:, self._continuous])
-        return full
-
 
 def _moves(
     model: pin.Model,
@@ -175,7 +168,7 @@ def _moves(
 
 
 def _name(model: pin.Model, solid: pin.GeometryObject) -> str:
-    """What users call a solid; Pinocchio counts those of a link: `<link>_<k>`."""
+    """The users' name of a solid; Pinocchio counts those of a link: `<link>_<k>`."""
     link = str(model.frames[solid.parentFrame].name)
     name = str(solid.name)
     return link if name.startswith(f"{link}_") else name
@@ -191,7 +184,7 @@ def _with_pairs(
 
 
 def _results(geometry: pin.GeometryModel, clearances: Floats) -> pin.GeometryData:
-    """Where the results of the pairs go, with what is asked about each of them."""
+    """Storage for the results of the pairs, with the request for each of them."""
     results = geometry.createData()
     for request, clearance in zip(results.collisionRequests, clearances, strict=True):
         request.enable_contact = False
@@ -202,7 +195,7 @@ def _results(geometry: pin.GeometryModel, clearances: Floats) -> pin.GeometryDat
 def _hulls(geometry: pin.GeometryModel) -> pin.GeometryModel:
     """The geometry with convex solids around its meshes.
 
-    That is their convex hull. What is flat gets its bounding box instead, a little
+    That is their convex hull. A flat solid gets its bounding box instead, a little
     thicker: Qhull crashes on flat meshes, and Pinocchio's managers pass over solids
     without a volume.
     """

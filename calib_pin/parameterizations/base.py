@@ -69,7 +69,7 @@ class BasisFunction:
 
     Attributes:
         functions: The functions.
-        column: Which of them.
+        column: Column of this function among them.
     """
 
     functions: BasisFunctions
@@ -140,7 +140,7 @@ class Parameterization(ABC):
 
     @classmethod
     def of_setup(cls, setup: Setup) -> Self:
-        """The parameterization with what the user states about the robot."""
+        """The parameterization with the statements of a setup about the robot."""
         return cls()
 
     @abstractmethod

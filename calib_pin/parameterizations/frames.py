@@ -41,7 +41,7 @@ def frame_screws(name: str, frame: int, *, free: bool) -> Sequence[Screw]:
 
 
 def frame_pose(frame: FrameSetup) -> pin.SE3:
-    """The pose that a setup states, the identity for what it leaves out."""
+    """The pose that a setup states, zero for the parts that it leaves out."""
     rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
     return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
 

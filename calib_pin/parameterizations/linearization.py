@@ -30,7 +30,7 @@ class PoseLinearization:
     """Tool poses of N configurations and their dependence on P parameters.
 
     Attributes:
-        T: Tool poses in the measuring frame, shape (N, 4, 4).
+        T: Tool poses in the measurement frame, shape (N, 4, 4).
         regressor: Body twist of the tip per placement twist, shape (N, 6, 6 n).
         to_base: Tool poses in the base link, before the learned motion of the tool,
             shape (N, 4, 4).

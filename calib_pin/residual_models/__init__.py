@@ -1,4 +1,4 @@
-"""Learned corrections of what geometry cannot explain, by the names users write."""
+"""Learned corrections of non-geometric errors, by the names users write."""
 
 from __future__ import annotations
 
@@ -31,7 +31,7 @@ __all__ = [
 
 
 class Fitter(Protocol):
-    """How a residual model is fitted."""
+    """Signature of the fit of a residual model."""
 
     def __call__(
         self,
@@ -66,14 +66,14 @@ RESIDUAL_MODELS: Mapping[str, Fitter] = {
     "network": _fit_network,
     "gaussian-process": _fit_gaussian_process,
 }
-"""How each residual model is fitted."""
+"""Fit of each residual model."""
 
 
 def restore(document: object, joints: int) -> ResidualModel:
     """The residual model of a document; nothing in it is ever run.
 
     Args:
-        document: What `ResidualModel.document` gave, perhaps through JSON.
+        document: A document of `ResidualModel.document`, perhaps through JSON.
         joints: Number n of joints of the chain that it belongs to.
 
     Raises:

@@ -1,4 +1,4 @@
-"""What a residual model is, and what it is trained on."""
+"""Residual model, the base of all, and its training data."""
 
 from __future__ import annotations
 
@@ -90,7 +90,7 @@ class TrainingRows:
 
         Args:
             model: Name of the residual model.
-            directions: What a correction takes at least to describe.
+            directions: Least number of directions that a correction describes.
             folds: Parts of which one is always held out.
 
         Raises:
@@ -109,7 +109,7 @@ class TrainingRows:
 
 
 class ResidualModel(Protocol):
-    """A learned correction of what the geometry cannot explain."""
+    """A learned correction of errors that geometry cannot explain."""
 
     @property
     def name(self) -> str:
@@ -118,7 +118,7 @@ class ResidualModel(Protocol):
 
     @property
     def space(self) -> Space:
-        """What the correction is: `joint` positions to add, or a twist of the `tip`.
+        """Kind of the correction: `joint` positions to add, or a twist of the `tip`.
 
         A twist acts as T <- T Exp(xi) on the tool pose.
         """
@@ -126,7 +126,7 @@ class ResidualModel(Protocol):
 
     @property
     def region(self) -> TrainedRegion:
-        """Where it was trained; outside the correction is zero."""
+        """Region of the training data; outside the correction is zero."""
         ...
 
     @property
@@ -174,7 +174,7 @@ def convincing(before: Floats, after: Floats) -> bool:
 
     Args:
         before: Whitened residuals, shape (N, d).
-        after: The same when corrected by what was learned from other rows.
+        after: The same with the correction learned from other measurements.
     """
     gain = (before**2 - after**2).sum(axis=1)
     return bool(gain.mean() > CHANCE * gain.std() / np.sqrt(len(gain)))

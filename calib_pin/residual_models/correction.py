@@ -1,4 +1,4 @@
-"""What a calibrated robot has learned."""
+"""The learned correction of a calibrated robot."""
 
 from __future__ import annotations
 
@@ -24,7 +24,7 @@ class LearnedCorrection:
 
     @property
     def space(self) -> Space:
-        """What it moves."""
+        """Space of the correction."""
         return self.model.space
 
     def __call__(self, q: Floats) -> Floats:
@@ -32,5 +32,5 @@ class LearnedCorrection:
         return self.model(q)
 
     def weight(self, q: Floats) -> Floats:
-        """How far it counts, from 1 where it was learned to 0 far away, shape (N,)."""
+        """Weight from 1 near training configurations to 0 far away, shape (N,)."""
         return self.model.region.weight(q)

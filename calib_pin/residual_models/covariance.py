@@ -75,11 +75,11 @@ class Covariance:
             yield result
 
     def seen(self, angle: Floats, A: Floats) -> Floats:
-        """Covariance of what is seen of the corrections, shape (N d, N d).
+        """Covariance of the residuals that the corrections make, shape (N d, N d).
 
         Args:
             angle: Angles, shape (N, n) [rad].
-            A: What multiplies the corrections, shape (N, d, m).
+            A: Derivative of the residuals by the corrections, shape (N, d, m).
         """
         d = A.shape[1]
         result = np.zeros((A.shape[0] * d, A.shape[0] * d))

@@ -1,4 +1,4 @@
-"""Read what a document holds; whatever is in it, nothing is run."""
+"""Readers of a document's values; nothing in it is ever run."""
 
 from __future__ import annotations
 
@@ -53,7 +53,7 @@ def numbers(
 
     Args:
         document: The document.
-        key: Where the array stands.
+        key: Key of the array.
         shape: Its shape; None is any length.
         positive: Whether all numbers must be larger than zero.
         empty: Whether there may be none.

@@ -1,9 +1,9 @@
 """A Gaussian process over the residuals, as joint corrections or as a twist of the tip.
 
 The residuals are linear in the corrections, `r = r_0 + A f`, so a process over f is one
-over r, and nothing has to be inverted where A is singular: what the rows do not see of
-a correction stays at zero. What a shift of the geometry can explain has a variance so
-large that it is free.
+over r, and nothing has to be inverted where A is singular: the unobserved part of a
+correction stays at zero. The part that a shift of the geometry can explain has a
+variance so large that it is free.
 """
 
 from __future__ import annotations
@@ -16,10 +16,8 @@ from typing import Any, cast, get_args
 import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
-from scipy.linalg.lapack import dpotri
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
@@ -31,12 +29,13 @@ from calib_pin.residual_models.base import (
 )
 from calib_pin.residual_models.covariance import Covariance
 from calib_pin.residual_models.documents import checked, numbers, stated
+from calib_pin.residual_models.likelihood import left_out, most_likely
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
 __all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
 
 FREE = 1e4
-"""Variance of what a shift can explain, in mean squares of the residual."""
+"""Variance of the part that a shift can explain, in mean squares of the residual."""
 
 LOADED = 6_000
 """Most residual components in a document; their covariance must fit the memory."""
@@ -47,13 +46,14 @@ FEWEST = 5
 
 @dataclass(frozen=True)
 class GaussianProcessOptions:
-    """How a Gaussian process is fitted.
+    """Options of the fit of a Gaussian process.
 
     Attributes:
         searched: Residual components, of random rows, that choose the covariance.
         largest: Residual components, of random rows if there are more, that the process
             is made of; time grows with their cube.
-        spaces: What the correction may be; the one that predicts left-out rows better.
+        spaces: Spaces of the correction; the one that predicts held-out rows better is
+            taken.
     """
 
     searched: int = 360
@@ -66,9 +66,9 @@ class GaussianProcess:
     """A Gaussian process given its rows.
 
     Attributes:
-        region: Where it was fitted; its angles are those of the covariance.
+        region: Training region; its angles are those of the covariance.
         shift: Shift of the geometry that belongs to it, shape (P,).
-        space: What the corrections are.
+        space: Space of the corrections.
         covariance: Covariance of the corrections in their units.
         noise: Variance of the whitened residuals beside that.
         unit: Correction that counts as one, shape (m,) [rad, m].
@@ -131,7 +131,7 @@ class GaussianProcess:
         if by_correction is None:
             by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
         A = by_correction * self.unit
-        # What absorbs the residuals, as amplitudes of its own unit columns.
+        # The absorbed residuals, as amplitudes of unit columns.
         G = np.zeros((*A.shape[:2], len(self.shift))) if by_shift is None else by_shift
         G = G @ self.released
         size = (A**2).dot(self.covariance.total)
@@ -144,12 +144,12 @@ class GaussianProcess:
         return np.asarray(weight * inside + (1.0 - weight) * np.sqrt(size))
 
     def _known(self, at: Floats, A: Floats, G: Floats) -> Floats:
-        """Part of the variance that the rows have taken away, shape (K, d).
+        """Part of the variance that the rows remove, shape (K, d).
 
         Args:
             at: Angles, shape (K, n) [rad].
             A: Derivative of something by corrections in units, shape (K, d, m).
-            G: Its derivative by the amplitudes of what is absorbed, shape (K, d, k).
+            G: Its derivative by the absorbed amplitudes, shape (K, d, k).
         """
         components = self.covariance.components(self._angle, at)
         blocks = self.A.reshape(-1, len(self.unit))
@@ -247,19 +247,12 @@ def fit_gaussian_process(
     Args:
         rows: The rows.
         rng: Chooses rows where not all are used.
-        options: How it is fitted.
+        options: Options of the fit.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
         InputError: If there are too few rows.
-        OptionError: If scikit-learn is not installed.
     """
-    try:
-        from calib_pin.residual_models.likelihood import most_likely
-    except ModuleNotFoundError as error:
-        raise OptionError(
-            "a Gaussian process needs scikit-learn: pip install calib-pin[learn]"
-        ) from error
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
     region = TrainedRegion.of(rows.q, rows.revolute, rng)
@@ -291,8 +284,8 @@ class _Draft:
 
     Args:
         rows: The rows.
-        space: What the corrections are.
-        region: Where it is fitted.
+        space: Space of the corrections.
+        region: Training region.
         rng: Chooses rows.
     """
 
@@ -327,7 +320,7 @@ class _Draft:
     def solve(
         self, covariance: Covariance, noise: float, chosen: NDArray[np.int64]
     ) -> GaussianProcess:
-        """The process for some rows, linearized anew at what it says of them."""
+        """The process for some rows, linearized again at its own predictions."""
         before = self.at.residual[chosen]
         for _ in range(2):
             G, A = self.at.by_shift[chosen], self.A[chosen]
@@ -353,14 +346,15 @@ class _Draft:
             weights = (A.transpose(0, 2, 1) @ alpha.reshape(*base.shape, 1))[:, :, 0]
             here = self.angle[chosen]
             self.f = covariance.predict(self.angle, here, weights) * self.unit
-            # What the shift must explain is what neither process nor noise does.
+            # The shift must explain the rest, which neither process nor noise does.
             rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
             self.z = -released @ (absorbed.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
-        left_out, surprise = _left_out(process._factor, alpha, self.rows.groups[chosen])
-        left_out = left_out.reshape(before.shape)
-        if not convincing(before, left_out):
-            weights, left_out, self.z = 0.0 * weights, before, 0.0 * self.z
+        groups = self.rows.groups[chosen]
+        predicted, surprise = left_out(process._factor, alpha, groups)
+        predicted = predicted.reshape(before.shape)
+        if not convincing(before, predicted):
+            weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z
         # All variances times one number predict the same, but less surely: few rows
         # chose them, and all rows tell how large they are.
         return replace(
@@ -372,7 +366,7 @@ class _Draft:
             weights=weights / surprise,
             held_out=(
                 float(np.sqrt((before**2).mean())),
-                float(np.sqrt((left_out**2).mean())),
+                float(np.sqrt((predicted**2).mean())),
             ),
         )
 
@@ -394,26 +388,3 @@ def _absorbed(G: Floats) -> tuple[Floats, Floats]:
 
 def _outer(columns: Floats) -> Floats:
     return np.asarray(columns @ columns.T)
-
-
-def _left_out(
-    factor: Floats, alpha: Floats, groups: NDArray[np.int64]
-) -> tuple[Floats, float]:
-    """Residuals of each group of rows, predicted from all the others.
-
-    Rasmussen and Williams 2006, eq. 5.12, for groups in place of single values.
-
-    Returns:
-        Residuals, shape (N d,), and their mean square in predicted variances.
-    """
-    inverse, _ = dpotri(factor, lower=1)
-    labels = np.repeat(groups, len(alpha) // len(groups))
-    order = np.argsort(labels, kind="stable")
-    cuts = np.flatnonzero(np.diff(labels[order])) + 1
-    result = np.empty_like(alpha)
-    for part in np.split(order, cuts):
-        block = np.tril(inverse[np.ix_(part, part)])
-        block += np.tril(block, -1).T
-        result[part] = np.linalg.solve(block, alpha[part])
-    square = float(result @ alpha) / len(alpha)
-    return result, square if square > 0.0 else 1.0

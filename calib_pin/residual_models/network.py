@@ -30,7 +30,7 @@ FAILED = 2.0
 """Multiple of the best member's held-out mean square from which another has failed."""
 
 
-MOST_CAUTION = 10.0
+LARGEST_INFLATION = 10.0
 """Largest factor on deviations; beyond, the noise was estimated wrongly."""
 
 FEWEST = 3
@@ -42,7 +42,7 @@ EAGER = 14
 
 @dataclass(frozen=True)
 class NetworkOptions:
-    """How a network is trained.
+    """Options of the training of a network.
 
     Attributes:
         units: Number of product units.
@@ -63,7 +63,7 @@ class Network:
     """The average of several networks, see `training`.
 
     Attributes:
-        region: Where they were trained.
+        region: Training region.
         shift: Shift of the geometry that belongs to them, shape (P,).
         shifts: Shifts that the members found, shape (K, P).
         factors: Weights of 1, sine and cosine in each unit, shape (K, H, n, 3).
@@ -216,7 +216,7 @@ def fit_network(
     Args:
         rows: The rows.
         rng: Source of first weights and of the parts that are held out.
-        options: How it is trained.
+        options: Options of the training.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
@@ -285,7 +285,7 @@ def fit_network(
         outputs=np.stack([w.outputs * unit[:, None] for w in weights]),
         series=np.stack([w.series * unit[:, None, None] for w in weights]),
         typical=np.sqrt((correction**2).mean(axis=0)),
-        inflation=_caution(
+        inflation=_inflation_factor(
             _jackknife(effects),
             float((after**2).mean() - np.mean([m.noise**2 for m in kept])),
         ),
@@ -302,7 +302,7 @@ def _silent(weights: Weights) -> Weights:
 
 
 def _effects(A: Floats, each: Floats) -> Floats:
-    """What is linear in the corrections, (N, d, n), (K, N, n) -> (K, N, d)."""
+    """Effect of the corrections, (N, d, n), (K, N, n) -> (K, N, d)."""
     return np.asarray((A @ each[..., None])[..., 0])
 
 
@@ -311,7 +311,7 @@ def _jackknife(each: Floats) -> Floats:
     return np.asarray(np.sqrt(len(each) - 1.0) * each.std(axis=0))
 
 
-def _caution(deviation: Floats, excess: float) -> float:
+def _inflation_factor(deviation: Floats, excess: float) -> float:
     """Factor by which deviations explain what held-out rows have beyond the noise.
 
     Members have errors in common, which their differences do not show.
@@ -323,7 +323,7 @@ def _caution(deviation: Floats, excess: float) -> float:
     shown = float((deviation**2).mean())
     if shown <= 0.0 or excess <= shown:
         return 1.0
-    return float(min(np.sqrt(excess / shown), MOST_CAUTION))
+    return float(min(np.sqrt(excess / shown), LARGEST_INFLATION))
 
 
 def _successful(members: Sequence[Member]) -> list[Member]:

@@ -1,4 +1,4 @@
-"""Where a residual model was trained, and how it fades outside."""
+"""The training region of a residual model, and the fading outside."""
 
 from __future__ import annotations
 
@@ -18,7 +18,7 @@ ANCHORS = 1000
 """Training configurations that a region remembers; more do not change its shape."""
 
 PIECE = 512
-"""Configurations handled at once, so that what is between stays in the cache."""
+"""Configurations handled at once, so that intermediate values stay in the cache."""
 
 
 @dataclass(frozen=True)
@@ -123,7 +123,7 @@ class TrainedRegion:
         Args:
             q: Joint positions, shape (N, n) [rad, m].
             revolute: Whether each joint turns, shape (n,).
-            rng: Chooses what is remembered of very many.
+            rng: Chooses the configurations that are kept of very many.
         """
         angles = Angles.of(q, revolute)
         anchors = np.unique(q, axis=0)
@@ -139,13 +139,13 @@ class TrainedRegion:
             anchors=anchors,
             reach=max(1.25 * float(np.quantile(spacing, 0.99)), 1e-3),
             middle=middle,
-            # Extremes of a sample fall short of those of what it was drawn from.
+            # Extremes of a sample fall short of those of its population.
             half=half + np.maximum(0.1 * half, 0.01),
             fade=np.maximum(0.3 * half, 0.05),
         )
 
     def weight(self, q: Floats) -> Floats:
-        """How far a correction counts, 1 inside to 0 far outside, shape (N,)."""
+        """Weight of a correction, 1 inside to 0 far outside, shape (N,)."""
         points, near = self._points, self.angles.points(q)
         nearest = np.empty(len(q))
         for start in range(0, len(q), PIECE):

@@ -52,8 +52,8 @@ class Member:
 
     Args:
         rows: All rows.
-        inputs: What the network looks at, of all rows.
-        training: Which rows it learns from, shape (N,).
+        inputs: Inputs of the network, of all rows.
+        training: True for rows that it learns from, shape (N,).
         unit: Correction that counts as one, shape (n,) [rad, m].
         units: Number H of product units.
         rng: Source of the first weights.
@@ -148,7 +148,7 @@ class Member:
 
     @property
     def noise(self) -> float:
-        """Standard deviation of the whitened residuals beside what is learned."""
+        """Standard deviation of the whitened residuals beside the correction."""
         return self._noise
 
     def widen(self) -> None:
@@ -175,7 +175,8 @@ class Member:
     def _linearize(self, f: Floats, shift: Floats) -> None:
         """Residuals as linear functions of correction and shift, about f and a shift.
 
-        What the shift can explain is taken out of the learning rows; it has no decay.
+        The part that the shift can explain is removed from the learning rows; it has no
+        decay.
         """
         at = self._rows.by_joint(f, shift)
         self._slope = at.by_correction
@@ -223,7 +224,7 @@ class Member:
         return normal, gradient, inside
 
     def _residual(self, w: Floats) -> Floats:
-        """Residuals of the learning rows without what the shift explains."""
+        """Residuals of the learning rows without the part that the shift explains."""
         f = combined(self._circle, self._weights(w))
         r = (self._A @ f[:, :, None]).reshape(-1)
         own = w[: len(self._kept)][self._kept]

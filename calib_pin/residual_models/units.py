@@ -51,7 +51,7 @@ class Weights:
 
 @dataclass(frozen=True)
 class Inputs:
-    """What a network looks at.
+    """Inputs of a network.
 
     Attributes:
         circle: Sines and cosines of the joint angles, shape (N, n) each.
@@ -99,7 +99,7 @@ def _products(circle: Circle, factors: Floats) -> tuple[Floats, Floats]:
 
 
 def combined(circle: Circle, weights: Weights) -> Floats:
-    """What the units contribute to the corrections, shape (N, n).
+    """Contribution of the units to the corrections, shape (N, n).
 
     Args:
         circle: Sines and cosines of the joint angles, shape (N, n) each.
@@ -114,7 +114,7 @@ def unit_columns(A: Floats, circle: Circle, weights: Weights) -> Floats:
     """Derivatives of A f by the outputs and the factors of the units.
 
     Args:
-        A: What multiplies the corrections, shape (N, d, n).
+        A: Derivative of the residuals by the corrections, shape (N, d, n).
         circle: Sines and cosines of the joint angles, shape (N, n) each.
         weights: The weights.
 

@@ -78,11 +78,11 @@ class Box:
         return members
 
     def checked(self, x0: Floats, rows: str = "") -> Floats:
-        """What the caller gave to start from, as an array of numbers.
+        """The caller's first members, as an array of numbers.
 
         Args:
             x0: One member, shape (D,), or several as rows.
-            rows: What to call the number of rows, where several are wanted.
+            rows: Name of the number of rows, where several are wanted.
 
         Raises:
             OptionError: If the shape is another, or a member leaves the bounds.

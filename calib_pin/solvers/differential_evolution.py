@@ -60,7 +60,7 @@ from calib_pin.solvers.options import (
 __all__ = ["STRATEGIES", "DifferentialEvolution", "differential_evolution"]
 
 TRADEOFF = "rand-to-best/1"
-"""What `tradeoff` stands for.
+"""The mutation that `tradeoff` stands for.
 
 A reconstruction: eq. 16 of Liu et al. is lost in the text at hand. It draws three
 different members and lies between rand/1 and best/1; `midpoint` and `rand-to-best/1`
@@ -122,7 +122,7 @@ NUMBERS = {
     "tol": TOLERANCE,
     "atol": TOLERANCE,
 }
-"""What the options may be that are numbers."""
+"""Limits of the options that are numbers."""
 
 
 @dataclass(frozen=True)
@@ -160,7 +160,7 @@ class DifferentialEvolution:
     init: str = "latinhypercube"
 
     def __post_init__(self) -> None:
-        """Refuse what is not allowed."""
+        """Check the values."""
         require_known("mutation strategy", self.strategy, STRATEGIES)
         require_known("init", self.init, INITS)
         require_numbers(vars(self), NUMBERS)
@@ -189,7 +189,7 @@ class _Classic:
     def learn(
         self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
     ) -> int:
-        """Nothing is learnt and everyone lives on."""
+        """Keep every member; there is nothing to learn."""
         return len(parents)
 
 

@@ -84,13 +84,13 @@ class EvolutionResult:
 
     @property
     def message(self) -> str:
-        """What the status means and what to do about it."""
+        """The meaning of the status, with advice."""
         return self.status.advice
 
 
 @dataclass(frozen=True)
 class Stops:
-    """What ends an evolution.
+    """Stopping criteria of an evolution.
 
     Attributes:
         target: Reached when `best cost <= target`.
@@ -116,7 +116,7 @@ class Stops:
 
 
 class Variant(Protocol):
-    """What sets one evolution apart from another."""
+    """Breeding and learning of one kind of evolution."""
 
     def breed(self, population: Floats, energies: Floats) -> Floats:
         """One trial for every member, a new array (S, D) that may leave the box."""
@@ -155,7 +155,7 @@ def evolve(
         box: Bounds of the members.
         population: First population, shape (S, D), within the bounds.
         variant: Breeds the trials.
-        stops: What ends the evolution.
+        stops: Stopping criteria.
         rng: Source of chance for the way back into the box.
         callback: Called after every generation.
 
@@ -240,7 +240,7 @@ def below(limit: int | Floats, shape: int | tuple[int, ...], rng: Rng) -> Indice
 def three_others(size: int, generations: int, rng: Rng) -> Indices:
     """For every member, three that differ from it and from each other.
 
-    What is drawn is the offset from the target, less one: the target itself never
+    The number drawn is the offset from the target, less one: the target itself never
     occurs. Each further offset comes from a range shorter by those already drawn and
     steps over them in ascending order: uniform, without trial and error.
 
@@ -257,7 +257,7 @@ def three_others(size: int, generations: int, rng: Rng) -> Indices:
 
 
 def crossing(shape: tuple[int, ...], CR: Floats | float, rng: Rng) -> Booleans:
-    """Which components trials take from their mutants in binomial crossover.
+    """Components that trials take from their mutants in binomial crossover.
 
     Those where `rand <= CR`, and one at a random place in any case.
 

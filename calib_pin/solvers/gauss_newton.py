@@ -23,17 +23,28 @@ from calib_pin.solvers.status import Status
 
 __all__ = ["LeastSquaresResult", "gauss_newton"]
 
-SHORTEST = 1e-12
-"""Length of a step, in units of the basis, that ends the iteration."""
 
-SHORT = 1e-7
-"""Length of a step, in units of the basis, that may fail to improve by rounding."""
+@dataclass(frozen=True)
+class GaussNewtonOptions:
+    """Tolerances of a Gauss-Newton iteration.
 
-NEGLIGIBLE = 1e-10
-"""Part of the squares that a step may fail to gain by rounding."""
+    Attributes:
+        shortest: Length of a step, in units of the basis, that ends the iteration.
+        short: Length of a step, in units of the basis, that may fail to improve by
+            rounding.
+        negligible: Part of the squares that a step may fail to gain by rounding.
+        patience: Damped steps that are judged together.
+    """
 
-PATIENCE = 8
-"""Damped steps that are judged together."""
+    shortest: float = 1e-12
+    short: float = 1e-7
+    negligible: float = 1e-10
+    patience: int = 8
+
+
+OPTIONS = GaussNewtonOptions()
+"""The default options."""
+
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
@@ -105,7 +116,7 @@ def gauss_newton(
     passed = [cost]
     while status is Status.ITERATIONS and iteration < max_iterations:
         step = _Step(J @ basis, r, rank_tolerance)
-        limit = max(tolerance * way, SHORTEST), tolerance * cost
+        limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
         trial = _search(step, cost_of, x, basis, damping, limit, damped)
         evaluations += trial.evaluations
         if trial.improved or not damped:
@@ -118,9 +129,13 @@ def gauss_newton(
             damping = damping if damping > 0.01 * step.weakest else 0.0
             iteration += 1
             # Full steps are judged by what they promise.
-            passed = [*passed[1 - PATIENCE :], cost] if trial.damping > 0.0 else [cost]
+            passed = (
+                [*passed[1 - OPTIONS.patience :], cost]
+                if trial.damping > 0.0
+                else [cost]
+            )
             crawling = passed[0] - cost < worthwhile * cost
-            if len(passed) == PATIENCE and crawling:
+            if len(passed) == OPTIONS.patience and crawling:
                 status = Status.CONVERGED
             if callback is not None:
                 callback(iteration, cost)
@@ -169,7 +184,7 @@ def _search(
     promised = step.promised(full)
     done = reach <= limit[0] or promised <= limit[1]
     # Where so little is left, a step that fails to improve has met rounding, no wall.
-    negligible = reach <= SHORT or promised <= NEGLIGIBLE * step.square
+    negligible = reach <= OPTIONS.short or promised <= OPTIONS.negligible * step.square
     evaluations = 0
     while True:
         dy = step.solve(damping)

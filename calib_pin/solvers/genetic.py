@@ -52,7 +52,7 @@ NUMBERS = {
     "patience": LIMIT,
     "target": TARGET,
 }
-"""What the options may be."""
+"""Limits of the options."""
 
 SubsetCosts = Callable[[Indices], Floats]
 """Costs of a population of subsets, shape (S, count) -> (S,)."""
@@ -90,7 +90,7 @@ class Genetic:
     target: float = -np.inf
 
     def __post_init__(self) -> None:
-        """Refuse what is not allowed."""
+        """Check the values."""
         require_numbers(vars(self), NUMBERS)
         if self.elite >= self.population_size:
             raise OptionError(
@@ -141,8 +141,8 @@ def genetic_selection(
 
     Args:
         costs: Costs of subsets, shape (S, count) -> (S,), called once per generation.
-            The rows are indices from 0 to size - 1 in ascending order. What is infinite
-            or NaN is not feasible.
+            The rows are indices from 0 to size - 1 in ascending order. An infinite
+            or NaN cost is not feasible.
         size: Number of items.
         count: Number of items to select, 1 to size.
         rng: Source of chance; the same seed gives the same result.
@@ -213,7 +213,7 @@ def _energies(costs: SubsetCosts, subsets: Indices) -> Floats:
 
 
 def _stop(options: Genetic, best_history: list[float]) -> Status | None:
-    """What ends the search after the last of these generations, if anything."""
+    """The stop reached by the last of these generations, if any."""
     if best_history[-1] <= options.target:
         return Status.TARGET
     generation = len(best_history) - 1
@@ -224,7 +224,7 @@ def _stop(options: Genetic, best_history: list[float]) -> Status | None:
 
 
 class _Nursery:
-    """Where members come from: subsets of `count` items."""
+    """Source of members: subsets of `count` items."""
 
     def __init__(self, options: Genetic, count: int, rng: Rng) -> None:
         self.options, self.count, self.rng = options, count, rng
@@ -284,7 +284,7 @@ class _Nursery:
 
 
 def _membership(subsets: Indices, size: int) -> Booleans:
-    """Which items subsets hold, (S, count) -> (S, size)."""
+    """Membership of items in subsets, (S, count) -> (S, size)."""
     members = np.zeros((len(subsets), size), bool)
     np.put_along_axis(members, subsets, True, axis=1)
     return members

@@ -46,23 +46,33 @@ from calib_pin.solvers.status import Status
 
 __all__ = ["DescentResult", "projected_descent"]
 
-SUFFICIENT = 1e-4
-"""Part of the decrease promised by the slope that a step must bring (Armijo)."""
 
-TRIALS = 20
-"""Trials of one search along the projected path."""
+@dataclass(frozen=True)
+class DescentOptions:
+    """Tolerances of a projected descent.
 
-FIRST = 0.1
-"""Largest component of a first step, in widths of the box."""
+    Attributes:
+        sufficient: Part of the decrease promised by the slope that a step must bring
+            (Armijo).
+        trials: Trials of one search along the projected path.
+        first: Largest component of a first step, in widths of the box.
+        curved: Least cosine between changes of x and of g from which a curvature is
+            learnt.
+        edge: Distance from a bound, in widths of the box, that counts as at the bound.
+        held: Part of its step at or below which a blocked point is no longer free.
+    """
 
-CURVED = 1e-10
-"""Least cosine between changes of x and of g from which a curvature is learnt."""
+    sufficient: float = 1e-4
+    trials: int = 20
+    first: float = 0.1
+    curved: float = 1e-10
+    edge: float = 1e-9
+    held: float = 1e-2
 
-EDGE = 1e-9
-"""Distance from a bound, in widths of the box, that counts as at the bound."""
 
-HELD = 1e-2
-"""Part of its step at or below which a blocked point is no longer free."""
+OPTIONS = DescentOptions()
+"""The default options."""
+
 
 Function = Callable[[Floats], tuple[float, Floats]]
 Allowed = Callable[[Floats], Booleans]
@@ -118,7 +128,7 @@ def projected_descent(
 
     Returns:
         The result. Converged speaks of the points that were free to move: others may
-        be held up at the edge of what is forbidden.
+        be held up at the edge of a forbidden place.
 
     Raises:
         OptionError: If the bounds, x0 or memory cannot be used, or `function` or
@@ -155,7 +165,7 @@ def projected_descent(
         if largest <= little:
             status = Status.CONVERGED
             break
-        step = pairs.step(gradient, free, FIRST / largest)
+        step = pairs.step(gradient, free, OPTIONS.first / largest)
         trial = problem.search(x, fun, gradient, reach.shortened(step))
         done = 0.0 <= trial.promised <= little  # If it failed, rounding hides the rest.
         if trial.found:
@@ -168,7 +178,7 @@ def projected_descent(
         if done and not closing:
             status = Status.CONVERGED
         elif not trial.found and not closing:
-            # Without what was learnt the step is along the gradient: the last resort.
+            # Without learned curvature the step is along the gradient: the last resort.
             status = status if pairs.count else Status.STALLED
             pairs.forget()
         if status is not Status.ITERATIONS:
@@ -178,7 +188,7 @@ def projected_descent(
 
 @dataclass(frozen=True)
 class _Trial:
-    """Where a search along the projected path ended.
+    """End of a search along the projected path.
 
     Attributes:
         found: Whether the function fell enough; if not, x is where the search began.
@@ -219,8 +229,8 @@ class _Problem:
         )
         self.width = self.upper - self.lower
         self.unit = np.where(self.width > 0.0, self.width, 1.0)
-        self.low = self.lower + EDGE * self.width
-        self.high = self.upper - EDGE * self.width
+        self.low = self.lower + OPTIONS.edge * self.width
+        self.high = self.upper - OPTIONS.edge * self.width
         self.nobody = np.zeros(shape[0], bool)
         self.evaluations = 0
 
@@ -258,7 +268,7 @@ class _Problem:
         """
         slopes, way = gradient / self.unit, step * self.width
         part, promised, blocked = 1.0, 0.0, self.nobody
-        for trial in range(TRIALS):
+        for trial in range(OPTIONS.trials):
             moved = np.minimum(np.maximum(x + part * way, self.lower), self.upper)
             stopped = self._put_back(moved, x)
             slope = float(slopes @ (moved - x))
@@ -267,10 +277,10 @@ class _Problem:
             factor = 0.25
             if slope < 0.0:
                 lower, rise = self.evaluate(moved)
-                if -math.inf < lower <= fun + SUFFICIENT * slope:
+                if -math.inf < lower <= fun + OPTIONS.sufficient * slope:
                     return _Trial(True, moved, lower, rise, part, promised, blocked)
                 if math.isfinite(lower):
-                    # Where the parabola through what is known has its lowest point.
+                    # The lowest point of the parabola through the known values.
                     factor = min(max(-0.5 * slope / (lower - fun - slope), 0.1), 0.5)
             part *= factor
         return _Trial(False, x, fun, gradient, 0.0, promised, blocked)
@@ -293,7 +303,7 @@ class _Problem:
 
 
 class _Reach:
-    """Which part of its step each point tries to go: less where it was blocked."""
+    """Part of its step that each point tries: less where it was blocked."""
 
     def __init__(self, shape: tuple[int, ...]) -> None:
         self.parts, self.components = np.ones(shape[0]), shape[1]
@@ -304,7 +314,7 @@ class _Reach:
         """1 for components of points not held up, 0 for others, new, shape (N,)."""
         if self.whole:
             return self.everybody.copy()
-        return np.repeat(self.parts > HELD, self.components).astype(float)
+        return np.repeat(self.parts > OPTIONS.held, self.components).astype(float)
 
     def shortened(self, step: Floats) -> Floats:
         """The part that is tried of a full step, shape (N,)."""
@@ -319,9 +329,9 @@ class _Reach:
         """
         if self.whole and not blocked.any():
             return False
-        closing = bool((blocked & (self.parts > HELD)).any())
+        closing = bool((blocked & (self.parts > OPTIONS.held)).any())
         # A point that is held up keeps trying, should the others set it free.
-        shorter = np.maximum(0.25 * self.parts, 0.25 * HELD)
+        shorter = np.maximum(0.25 * self.parts, 0.25 * OPTIONS.held)
         self.parts = np.where(blocked, shorter, np.minimum(2.0 * self.parts, 1.0))
         self.whole = bool(self.parts.min() == 1.0)
         return closing
@@ -342,7 +352,7 @@ class _Pairs:
         """Take note of changes s of x and y of the gradient, shape (N,)."""
         length = math.sqrt(s @ s)
         # Armijo's rule alone does not rule out a curvature that is not positive.
-        if s @ y > CURVED * length * math.sqrt(y @ y):
+        if s @ y > OPTIONS.curved * length * math.sqrt(y @ y):
             memory = len(self.changes)
             self.newest = (self.newest + 1) % memory
             self.count = min(self.count + 1, memory)
@@ -363,7 +373,7 @@ class _Pairs:
         sy = np.einsum("ij,ij->i", S, Y)
         sizes = np.einsum("ij,ij->i", S, S) * np.einsum("ij,ij->i", Y, Y)
         # Not every pair curves upwards on the components that are free now.
-        curving = np.flatnonzero(sy > CURVED * np.sqrt(sizes))
+        curving = np.flatnonzero(sy > OPTIONS.curved * np.sqrt(sizes))
         step, alpha = -gradient, np.zeros(self.count)
         for k in curving:
             alpha[k] = (S[k] @ step) / sy[k]

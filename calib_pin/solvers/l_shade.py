@@ -6,6 +6,8 @@ so are the constants.
 
 from __future__ import annotations
 
+from dataclasses import dataclass
+
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
@@ -13,23 +15,32 @@ from calib_pin.solvers.evolution import Indices, Rng, below, crossing
 
 __all__ = ["LShade"]
 
-SMALLEST = 4
-"""Members at the end: current-to-pbest/1 draws from as many."""
 
-MEMORY = 6
-"""Entries H of the success history."""
+@dataclass(frozen=True)
+class LShadeOptions:
+    """Constants of L-SHADE.
 
-PBEST = 0.11
-"""Part p of the members from which the leader is chosen."""
+    Attributes:
+        smallest: Members at the end: current-to-pbest/1 draws from as many.
+        memory: Entries H of the success history.
+        pbest: Part p of the members from which the leader is chosen.
+        archive: Members the archive holds, relative to the population.
+        spread: Scale of the distributions of F and CR about their remembered means.
+    """
 
-ARCHIVE = 2.6
-"""Members the archive holds, relative to the population."""
+    smallest: int = 4
+    memory: int = 6
+    pbest: float = 0.11
+    archive: float = 2.6
+    spread: float = 0.1
 
-SPREAD = 0.1
-"""Scale of the distributions of F and CR about their remembered means."""
+
+OPTIONS = LShadeOptions()
+"""The default options."""
+
 
 TERMINAL = -np.inf
-"""Mean of CR where only CR = 0 succeeded: what is drawn about it stays 0 forever."""
+"""Mean of CR where only CR = 0 succeeded: draws about it stay 0 forever."""
 
 
 class LShade:
@@ -55,10 +66,10 @@ class LShade:
             rng: Source of chance.
         """
         self.size, self.budget, self.rng = size, budget, rng
-        self.archive = np.empty((round(ARCHIVE * size), dimension))
+        self.archive = np.empty((round(OPTIONS.archive * size), dimension))
         self.archived = 0
-        self.mean_F = np.full(MEMORY, 0.5)
-        self.mean_CR = np.full(MEMORY, 0.5)
+        self.mean_F = np.full(OPTIONS.memory, 0.5)
+        self.mean_CR = np.full(OPTIONS.memory, 0.5)
         self.entry = 0  # Written next.
         self.F = self.CR = np.empty(0)
 
@@ -66,7 +77,7 @@ class LShade:
         """One trial for every member, with factors of its own."""
         size, rng = len(population), self.rng
         self._draw_factors(size)
-        count = max(2, round(PBEST * size))
+        count = max(2, round(OPTIONS.pbest * size))
         leaders = np.argsort(energies, kind="stable")[:count]
         pbest = population.take(leaders[below(count, size, rng)], axis=0)
         # Offsets from the target, as in `three_others`; those of r2 that go beyond the
@@ -87,28 +98,28 @@ class LShade:
     def _draw_factors(self, size: int) -> None:
         """CR_i normal (eq. 1) and F_i Cauchy (eq. 2) about remembered means."""
         rng = self.rng
-        entry = below(MEMORY, size, rng)
-        CR = self.mean_CR[entry] + SPREAD * rng.standard_normal(size)
+        entry = below(OPTIONS.memory, size, rng)
+        CR = self.mean_CR[entry] + OPTIONS.spread * rng.standard_normal(size)
         self.CR = np.clip(CR, 0.0, 1.0)
         # A Cauchy number is the tangent of a uniform angle. To begin at the angle
         # where F = 0 is the same as to draw again until F > 0, but takes one pass.
         mean = self.mean_F[entry]
-        least = -np.arctan(mean / SPREAD)
+        least = -np.arctan(mean / OPTIONS.spread)
         angle = least + rng.random(size) * (np.pi / 2 - least)
-        self.F = np.minimum(mean + SPREAD * np.tan(angle), 1.0)
+        self.F = np.minimum(mean + OPTIONS.spread * np.tan(angle), 1.0)
 
     def learn(
         self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
     ) -> int:
-        """Remember what succeeded, archive what it replaced, shrink (eq. 10)."""
+        """Remember successes, archive the replaced members, shrink (eq. 10)."""
         better = np.flatnonzero(fresh < energies)
         if len(better):
             self._remember(energies[better] - fresh[better], better)
-            self._archive(parents[better], round(ARCHIVE * len(parents)))
+            self._archive(parents[better], round(OPTIONS.archive * len(parents)))
         part = evaluations / self.budget
-        size = round(self.size + (SMALLEST - self.size) * part)
-        # The last generations take what is left of the evaluations.
-        return max(SMALLEST, min(size, self.budget - evaluations))
+        size = round(self.size + (OPTIONS.smallest - self.size) * part)
+        # The last generations take the evaluations that are left.
+        return max(OPTIONS.smallest, min(size, self.budget - evaluations))
 
     def _remember(self, gains: Floats, better: Indices) -> None:
         """Write the Lehmer means of successful factors, weighted by gains (eq. 7)."""
@@ -122,7 +133,7 @@ class LShade:
             self.mean_CR[self.entry] = (
                 (weights @ CR**2) / total if total > 0.0 else TERMINAL
             )
-        self.entry = (self.entry + 1) % MEMORY
+        self.entry = (self.entry + 1) % OPTIONS.memory
 
     def _archive(self, replaced: Floats, capacity: int) -> None:
         """Put members into free places, or into those of random older ones."""

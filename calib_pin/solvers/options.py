@@ -14,7 +14,7 @@ __all__ = ["FRACTION", "LIMIT", "TARGET", "TOLERANCE", "Limits", "require_number
 
 
 class Limits(NamedTuple):
-    """What a number may be.
+    """Limits of a number.
 
     Attributes:
         kind: `Integral` or `Real`.
@@ -47,7 +47,7 @@ def require_numbers(values: Mapping[str, object], limits: Mapping[str, Limits]) 
 
     Args:
         values: Options by name; others than those with limits are not looked at.
-        limits: What those may be that are numbers.
+        limits: Limits of those that are numbers.
 
     Raises:
         OptionError: Names the first option that cannot be used.

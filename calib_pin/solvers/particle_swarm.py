@@ -10,7 +10,7 @@ above zero. The variance of a particle stays bounded only if (Poli 2009)
 
     w (c1 + c2) < 24 (1 - inertia^2) / (7 - 5 inertia),
 
-where `inertia` is the part of V that is kept, which is 1 here. What was added:
+where `inertia` is the part of V that is kept, which is 1 here. Additions:
 
     inertia     0.73, for which c1 = c2 = 1.5 and w = 1 satisfy the above (3 < 3.35).
                 The usual constriction is this very pair of numbers (0.7298 and 1.496,
@@ -90,7 +90,7 @@ NUMBERS = {
     "tol": TOLERANCE,
     "atol": TOLERANCE,
 }
-"""What the options may be."""
+"""Limits of the options."""
 
 
 @dataclass(frozen=True)
@@ -131,7 +131,7 @@ class ParticleSwarm:
     atol: float = 0.0
 
     def __post_init__(self) -> None:
-        """Refuse what is not allowed."""
+        """Check the values."""
         require_numbers(vars(self), NUMBERS)
 
     @property
@@ -153,7 +153,7 @@ def particle_swarm(
 
     Args:
         costs: Costs of a swarm, shape (S, D) -> (S,), called once per iteration; it
-            must not write to its argument. What is infinite or NaN is not feasible.
+            must not write to its argument. An infinite or NaN cost is not feasible.
         bounds: Lower and upper bound of each component, shape (D, 2); where they are
             equal the component stays fixed.
         rng: Source of chance; the same seed gives the same result.
@@ -224,7 +224,7 @@ class _Swarm:
     def learn(
         self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
     ) -> int:
-        """Nothing is learnt and every particle lives on."""
+        """Keep every particle; there is nothing to learn."""
         return len(parents)
 
     def _fly(self, own: Floats, best: Floats) -> None:

@@ -1,4 +1,4 @@
-"""How a solver can end."""
+"""Outcomes of a solver."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ __all__ = ["Status"]
 
 
 class Status(Enum):
-    """How a solver ended: a word, and a sentence of advice."""
+    """Outcome of a solver: a word, and a sentence of advice."""
 
     CONVERGED = "converged"
     TARGET = "cost target reached"
@@ -26,7 +26,7 @@ class Status(Enum):
 
     @property
     def advice(self) -> str:
-        """What it means and what to do about it."""
+        """The meaning of the outcome, with advice."""
         return {
             Status.CONVERGED: "The solver converged.",
             Status.TARGET: "The cost fell below the target.",

@@ -312,7 +312,9 @@ def test_a_motion_that_jumps_is_not_written(model, run, listing, here, monkeypat
     assert listing(here) == before
     result = run(f"{RUN} --quiet")
     assert result.status == 2
-    assert result.err.startswith("calib-pin: note: corrections jump: targets.csv, line")
+    assert result.err.startswith(
+        "calib-pin: note: discontinuity in joint space: targets.csv, line"
+    )
     assert result.err.count("\n") == 1
 
 

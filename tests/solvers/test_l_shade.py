@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DifferentialEvolution, Status, differential_evolution
-from calib_pin.solvers.l_shade import MEMORY, TERMINAL, LShade
+from calib_pin.solvers.l_shade import OPTIONS, TERMINAL, LShade
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 
@@ -91,12 +91,12 @@ def test_entries_are_written_in_turn_and_terminal_ones_stay() -> None:
         shade.learn(np.zeros((1, 2)), np.ones(1), np.zeros(1), 1)
 
     succeed(0.0)
-    for _ in range(MEMORY):
+    for _ in range(OPTIONS.memory):
         succeed(0.3)
     assert shade.entry == 1
     assert shade.mean_CR[0] == TERMINAL
-    assert shade.mean_CR[1:] == pytest.approx(np.full(MEMORY - 1, 0.3))
-    assert shade.mean_F == pytest.approx(np.full(MEMORY, 0.7))
+    assert shade.mean_CR[1:] == pytest.approx(np.full(OPTIONS.memory - 1, 0.3))
+    assert shade.mean_F == pytest.approx(np.full(OPTIONS.memory, 0.7))
 
 
 def test_the_archive_fills_and_then_replaces_at_random() -> None:

@@ -1,0 +1,225 @@
+"""The tree of links and joints in a URDF: checked, then built by Pinocchio."""
+
+from __future__ import annotations
+
+import os
+import re
+import sys
+import tempfile
+from collections.abc import Iterator, Mapping
+from contextlib import contextmanager
+
+import pinocchio as pin
+
+from calib_pin.errors import nearest
+from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
+from calib_pin.kinematics.chain import Robot
+
+__all__ = ["captured_stderr", "parse_robot"]
+
+_TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
+_WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
+
+
+def parse_robot(source: bytes, file: str) -> Robot:
+    """Check a URDF and build the robot.
+
+    Args:
+        source: The bytes of the URDF.
+        file: Name of the source, for messages.
+
+    Returns:
+        The robot.
+
+    Raises:
+        RobotError: If the URDF cannot be used.
+
+    Example:
+        >>> parse_robot(b'<robot name="r"><link name="a"/></robot>', "r.urdf").leaves
+        ('a',)
+    """
+    document = parse_document(source, file)
+    root = document.root
+    if root.tag != "robot":
+        raise document.error(
+            root, f"the outermost element is <{root.tag}>", allowed="<robot>"
+        )
+    name = _attribute(document, root, "name", "the robot")
+    links = _named(document, "link")
+    joints = _named(document, "joint")
+    if not links:
+        raise document.error(root, "the robot has no links")
+    for joint in joints.values():
+        _check_joint(document, joint, links)
+    parents = _parents(document, joints)
+    root_link = _root(document, links, joints, parents)
+    inner = {_end(joint, "parent") for joint in joints.values()}
+    fixed = {
+        child: joint
+        for child, joint in parents.items()
+        if joints[joint].attributes["type"] == "fixed"
+    }
+    return Robot(
+        name=name,
+        file=file,
+        source=source,
+        model=_build_model(document, links, joints),
+        root=root_link,
+        links=tuple(links),
+        leaves=tuple(link for link in links if link not in inner),
+        fixed_parents=fixed,
+        refused=_refused(joints),
+    )
+
+
+def _attribute(document: Document, element: Element, key: str, owner: str) -> str:
+    value = element.attributes.get(key, "")
+    if not value:
+        raise document.error(element, f"{owner} has no {key}")
+    return value
+
+
+def _named(document: Document, tag: str) -> dict[str, Element]:
+    """All links or all joints by name, in the order of the file."""
+    result: dict[str, Element] = {}
+    for element in document.root.children:
+        if element.tag != tag:
+            continue
+        name = _attribute(document, element, "name", f"a {tag}")
+        if name in result:
+            reason = f"{tag} '{name}' is here for the second time"
+            line = result[name].line
+            raise document.error(element, f"{reason}, the first is in line {line}")
+        result[name] = element
+    return result
+
+
+def _end(joint: Element, role: str) -> str:
+    """Name of a joint's parent or child link."""
+    element = joint.child(role)
+    return "" if element is None else element.attributes.get("link", "")
+
+
+def _check_joint(
+    document: Document, joint: Element, links: Mapping[str, Element]
+) -> None:
+    name = joint.attributes["name"]
+    owner = f"joint '{name}'"
+    kind = _attribute(document, joint, "type", owner)
+    if kind not in _TYPES:
+        reason = f"{owner} has the unknown type '{kind}'{nearest(kind, _TYPES)}"
+        raise document.error(joint, reason, allowed=", ".join(_TYPES))
+    if name == "universe" and kind != "fixed":
+        reason = "a joint cannot be called 'universe', Pinocchio's name for the world"
+        raise document.error(joint, reason)
+    for role in ("parent", "child"):
+        link = _end(joint, role)
+        if not link:
+            raise document.error(joint, f"{owner} names no {role} link")
+        if link not in links:
+            reason = f"the {role} link '{link}' of {owner} does not exist"
+            raise document.error(joint, reason + nearest(link, links))
+    read_origin(document, joint)
+    axis = joint.child("axis")
+    if axis is not None and kind in _WITH_AXIS:
+        _attribute(document, axis, "xyz", f"the <axis> of {owner}")
+        if not document.numbers(owner, axis, "xyz", 3).any():
+            raise document.error(axis, f"the axis of {owner} is zero")
+    limit = joint.child("limit")
+    for key in ("lower", "upper", "effort", "velocity"):
+        if limit is not None and key in limit.attributes:
+            document.numbers(owner, limit, key, 1)
+
+
+def _parents(document: Document, joints: Mapping[str, Element]) -> dict[str, str]:
+    """The joint that carries each link but the root."""
+    result: dict[str, str] = {}
+    for name, joint in joints.items():
+        child = _end(joint, "child")
+        if child in result:
+            reason = f"link '{child}' is the child of two joints"
+            raise document.error(joint, f"{reason}, '{result[child]}' and '{name}'")
+        result[child] = name
+    return result
+
+
+def _root(
+    document: Document,
+    links: Mapping[str, Element],
+    joints: Mapping[str, Element],
+    parents: Mapping[str, str],
+) -> str:
+    """Name of the root link, after a check that the links form one tree."""
+    grounded: set[str] = set()
+    for link in links:
+        branch = [link]
+        while branch[-1] in parents and branch[-1] not in grounded:
+            branch.append(_end(joints[parents[branch[-1]]], "parent"))
+            if branch[-1] in branch[:-1]:
+                loop = " > ".join(reversed(branch[branch.index(branch[-1]) :]))
+                reason = f"the links {loop} form a loop, and a URDF is a tree"
+                raise document.error(joints[parents[branch[-1]]], reason)
+        grounded.update(branch)
+    roots = [link for link in links if link not in parents]
+    if len(roots) > 1:
+        names = ", ".join(f"'{link}'" for link in roots)
+        reason = f"the links {names} all have no parent joint, and a URDF has one root"
+        raise document.error(links[roots[1]], reason)
+    return roots[0]
+
+
+def _refused(joints: Mapping[str, Element]) -> dict[str, str]:
+    """Reasons, for the sentence "joint x is ..., which a chain cannot contain"."""
+    result = {}
+    for name, joint in joints.items():
+        if joint.child("mimic") is not None:
+            result[name] = "a mimic joint"
+        elif joint.attributes["type"] in ("floating", "planar"):
+            result[name] = f"a {joint.attributes['type']} joint"
+    return result
+
+
+def _build_model(
+    document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
+) -> pin.Model:
+    # The declaration may name the encoding of the file, and this is UTF-8 by now.
+    text = re.sub(r"\A<\?xml.*?\?>", "", document.data.decode(), flags=re.DOTALL)
+    try:
+        with captured_stderr() as printed:
+            model = pin.buildModelFromXML(text)
+    except Exception as failure:  # Whatever C++ throws.
+        errors = re.search(r"Error:\s+(.*?)\s+at line", printed[0], re.DOTALL)
+        reason = f"Pinocchio cannot read it: {errors[1] if errors else failure}"
+        named = re.findall(r"[Jj]oint \[(.+?)\]", printed[0])
+        culprit = next((joints[name] for name in named if name in joints), None)
+        raise document.error(culprit or document.root, reason) from failure
+    for name, link in links.items():
+        if not model.existFrame(name, pin.FrameType.BODY):
+            raise document.error(link, f"Pinocchio does not take over link '{name}'")
+    for name, joint in joints.items():
+        fixed = joint.attributes["type"] == "fixed"
+        if not fixed and not model.existJointName(name):
+            raise document.error(joint, f"Pinocchio does not take over joint '{name}'")
+    return model
+
+
+@contextmanager
+def captured_stderr() -> Iterator[list[str]]:
+    """Collect what C++ prints to file descriptor 2, past `sys.stderr`."""
+    printed: list[str] = []
+    if sys.stderr is not None:
+        sys.stderr.flush()
+    try:
+        saved = os.dup(2)
+    except OSError:  # It is closed, so nothing is printed.
+        yield [""]
+        return
+    with tempfile.TemporaryFile() as file:
+        os.dup2(file.fileno(), 2)
+        try:
+            yield printed
+        finally:
+            os.dup2(saved, 2)
+            os.close(saved)
+            file.seek(0)
+            printed.append(file.read().decode(errors="replace"))

@@ -669,7 +669,7 @@ KEYS = (
             dict(
                 line=3,
                 reason="'payloads.none' cannot have this name",
-                allowed="any name but none, which rows",
+                allowed="any name but none, which measurements",
             ),
         ),
         (

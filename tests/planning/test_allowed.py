@@ -125,6 +125,7 @@ class Referee:
                 "sphere": pin.coal.Sphere,
                 "cylinder": pin.coal.Cylinder,
             }
+            size = np.atleast_1d(getattr(obstacle, obstacle.kind)).tolist()
             placement = pin.SE3(
                 pin.rpy.rpyToMatrix(*map(float, obstacle.rpy)), np.array(obstacle.xyz)
             )
@@ -133,7 +134,7 @@ class Referee:
                     f"thing {k}",
                     frame.parentJoint,
                     frame.placement * placement,
-                    shapes[obstacle.kind](*obstacle.size),
+                    shapes[obstacle.kind](*size),
                 )
             )
         self.geometry.addAllCollisionPairs()

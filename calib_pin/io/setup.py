@@ -184,7 +184,8 @@ def _check_names(tree: Tree, setup: Setup) -> None:
             raise tree.error(
                 f"'payloads.{name}' cannot have this name",
                 ("payloads", name),
-                allowed=f"any name but {NOTHING}, which measurements without a load have",
+                allowed=f"any name but {NOTHING}, which measurements without a payload "
+                "have",
             )
 
 

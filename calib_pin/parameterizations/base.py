@@ -23,7 +23,6 @@ __all__ = [
     "Screw",
     "expected_size",
     "owner",
-    "robot_parameter",
 ]
 
 LENGTH_SCALE = 1e-3
@@ -143,6 +142,13 @@ class Parameterization(ABC):
         """The parameterization with the statements of a setup about the robot."""
         return cls()
 
+    def parameter(
+        self, joint: str, component: str, unit: str, scale: float | None = None
+    ) -> Parameter:
+        """A parameter of a joint, by default with the expected size of its unit."""
+        scale = expected_size(unit) if scale is None else scale
+        return Parameter(f"{owner(joint)}.{self.kind}.{component}", unit, scale)
+
     @abstractmethod
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """The screws of a chain, frame by frame in the order they apply."""
@@ -165,9 +171,3 @@ def expected_size(unit: str) -> float:
     if unit == "px":
         return PIXEL_SCALE
     return LENGTH_SCALE if unit == "m" else ANGLE_SCALE
-
-
-def robot_parameter(joint: str, kind: str, component: str, unit: str) -> Parameter:
-    """A parameter of the robot with the scale of its unit."""
-    name = f"{owner(joint)}.{kind}.{component}"
-    return Parameter(name, unit, expected_size(unit))

@@ -16,9 +16,7 @@ from calib_pin.parameterizations.base import (
     Effects,
     Parameterization,
     Screw,
-    owner,
 )
-from calib_pin.parameters import Parameter
 from calib_pin.setup import Payload, Setup
 
 __all__ = ["NOTHING", "Compliance"]
@@ -91,8 +89,9 @@ class Compliance(Parameterization):
         scales = DEFLECTION / np.maximum(usual, LEAST * usual.max())
         return [
             Screw(
-                Parameter(
-                    f"{owner(joint)}.{self.name}.k",
+                self.parameter(
+                    joint,
+                    "k",
                     "rad/Nm" if chain.revolute[j] else "m/N",
                     float(scales[j]),
                 ),

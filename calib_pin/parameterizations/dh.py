@@ -22,11 +22,7 @@ import numpy as np
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
-from calib_pin.parameterizations.base import (
-    Parameterization,
-    Screw,
-    robot_parameter,
-)
+from calib_pin.parameterizations.base import Parameterization, Screw
 
 __all__ = ["DenavitHartenberg", "FullDenavitHartenberg"]
 
@@ -74,8 +70,8 @@ class DenavitHartenberg(Parameterization):
             sign = -1.0 if backwards else 1.0
             link = [
                 Screw(
-                    robot_parameter(
-                        joint, self.kind, component, "m" if component in "da" else "rad"
+                    self.parameter(
+                        joint, component, "m" if component in "da" else "rad"
                     ),
                     index,
                     sign * to_frame @ twist,

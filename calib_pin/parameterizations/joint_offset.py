@@ -7,11 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.parameterizations.base import (
-    Parameterization,
-    Screw,
-    robot_parameter,
-)
+from calib_pin.parameterizations.base import Parameterization, Screw
 
 __all__ = ["JointOffset"]
 
@@ -28,7 +24,7 @@ class JointOffset(Parameterization):
         """One screw at every moving joint."""
         units = np.where(chain.revolute, "rad", "m")
         return [
-            Screw(robot_parameter(joint, self.name, "q", str(unit)), frame, motion)
+            Screw(self.parameter(joint, "q", str(unit)), frame, motion)
             for frame, (joint, unit, motion) in enumerate(
                 zip(chain.joints, units, chain.motions, strict=True), start=1
             )

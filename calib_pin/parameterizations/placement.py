@@ -7,12 +7,7 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.parameterizations.base import (
-    COMPONENTS,
-    Parameterization,
-    Screw,
-    robot_parameter,
-)
+from calib_pin.parameterizations.base import COMPONENTS, Parameterization, Screw
 
 __all__ = ["LinkTransform", "Placement"]
 
@@ -31,7 +26,7 @@ class Placement(Parameterization):
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """Six screws at every moving joint."""
         return [
-            Screw(robot_parameter(joint, self.name, component, unit), frame, twist)
+            Screw(self.parameter(joint, component, unit), frame, twist)
             for frame, joint in enumerate(chain.joints, start=1)
             for component, unit, twist in zip(COMPONENTS, UNITS, np.eye(6), strict=True)
         ]
@@ -61,7 +56,7 @@ class LinkTransform(Parameterization):
             links.append((count + 1, chain.tip_joint, chain.tip_placement))
         components = ("mx", "my", "mz", "dx", "dy", "dz")
         return [
-            Screw(robot_parameter(joint, self.name, component, unit), frame, twist)
+            Screw(self.parameter(joint, component, unit), frame, twist)
             for frame, joint, placement in links
             for component, unit, twist in zip(
                 components, UNITS, placement.toActionMatrixInverse().T, strict=True

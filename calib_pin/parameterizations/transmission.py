@@ -17,9 +17,8 @@ from calib_pin.parameterizations.base import (
     Effects,
     Parameterization,
     Screw,
-    owner,
 )
-from calib_pin.parameters import Parameter, matching
+from calib_pin.parameters import matching
 from calib_pin.setup import Setup
 
 __all__ = ["Transmission"]
@@ -83,9 +82,7 @@ class Transmission(Parameterization):
         )
         return [
             Screw(
-                Parameter(
-                    f"{owner(chain.joints[j])}.{self.name}.{component}", unit, scale
-                ),
+                self.parameter(chain.joints[j], component, unit, scale),
                 j + 1,
                 chain.motions[j],
                 BasisFunction(functions, column),

@@ -1,11 +1,11 @@
-"""Least squares in two steps that take turns, accelerated to the joint optimum.
+"""Alternating least squares in two blocks, accelerated to the joint optimum.
 
 One half of the unknowns is solved for while the other stands still, then the other:
 base and tool, then the robot (Wu, Klimchik, Caro, Furet, Pashkevich). Each half is
-small and simple, but where both explain nearly the same, turns converge as slowly as
-the halves are alike. Anderson's mixing of the last rounds finds the limit of such a
-sequence in a few of them; a mixture that does not lower the cost is not taken, so that
-the result is that of the turns alone.
+small and simple, but where both explain nearly the same, the alternation converges as
+slowly as the halves are alike. Anderson's mixing of the last rounds finds the limit of
+such a sequence in a few of them; a mixture that does not lower the cost is not taken,
+so that the result is that of the plain alternation.
 """
 
 from __future__ import annotations
@@ -32,7 +32,7 @@ NEGLIGIBLE = 1e-10
 """The same where a round has changed nothing: by rounding neither half moves."""
 
 SHORTEST = 1e-11
-"""Length of a joint step, in units of the directions, that ends the turns."""
+"""Length of a joint step, in units of the directions, that ends the alternation."""
 
 
 def alternation(
@@ -45,7 +45,7 @@ def alternation(
     max_rounds: int = 1000,
     memory: int = MEMORY,
 ) -> LeastSquaresResult:
-    """Minimize half the sum of squared residuals in two halves by turns.
+    """Minimize half the sum of squared residuals in two alternating halves.
 
     Args:
         linearize: Residual (M,) and Jacobian (M, P) at x.
@@ -54,7 +54,7 @@ def alternation(
         first: Directions that are solved for first, shape (P, k).
         second: Those of the second step, shape (P, l).
         max_rounds: Limit on the rounds.
-        memory: Rounds that are mixed; 0 for plain turns.
+        memory: Rounds that are mixed; 0 for the plain alternation.
 
     Returns:
         The result; its steps are rounds. It has converged where a step of both halves

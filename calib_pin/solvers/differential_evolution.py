@@ -171,7 +171,7 @@ class DifferentialEvolution:
         return int(self.population_size) * (int(self.maxiter) + 1)
 
 
-class _Classic:
+class _Classic(Variant):
     """One mutation with fixed factors and binomial crossover."""
 
     def __init__(self, options: DifferentialEvolution, dimension: int, rng: Rng):
@@ -185,12 +185,6 @@ class _Classic:
         best = population[energies.argmin()]
         mutants = self.mutate(population, best, others, self.F)
         return np.where(crossed, mutants, population)
-
-    def learn(
-        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
-    ) -> int:
-        """Keep every member; there is nothing to learn."""
-        return len(parents)
 
 
 def _chances(

@@ -15,7 +15,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol, TypeVar
+from typing import Generic, Protocol, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,6 +29,7 @@ __all__ = [
     "Callback",
     "Costs",
     "EvolutionResult",
+    "PopulationResult",
     "Stops",
     "Variant",
     "below",
@@ -52,27 +53,27 @@ Callback = Callable[[int, Floats, float], bool | None]
 
 
 @dataclass(frozen=True)
-class EvolutionResult:
-    """Outcome of an evolution, in the words of scipy.optimize.
+class PopulationResult(Generic[_Members]):
+    """Outcome of a search by a population, in the words of scipy.optimize.
 
     Attributes:
-        x: Best member, shape (D,), within the bounds.
+        x: Best member, shape (D,).
         fun: Its cost.
         nit: Number of generations after the first population.
         nfev: Number of members evaluated.
-        status: How the evolution ended.
+        status: Outcome of the search.
         population: Last population, shape (S, D).
         population_energies: Its costs, shape (S,).
         best_history: Best cost of every generation, shape (nit + 1,).
         mean_history: Mean cost of every generation, shape (nit + 1,).
     """
 
-    x: Floats
+    x: _Members
     fun: float
     nit: int
     nfev: int
     status: Status
-    population: Floats
+    population: _Members
     population_energies: Floats
     best_history: Floats
     mean_history: Floats
@@ -86,6 +87,10 @@ class EvolutionResult:
     def message(self) -> str:
         """The meaning of the status, with advice."""
         return self.status.advice
+
+
+class EvolutionResult(PopulationResult[Floats]):
+    """Outcome of an evolution; all members are within the bounds."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +130,7 @@ class Variant(Protocol):
     def learn(
         self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
     ) -> int:
-        """Take note of how the trials fared.
+        """Take note of the trials' success; by default of nothing.
 
         Args:
             parents: The population before selection, shape (S, D).
@@ -134,9 +139,9 @@ class Variant(Protocol):
             evaluations: Number of evaluations so far.
 
         Returns:
-            How many of the best members live on, S at most.
+            How many of the best members live on, S at most; by default all.
         """
-        ...
+        return len(parents)
 
 
 def evolve(

@@ -30,7 +30,14 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers.evolution import Booleans, Indices, Rng, below, evaluate
+from calib_pin.solvers.evolution import (
+    Booleans,
+    Indices,
+    PopulationResult,
+    Rng,
+    below,
+    evaluate,
+)
 from calib_pin.solvers.options import (
     FRACTION,
     LIMIT,
@@ -100,31 +107,8 @@ class Genetic:
             )
 
 
-@dataclass(frozen=True)
-class SelectionResult:
-    """Outcome of a selection; the words are those of `EvolutionResult`.
-
-    Attributes:
-        x: Best subset, indices in ascending order, shape (count,).
-        fun: Its cost.
-        nit: Number of generations after the first population.
-        nfev: Number of subsets evaluated.
-        status: How the search ended.
-        population: Last population, shape (S, count).
-        population_energies: Its costs, shape (S,).
-        best_history: Best cost of every generation, shape (nit + 1,).
-        mean_history: Mean cost of every generation, shape (nit + 1,).
-    """
-
-    x: Indices
-    fun: float
-    nit: int
-    nfev: int
-    status: Status
-    population: Indices
-    population_energies: Floats
-    best_history: Floats
-    mean_history: Floats
+class SelectionResult(PopulationResult[Indices]):
+    """Outcome of a selection; members are subsets, indices in ascending order."""
 
 
 def genetic_selection(

@@ -60,6 +60,7 @@ from calib_pin.solvers.evolution import (
     EvolutionResult,
     Rng,
     Stops,
+    Variant,
     below,
     evolve,
 )
@@ -204,7 +205,7 @@ def particle_swarm(
     )
 
 
-class _Swarm:
+class _Swarm(Variant):
     """Places and velocities of the particles."""
 
     def __init__(self, options: ParticleSwarm, box: Box, Y: Floats, rng: Rng) -> None:
@@ -220,12 +221,6 @@ class _Swarm:
         self._mutate()
         # Strays come back into this very array.
         return self.Y
-
-    def learn(
-        self, parents: Floats, energies: Floats, fresh: Floats, evaluations: int
-    ) -> int:
-        """Keep every particle; there is nothing to learn."""
-        return len(parents)
 
     def _fly(self, own: Floats, best: Floats) -> None:
         """Move by the velocity, from own best places (S, D) and the best of all."""

@@ -6,11 +6,7 @@ from collections.abc import Sequence
 
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import adjoint, invert
-from calib_pin.parameterizations.base import (
-    Parameterization,
-    Screw,
-    robot_parameter,
-)
+from calib_pin.parameterizations.base import Parameterization, Screw
 
 COMPONENTS = ("vx", "vy", "vz", "wx", "wy", "wz")
 
@@ -28,7 +24,7 @@ class ProductOfExponentials(Parameterization):
         """Six screws at every moving joint."""
         return [
             Screw(
-                robot_parameter(joint, self.name, component, "m" if k < 3 else "rad"),
+                self.parameter(joint, component, "m" if k < 3 else "rad"),
                 index + 1,
                 to_joint[:, k],
             )

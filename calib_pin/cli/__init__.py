@@ -124,7 +124,7 @@ def _prepare_streams() -> None:
 
 
 def _usage(error: Exception) -> str:
-    """What is wrong with the words, and where the right ones stand."""
+    """The error of a command line, and where its help is."""
     message = getattr(error, "format_message", error.__str__)().strip().rstrip(".")
     context = getattr(error, "ctx", None)
     command = getattr(context, "command_path", "calib-pin")

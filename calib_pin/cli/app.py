@@ -20,15 +20,15 @@ from calib_pin.cli.view import view
 __all__ = ["application"]
 
 COMMANDS: dict[Callable[..., int | None], str] = {
-    calibrate: "Fit a robot to measurements; write the corrected URDF.",
-    identify: "Which parameters can be known, and which only together.",
-    evaluate: "Accuracy of a robot or a calibration on measurements.",
-    simulate: "Measurements of a robot with known errors.",
-    plan: "Which configurations to measure.",
-    compensate: "Joint commands that reach targets on the real robot.",
-    compare: "What moved between two calibrations of a robot.",
-    view: "The robot, its errors and a plan in the browser.",
-    robots: "The bundled robots.",
+    calibrate: "Fit a robot to measurements and write the corrected URDF.",
+    identify: "Print which parameters are identifiable.",
+    evaluate: "Print the accuracy of a robot or a calibration on measurements.",
+    simulate: "Simulate measurements of a robot with known errors.",
+    plan: "Choose optimal calibration configurations.",
+    compensate: "Find joint commands that reach targets on the real robot.",
+    compare: "Print the difference between two calibrations of a robot.",
+    view: "Show a robot, its errors and a plan in the browser.",
+    robots: "List the bundled robots.",
 }
 
 
@@ -37,7 +37,7 @@ def application(words: Sequence[str]) -> typer.Typer:
 
     Args:
         words: The command line. Where it begins with a command, the others are left
-            out: to look at all their options takes a while.
+            out: building all their options takes a while.
     """
     app = typer.Typer(
         name="calib-pin",
@@ -47,7 +47,7 @@ def application(words: Sequence[str]) -> typer.Typer:
     )
     app.callback(
         invoke_without_command=True,
-        epilog="Lengths are in m and angles in rad unless a unit stands beside them. "
+        epilog="Lengths are in m and angles in rad unless another unit is given. "
         "Exit status: 0 good, 1 wrong input or option, 2 the result must not be "
         "trusted.",
     )(overview)

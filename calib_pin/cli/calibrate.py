@@ -54,7 +54,7 @@ def calibrate(
     measurements: Annotated[
         list[Path],
         typer.Argument(
-            metavar="MEASUREMENTS...", help="CSV files, one row per measurement."
+            metavar="MEASUREMENTS...", help="CSV files with one row per measurement."
         ),
     ],
     output: Annotated[
@@ -63,7 +63,7 @@ def calibrate(
             "-o",
             "--output",
             metavar="DIR",
-            help="Folder of the results; without it they are only printed.",
+            help="Folder for the results; without it they are only printed.",
             rich_help_panel=OUTPUT,
         ),
     ] = None,
@@ -77,9 +77,9 @@ def calibrate(
         typer.Option(
             "--solver",
             metavar="NAME",
-            help="gauss-newton (default), two-step (frames and instrument, then the "
-            "robot, by turns), de (differential evolution), or hybrid: de, then "
-            "gauss-newton, for errors of centimeters and degrees.",
+            help="gauss-newton (default), two-step (alternating: frames and "
+            "instrument, then the robot), de (differential evolution), or hybrid: de, "
+            "then gauss-newton, for errors of centimeters and degrees.",
             rich_help_panel=FIT,
         ),
     ] = None,
@@ -88,9 +88,9 @@ def calibrate(
         typer.Option(
             "--loss",
             metavar="NAME",
-            help="auto (default) sets measurements aside that cannot be right, where "
-            "there are any; gnc looks for them in any case; huber gives them less "
-            "weight; squared takes all measurements as they are.",
+            help="auto (default) sets outliers aside where there are any; gnc always "
+            "searches for them; huber gives them less weight; squared weights all "
+            "measurements equally.",
             rich_help_panel=FIT,
         ),
     ] = None,
@@ -99,8 +99,8 @@ def calibrate(
         typer.Option(
             "--learned",
             metavar="NAME",
-            help="Learn what the parameters leave: network, or gaussian-process; the "
-            "only one that --model-ladder tries.",
+            help="Learn the errors that no parameter describes: network or "
+            "gaussian-process; with --model-ladder the only one that is tried.",
             rich_help_panel=FIT,
         ),
     ] = None,
@@ -108,8 +108,9 @@ def calibrate(
         bool,
         typer.Option(
             "--model-ladder",
-            help="Try joint offsets, geometry, transmission, compliance and learned "
-            "corrections on unseen rows; keep the simplest of the best.",
+            help="Select the model: try joint offsets, geometry, transmission, "
+            "compliance and learned corrections on held-out measurements, and take "
+            "the simplest of the best.",
             rich_help_panel=FIT,
         ),
     ] = False,
@@ -118,7 +119,7 @@ def calibrate(
         typer.Option(
             "--validation",
             metavar="FILE",
-            help="Check the fit on the rows of this file.",
+            help="Check the fit on the measurements of this file.",
             rich_help_panel=FIT,
         ),
     ] = None,
@@ -127,7 +128,7 @@ def calibrate(
         typer.Option(
             "--holdout",
             metavar="PART",
-            help="Check the fit on this part of the rows, such as 0.2.",
+            help="Hold out this part of the measurements, such as 0.2, for the check.",
             parser=number(float, "--holdout", "a number between 0 and 1"),
             rich_help_panel=FIT,
         ),
@@ -140,13 +141,12 @@ def calibrate(
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
-    DIR gets <robot name>.urdf, nominal.urdf, calibration.json and report.html, which
-    opens in a browser, and residual_model.json where something was learned; it can be
-    moved as a whole. Without --validation, --holdout or a column 'set' (train,
-    validate) the fit is checked by five-fold cross-validation. Where there is nothing
-    to correct, <robot name>.urdf is the nominal file. Exit status 2: the result is
-    unchecked or must not be trusted, the reason comes first, and no <robot name>.urdf
-    is written.
+    DIR receives <robot name>.urdf, nominal.urdf, calibration.json, report.html (for
+    the browser) and, with a learned correction, residual_model.json; it can be moved
+    as a whole. Without --validation, --holdout or a column 'set' (train, validate),
+    five-fold cross-validation checks the fit. Where there is nothing to correct,
+    <robot name>.urdf is the nominal file. Exit status 2: the result is unchecked or
+    must not be trusted; the reason comes first, and no <robot name>.urdf is written.
     """
     import time
     from dataclasses import replace
@@ -170,7 +170,7 @@ def calibrate(
     )
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
-        notice(f"{name} does not use the options of the evolution in 'solver'")
+        notice(f"{name} ignores the options of differential evolution in 'solver'")
     chain = open_chain(robot, stated)
     inputs = [robot, setup, validation, *measurements]
     files = None if output is None else result_files(output, chain.robot.name)
@@ -191,7 +191,10 @@ def calibrate(
         )
     if rows.validate.any() and (unseen is not None or holdout is not None):
         option = "--holdout" if unseen is None else "--validation"
-        notice(f"the rows that 'set' marks for validation are not used with {option}")
+        notice(
+            f"the measurements that 'set' marks for validation are not used with "
+            f"{option}"
+        )
 
     start = time.perf_counter()
     with progress_bar(quiet=quiet) as bar:

@@ -10,7 +10,7 @@ __all__ = ["Command"]
 
 
 class Command(TyperCommand):
-    """A command whose help reads `ROBOT MEASUREMENTS...`, options by topic."""
+    """A command whose help reads `ROBOT MEASUREMENTS...`, with options by topic."""
 
     def collect_usage_pieces(self, ctx: Any) -> list[str]:
         """The words of the usage line."""

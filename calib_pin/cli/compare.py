@@ -1,4 +1,4 @@
-"""`calib-pin compare`: what moved between two calibrations of a robot."""
+"""`calib-pin compare`: the difference between two calibrations of a robot."""
 
 from __future__ import annotations
 
@@ -36,20 +36,20 @@ def compare(
         ),
     ],
     seed: Annotated[
-        int, seed(WORKSPACE, "Seed of the configurations at which tips are compared.")
+        int, seed(WORKSPACE, "Random seed of the configurations that are compared.")
     ] = 0,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
     force: Force = False,
     json: Json = False,
 ) -> int:
-    """Print what moved between two calibrations, beyond their uncertainty.
+    """Print the difference between two calibrations, beyond their uncertainty.
 
-    Tips are compared in the base link, with a displacement of base and tool fitted
-    away where these were estimated: a tracker that stands elsewhere is no drift of the
-    robot, nor is another tool. Parameters and sums are listed where they differ by more
-    than three standard deviations. Exit status 2: one of the calibrations must not be
-    trusted.
+    Tool points are compared in the base link. Where base and tool were estimated, a
+    displacement of them is removed by a fit: a tracker at another station is no drift
+    of the robot, nor is another tool. Parameters and combinations are listed where they
+    differ by more than three standard deviations. Exit status 2: one of the
+    calibrations must not be trusted.
     """
     from calib_pin.io.comparisons import comparison_document
     from calib_pin.io.documents import encode

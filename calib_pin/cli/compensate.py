@@ -47,8 +47,8 @@ def compensate(
         Path,
         typer.Argument(
             metavar="TARGETS",
-            help="CSV file of positions or poses (and joint positions to start from), "
-            "or of joint positions alone: a motion of the nominal robot.",
+            help="CSV file of positions or poses (optionally with joint positions to "
+            "start from), or of joint positions alone: a motion of the nominal robot.",
         ),
     ],
     output: Annotated[Path, csv_file("File of joint commands to write.")],
@@ -86,7 +86,7 @@ def compensate(
         bool,
         typer.Option(
             "--position",
-            help="Reach positions, whatever the orientation.",
+            help="Reach positions only, with any orientation.",
             rich_help_panel=TARGETS,
         ),
     ] = False,
@@ -98,11 +98,11 @@ def compensate(
     """Find the joint commands that bring the real robot to targets.
 
     Commands for targets have a column 'row', the line of the target. A motion keeps its
-    other columns; its commands bring the tip to where the nominal robot's tip would be
-    in the base link (a robot of fewer than six joints: the position), as exactly as the
-    places of base and tool are known. Exit status 2: a
-    target cannot be reached (only the others are written, of a motion nothing), or the
-    calibration must not be trusted (nothing is written).
+    other columns; its commands bring the tip link to where that of the nominal robot
+    would be in the base link (with fewer than six joints: its position), as exactly as
+    base and tool are known. Exit status 2: a target cannot be reached (only the others
+    are written, of a motion none), or the calibration must not be trusted (no command
+    is written).
     """
     import shlex
 

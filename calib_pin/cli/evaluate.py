@@ -42,7 +42,8 @@ def evaluate(
         bool,
         typer.Option(
             "--register",
-            help="Fit the frames and the instrument of a calibration to these rows.",
+            help="Register the frames and the instrument of a calibration on these "
+            "measurements.",
             rich_help_panel=FIT,
         ),
     ] = False,
@@ -50,9 +51,9 @@ def evaluate(
 ) -> int:
     """Print the accuracy of a robot or a calibration on measurements.
 
-    A URDF knows neither base nor tool: they are registered on these rows, and the
-    output says so. A calibration is taken as it is, unless --register is given. Exit
-    status 2: the rows are too few, or the calibration must not be trusted.
+    A URDF knows neither base nor tool: they are registered on these measurements, and
+    the output says so. A calibration is used as it is unless --register is given. Exit
+    status 2: the measurements are too few, or the calibration must not be trusted.
     """
     from dataclasses import asdict, replace
 

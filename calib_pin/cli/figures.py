@@ -45,7 +45,7 @@ Figures = Annotated[
     typer.Option(
         "--figures",
         metavar="DIR",
-        help="Folder of the figures as pictures.",
+        help="Folder for the figures.",
         rich_help_panel=OUTPUT,
     ),
 ]
@@ -67,7 +67,7 @@ def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
     Args:
         folder: The folder.
         kind: One of `FORMATS`.
-        of: What they are figures of, `calibration`, `plan` or `comparison`.
+        of: Their subject, `calibration`, `plan` or `comparison`.
 
     Raises:
         OptionError: If there can be no such folder.
@@ -145,6 +145,6 @@ def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]
     """
     for path in files:
         if path not in pictures and exists(path):
-            notice(f"{path} is not of this run, which has no such figure")
+            notice(f"{path} is not from this run, which has no such figure")
     count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
     return [f"wrote {count} to {files[0].parent}"] if files else []

@@ -98,7 +98,7 @@ def require_model(setup: Setup) -> str:
 
     if setup.model is None:
         raise OptionError(
-            "without measurements the way of measuring must be named with --model",
+            "without measurements, --model must name the measurement model",
             allowed=", ".join(MEASUREMENT_MODELS),
         )
     return setup.model
@@ -126,13 +126,13 @@ def open_chain(robot: str, setup: Setup) -> Chain:
 def open_calibration(
     name: str, file: Path | None, setup: Setup, doubted: Callable[[str], None]
 ) -> tuple[CalibratedModel, Setup]:
-    """A calibration, and the setup with which rows are read for it.
+    """A calibration, and the setup with which measurements are read for it.
 
     Args:
         name: The `calibration.json`.
         file: The setup file, if there is one.
         setup: What it states, with the options on top.
-        doubted: Told if the calibration must not be trusted.
+        doubted: Called with the reason if the calibration must not be trusted.
 
     Raises:
         InputError: If it cannot be used.
@@ -171,7 +171,7 @@ def require_file(path: str | Path, other: str = "") -> None:
 
     Args:
         path: What was given.
-        other: What else might have been meant.
+        other: Another possible input, for the message.
 
     Raises:
         OptionError: If it is such a folder.
@@ -237,7 +237,7 @@ def require_folders(folders: Sequence[Path]) -> None:
 
 
 def require_distinct(files: Sequence[Path]) -> None:
-    """Refuse rows that would count twice.
+    """Refuse measurements that would count twice.
 
     Raises:
         OptionError: If a file is given twice.
@@ -300,7 +300,7 @@ def _same(first: Path, second: Path) -> bool:
 
 
 def exists(path: Path) -> bool:
-    """Whether something is there, as far as that can be said."""
+    """Whether a file or folder exists; False where that cannot be determined."""
     try:
         return path.exists()
     except (OSError, ValueError):

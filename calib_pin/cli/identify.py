@@ -1,4 +1,4 @@
-"""`calib-pin identify`: what can be known of a robot."""
+"""`calib-pin identify`: the identifiability of a robot's parameters."""
 
 from __future__ import annotations
 
@@ -35,7 +35,7 @@ def identify(
         list[Path] | None,
         typer.Argument(
             metavar="[MEASUREMENTS...]",
-            help="CSV files; without them the structure is analyzed.",
+            help="CSV files; without them identifiability is structural.",
         ),
     ] = None,
     setup: SetupFile = None,
@@ -46,10 +46,10 @@ def identify(
     seed: Seed = 0,
     json: Json = False,
 ) -> int:
-    """Print which parameters can be known, and which only together.
+    """Print which parameters are identifiable, and which only in combinations.
 
-    Without measurements: what the robot and the way it is measured can reveal at all.
-    With them: what these rows can tell. Nothing is written.
+    Without measurements: structural identifiability, from the robot and the measurement
+    model alone. With measurements: practical identifiability. No file is written.
     """
     from dataclasses import replace
 

@@ -66,7 +66,7 @@ RobotName = Annotated[
     str,
     typer.Argument(
         metavar="ROBOT",
-        help="URDF file, name of a bundled robot, or example:NAME where "
+        help="URDF file, name of a bundled robot, or example:NAME if "
         "example-robot-data is installed.",
     ),
 ]
@@ -82,7 +82,7 @@ SetupFile = Annotated[
     typer.Option(
         "--setup",
         metavar="FILE",
-        help="Setup file (YAML); options win over it.",
+        help="Setup file (YAML); options override it.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -93,7 +93,7 @@ Model = Annotated[
         metavar="NAME",
         help="position, pose, plane-distance, point-distance, relative-distance, "
         "fixed-point, plane-contact, sphere-contact, camera, or several joined by +; "
-        "default what the columns show.",
+        "by default inferred from the columns.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -102,7 +102,7 @@ Base = Annotated[
     typer.Option(
         "--base",
         metavar="LINK",
-        help="Start of the chain; default the root.",
+        help="First link of the chain; by default the root.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -111,7 +111,7 @@ Tip = Annotated[
     typer.Option(
         "--tip",
         metavar="LINK",
-        help="End of the chain; default the only leaf.",
+        help="Last link of the chain; by default the only leaf.",
         rich_help_panel=ROBOT,
     ),
 ]
@@ -126,7 +126,7 @@ Parameters = Annotated[
 ]
 
 
-def seed(heading: str, what: str = "Seed of all that is random.") -> Any:
+def seed(heading: str, what: str = "Random seed.") -> Any:
     """The option `--seed` under a heading of `--help`."""
     return typer.Option(
         "--seed",

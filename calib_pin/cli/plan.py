@@ -51,7 +51,7 @@ if TYPE_CHECKING:
 __all__ = ["plan"]
 
 PLAN = "Plan"
-WORKSPACE = "Where configurations may be"
+WORKSPACE = "Constraints"
 """Headings of `--help`."""
 
 COUNT = number(int, "--count", "1 to 1000", 1, 1000)
@@ -86,7 +86,7 @@ def plan(
         typer.Option(
             "--to",
             metavar="CSV",
-            help="Measurements that are there already; may be repeated.",
+            help="Measurements that exist already; may be repeated.",
             rich_help_panel=PLAN,
         ),
     ] = None,
@@ -95,8 +95,8 @@ def plan(
         typer.Option(
             "--criterion",
             metavar="NAME",
-            help="prediction (the error of the tip that noise leaves), condition, "
-            "O1 to O5.",
+            help="prediction (default; the predicted tool-point uncertainty), "
+            "condition, or O1 to O5.",
             rich_help_panel=PLAN,
         ),
     ] = "prediction",
@@ -105,7 +105,8 @@ def plan(
         typer.Option(
             "--method",
             metavar="NAME",
-            help="auto (exchange, then gradient), exchange, greedy, pso, ga, gradient.",
+            help="auto (default; exchange, then gradient), exchange, greedy, pso, ga "
+            "or gradient.",
             rich_help_panel=PLAN,
         ),
     ] = "auto",
@@ -124,7 +125,8 @@ def plan(
         typer.Option(
             "--tests",
             metavar="CSV",
-            help="Configurations where the tip is to be accurate; default everywhere.",
+            help="Configurations where the robot is to be accurate; by default "
+            "everywhere.",
             rich_help_panel=PLAN,
         ),
     ] = None,
@@ -144,8 +146,8 @@ def plan(
         typer.Option(
             "--distance",
             metavar="D",
-            help="Least distance between configurations: the largest movement of a "
-            "joint [rad, m].",
+            help="Least distance between configurations, as the largest movement of "
+            "a joint [rad, m].",
             parser=number(float, "--distance", "0 to 10", 0.0, 10.0),
             rich_help_panel=WORKSPACE,
         ),
@@ -155,7 +157,7 @@ def plan(
         typer.Option(
             "--srdf",
             metavar="FILE",
-            help="SRDF that names the links that need no check against each other.",
+            help="SRDF file of the pairs of links that need no collision check.",
             rich_help_panel=WORKSPACE,
         ),
     ] = None,
@@ -173,7 +175,7 @@ def plan(
         typer.Option(
             "--clearance",
             metavar="S",
-            help="Distance kept from everything [m]; default 0.01.",
+            help="Least distance from obstacles and between links [m]; default 0.01.",
             parser=number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
             rich_help_panel=WORKSPACE,
         ),
@@ -196,11 +198,11 @@ def plan(
     quiet: Quiet = False,
     json: Json = False,
 ) -> int:
-    """Choose the configurations that tell most about the robot.
+    """Choose optimal calibration configurations.
 
     They keep the joint limits, collide with nothing, lie in the region of the setup
-    file, and come in an order of short travel. The table shows what more or fewer of
-    them would reach. Ctrl-C ends the search with the best plan so far.
+    file, and are ordered for short travel. A table shows the accuracy that more or
+    fewer of them would give. Ctrl-C ends the search with the best plan so far.
     """
     from dataclasses import replace
 
@@ -230,8 +232,7 @@ def plan(
     check_outputs([output, *pictures], inputs, force)
     if ignore_collisions and (srdf is not None or package_dir or clearance is not None):
         raise OptionError(
-            "--ignore-collisions leaves nothing to do for --srdf, --package-dir and "
-            "--clearance"
+            "--ignore-collisions contradicts --srdf, --package-dir and --clearance"
         )
     chain = open_chain(robot, stated)
     narrower = parse_limits(limits or [], chain)

@@ -1,4 +1,4 @@
-"""What the commands print: results on standard output, remarks on standard error."""
+"""Printing: results go to standard output, remarks to standard error."""
 
 from __future__ import annotations
 

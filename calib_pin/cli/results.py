@@ -111,7 +111,7 @@ def result_contents(
         run: How it came about.
         figures: What is drawn of it.
         pictures: Figures that go into files of their own.
-        remedies: What would tell more of the robot.
+        remedies: Suggested measurements.
     """
     from calib_pin.io.documents import calibration_document, encode
     from calib_pin.io.journal import inside, listed, sha256
@@ -176,11 +176,11 @@ def write_results(
         notice(f"removed {path} of an earlier run")
     for path in (files.urdf, files.residual_model):
         if path not in contents and exists(path):
-            notice(f"{path} is not of this run, which has no such file")
+            notice(f"{path} is not from this run, which has no such file")
     if result.geometry is not None and result.geometry.tool_carries_tip:
         notice(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "
-            "error behind that joint stands in frames.tool of calibration.json"
+            "error behind that joint is in frames.tool of calibration.json"
         )
 
 

@@ -42,7 +42,7 @@ def simulate(
         typer.Option(
             "--model",
             metavar="NAME",
-            help="How the robot is measured, such as position or fixed-point.",
+            help="Measurement model, such as position or fixed-point.",
             rich_help_panel=STUDY,
         ),
     ] = None,
@@ -51,7 +51,7 @@ def simulate(
         typer.Option(
             "--count",
             metavar="N",
-            help="Number of random configurations; or else",
+            help="Number of random configurations, or",
             parser=number(int, "--count", "1 to 1000000", 1, 1e6),
             rich_help_panel=STUDY,
         ),
@@ -70,19 +70,19 @@ def simulate(
         typer.Option(
             "--errors",
             metavar="YAML",
-            help="True errors by parameter name [m, rad]; default drawn.",
+            help="True errors by parameter name [m, rad]; by default drawn.",
             rich_help_panel=STUDY,
         ),
     ] = None,
     seed: Annotated[
-        int, seed_option(STUDY, "Seed of errors, configurations and noise.")
+        int, seed_option(STUDY, "Random seed of errors, configurations and noise.")
     ] = 0,
     noise: Annotated[
         float | None,
         typer.Option(
             "--noise",
             metavar="S",
-            help="Standard deviation of every component [m, rad]; default that of "
+            help="Standard deviation of every component [m, rad]; by default that of "
             "the setup file, or 0.1 mm and 0.1 mrad.",
             parser=number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
             rich_help_panel=STUDY,
@@ -102,7 +102,7 @@ def simulate(
         bool,
         typer.Option(
             "--average",
-            help="Average the readings into one row.",
+            help="Average the readings of a configuration into one measurement.",
             rich_help_panel=STUDY,
         ),
     ] = False,
@@ -123,9 +123,9 @@ def simulate(
 ) -> int:
     """Simulate measurements of a robot with true errors, given or drawn.
 
-    Errors that are not given are drawn uniformly within the expected size of every
-    parameter, such as plus and minus 1 mm and 3 mrad of a placement. Frames and planes
-    are those of the setup file.
+    Errors that are not given are drawn uniformly within the expected size of each
+    parameter, such as plus and minus 1 mm and 3 mrad for a placement. Frames and planes
+    are taken from the setup file.
     """
     import shlex
 
@@ -187,12 +187,12 @@ def simulate(
             contents[truth] = encode_urdf(true.without_corrections, truth)
         with write_files(contents, force=force):
             pass
-    told = [f"wrote {len(rows)} rows to {output}"]
+    told = [f"wrote {len(rows)} measurements to {output}"]
     if truth is not None:
         if true.tool_carries_tip:
-            notice(f"{truth} lacks the error behind the last joint, which has no place")
+            notice(f"{truth} lacks the error behind the last joint: no link holds it")
         if not true.geometric:
-            notice(f"{truth} holds the geometry; other errors have no place in a URDF")
+            notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")
         told.append(f"wrote the true robot to {truth}")
     say_written(told)
     return 0

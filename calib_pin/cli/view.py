@@ -50,7 +50,7 @@ def view(
         typer.Option(
             "--plan",
             metavar="CSV",
-            help="Configurations to play in their order.",
+            help="Configurations to play in order.",
             rich_help_panel=WINDOW,
         ),
     ] = None,
@@ -59,7 +59,7 @@ def view(
         typer.Option(
             "--port",
             metavar="N",
-            help="Port on this machine; 0 for any that is free.",
+            help="Port on this machine; 0 for any free port.",
             parser=number(int, "--port", "0 to 65535", 0, 65535),
             rich_help_panel=WINDOW,
         ),
@@ -68,7 +68,7 @@ def view(
         bool,
         typer.Option(
             "--once",
-            help="Stop when the last window has been closed.",
+            help="Stop when the last window is closed.",
             rich_help_panel=WINDOW,
         ),
     ] = False,
@@ -88,9 +88,9 @@ def view(
 ) -> int:
     """Show a robot in the browser, with the errors of measurements and a plan.
 
-    Of a calibration the nominal robot is shown beside the corrected one. Errors are
-    those of the nominal robot, with base and tool registered on these rows (before),
-    and those of the calibration as it is (after). Only this machine can look.
+    A calibration shows the nominal robot beside the corrected one. Errors are those of
+    the nominal robot with base and tool registered on these measurements (before), and
+    those of the calibration as it is (after). The page is open to this machine only.
     """
     _require_viser()
     from calib_pin.viewer.server import Window
@@ -124,7 +124,7 @@ def _require_viser() -> None:
 
     if find_spec("viser") is None:
         raise OptionError(
-            "the viewer needs viser, which is not there: pip install 'calib-pin[view]'"
+            "the viewer needs viser, which is missing: pip install 'calib-pin[view]'"
         )
 
 
@@ -136,7 +136,7 @@ def _open(
     file: Path | None,
     setup: Setup,
 ) -> Scene:
-    """Everything that is to be drawn.
+    """The scene to draw.
 
     Args:
         name: The robot, or a calibration.
@@ -177,8 +177,9 @@ def _note_missing(meshes: Sequence[str]) -> None:
     first, *others = meshes
     count = f"{len(meshes)} meshes are" if others else "1 mesh is"
     notice(
-        f"{count} not there or cannot be read, and simple shapes stand in: {first}"
-        f"{', ...' if others else ''}; --package-dir DIR, the folder of its package"
+        f"{count} missing or unreadable and replaced by simple shapes: {first}"
+        f"{', ...' if others else ''}; name the folder of its package with "
+        "--package-dir"
     )
 
 
@@ -201,7 +202,7 @@ def _rows(
     stage(bar, "errors")
     before = prepared(chain, rows, setup)
     if before.reason:
-        notice(f"errors before cannot be trusted: {before.reason}")
+        notice(f"the errors before cannot be trusted: {before.reason}")
     stages = {"before": stage_errors(before)}
     if model is not None:
         stages["after"] = stage_errors(prepared(model, rows))

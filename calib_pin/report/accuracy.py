@@ -1,4 +1,4 @@
-"""What a calibration is worth: verdict, accuracy, and what the numbers stand for."""
+"""The verdict and the accuracy of a calibration, and what the numbers refer to."""
 
 from __future__ import annotations
 
@@ -34,25 +34,25 @@ __all__ = [
 ]
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
-"""What residual models are called in sentences."""
+"""Residual models as they are called in sentences."""
 
-UNSEEN = {
+HELD_OUT = {
     "set": "those that the column 'set' marks",
     "file": "those of the validation file",
-    "holdout": "those that were set aside",
-    "leave-one-place-out": "every place, by a fit of the others",
+    "holdout": "those held out of the fit",
+    "leave-one-place-out": "each place, predicted by a fit to the others",
 }
-"""What the unseen rows are, by the way of the validation."""
+"""The validation measurements by the method of validation."""
 
-FOLDS = "every part of the rows, by a fit of the other parts"
-"""What they are in a cross-validation."""
+FOLDS = "each fold, predicted by a fit to the other folds"
+"""The validation measurements of a cross-validation."""
 
 LISTED_OWNERS = 3
-"""Members of one kind, such as sockets, that are named before they are counted."""
+"""Members of one kind, such as sockets, up to which each is named."""
 
 
 def opening(result: CalibrationResult) -> Sequence[Line]:
-    """What comes first: what was set aside, and the verdict.
+    """The verdict and the measurements set aside.
 
     A reason not to trust the result comes before anything else.
     """
@@ -61,7 +61,7 @@ def opening(result: CalibrationResult) -> Sequence[Line]:
 
 
 def verdict(result: CalibrationResult) -> Line:
-    """The verdict and its reason, of a finding with what to do about it."""
+    """The verdict and its reason; a finding among the reasons with its remedy."""
     reason = result.reason
     for finding in result.findings:
         if advised(finding) not in reason:
@@ -77,10 +77,10 @@ def judged(reason: str, status: str = "untrusted") -> Line:
 
 
 def subject(result: CalibrationResult) -> Line:
-    """Which robot was measured in which way."""
+    """The robot, its chain, and how it was measured."""
     model = result.model
     chain, count = model.chain, result.training
-    rows = f"{count} row{'s' if count != 1 else ''}"
+    measured = f"{count} measurement{'s' if count != 1 else ''}"
     search = ""
     if result.history:
         search = (
@@ -88,24 +88,24 @@ def subject(result: CalibrationResult) -> Line:
         )
     return Line(
         f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}; {model.measurement.name}, {rows} fitted{search}",
+        f"{chain.tip}; {model.measurement.name}, {measured} fitted{search}",
         "note",
     )
 
 
 def accuracy(result: CalibrationResult) -> Iterator[Block]:
-    """Ladder, accuracy and known distances, with what they stand for."""
+    """Model selection, accuracy and known distances, and what they refer to."""
     if result.ladder is not None:
         yield ladder_table(result.ladder)
     yield accuracy_table(result.errors)
     said = []
     if result.validation != "none":
-        rows = UNSEEN.get(result.validation, FOLDS)
-        said.append(f"Unseen rows ({result.validation}): {rows}.")
-    if result.ladder is not None and result.validation not in UNSEEN:
+        which = HELD_OUT.get(result.validation, FOLDS)
+        said.append(f"Validation measurements ({result.validation}): {which}.")
+    if result.ladder is not None and result.validation not in HELD_OUT:
         said.append(
-            "The same parts have chosen the model; rows of their own (--validation) "
-            "are the stricter check."
+            "The same folds selected the model; separate measurements (--validation) "
+            "are a stricter check."
         )
     yield Line(" ".join([*said, *_registered(result)]), "note")
     if result.distances:
@@ -113,7 +113,7 @@ def accuracy(result: CalibrationResult) -> Iterator[Block]:
 
 
 def _registered(result: CalibrationResult) -> Iterator[str]:
-    """What is fitted even where the robot is nominal."""
+    """Sentences on what was registered for the nominal robot as well."""
     of_robot = {p.name for p in result.model.error.parameters if not p.nuisance}
     owners: dict[str, dict[str, None]] = {}
     for parameter in result.parameters:
@@ -121,7 +121,7 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
             owner, kind, _ = parameter.name.rsplit(".", 2)
             owners.setdefault(kind, {})[owner] = None
     if not owners:
-        yield "Frames and instrument are known, nothing is registered."
+        yield "Frames and instrument are known; nothing is registered."
         return
     told = [
         f"{len(names)} {kind}s"
@@ -129,21 +129,21 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         else ", ".join(f"{name} {kind}" for name in names)
         for kind, names in owners.items()
     ]
-    yield f"Fitted in either case: {', '.join(told)}."
+    yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
     if result.placed:
         names = ", ".join(result.placed)
         if len(result.placed) > 2 * LISTED_OWNERS:
             names = f"{len(result.placed)} of them"
-        yield f"Placed by the unseen rows that name them: {names}."
+        yield f"Estimated from the validation measurements: {names}."
     if result.skipped:
         reasons = " and ".join(dict.fromkeys(result.skipped))
         count = len(result.skipped)
-        parts = "part of the check is" if count == 1 else "parts of the check are"
-        yield f"{count} {parts} left out, for in the fit without: {reasons}."
+        folds = "fold was" if count == 1 else "folds were"
+        yield f"{count} {folds} skipped, because in the fit to the others: {reasons}."
 
 
 def moves(result: CalibrationResult) -> Iterator[Block]:
-    """How far the corrected robot is from the nominal one: it must look like it."""
+    """The largest correction: the corrected robot must look like the nominal one."""
     if result.verdict == "no-gain":
         yield Line("Nothing is corrected: the URDF is the nominal one.", "note")
         return
@@ -160,15 +160,15 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
         joint = max(of_joints, key=of_joints.__getitem__)
         shown, factor = DISPLAY[unit]
         parts.append(f"{number(factor * of_joints[joint])} {shown} ({joint})")
-    yield Line(f"Joint origins move by up to {' and '.join(parts)}.", "note")
+    yield Line(f"Largest correction of a joint origin: {', '.join(parts)}.", "note")
 
 
 def beyond(result: CalibrationResult) -> Iterator[Block]:
-    """What a URDF cannot hold, and how good it is without."""
+    """The corrections a URDF cannot hold, and its accuracy without them."""
     if result.rejected:
         yield Line(
-            f"The {TITLES[result.rejected]} found nothing that holds on held-out "
-            "measurements: nothing is corrected.",
+            f"The {TITLES[result.rejected]} brings no gain on held-out measurements "
+            "and is not used.",
             "note",
         )
     if result.urdf is None or result.verdict == "no-gain":
@@ -176,26 +176,27 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     setup = result.model.setup
     kinds: list[str] = [name for name in setup.parameters if name in beyond_geometry()]
     if setup.learned is not None:
-        kinds.append(f"what the {TITLES[setup.learned]} has learned")
+        kinds.append(f"the correction learned by the {TITLES[setup.learned]}")
     said = f"A URDF cannot hold {' and '.join(kinds)}. "
     if result.urdf.reason:
-        yield Line(f"{said}None is written: {result.urdf.reason.rstrip('.')}.", "bad")
+        reason = result.urdf.reason.rstrip(".")
+        yield Line(f"{said}No URDF is written: {reason}.", "bad")
         return
     means = []
     for error in result.urdf.errors:
         found = error.validation_after or error.after
         shown, factor = DISPLAY[error.unit]
         means.append(f"{error.name} {number(factor * found.mean)} {shown}")
-    rows = "fitted" if result.validation == "none" else "unseen"
+    which = "fitted" if result.validation == "none" else "validation"
     yield Line(
-        f"{said}It gets the best geometry without: mean error on {rows} rows "
-        f"{', '.join(means)}. `calib-pin compensate` uses all.",
+        f"{said}It holds the best geometry without: mean error on {which} "
+        f"measurements {', '.join(means)}. `calib-pin compensate` uses everything.",
         "note",
     )
 
 
 def evaluated(evaluation: Evaluation) -> Iterator[Block]:
-    """Accuracy on rows that were not fitted."""
+    """Accuracy on measurements that were not fitted."""
     if evaluation.verdict != "good":
         yield judged(evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
@@ -203,21 +204,22 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
         (Cell(name), Cell(str(count), count), *sizes(accuracy, unit))
         for (name, unit, accuracy), count in zip(evaluation.errors, counts, strict=True)
     ]
-    of = columns("", ("rows", *SIZES), {"rows": "number"})
+    of = columns("", ("measurements", *SIZES), {"measurements": "number"})
     yield Table("Accuracy", of, rows)
     how = (
-        "What is unknown of base, tool and instrument was registered on these rows."
+        "Unknown frames and instrument parameters were registered on these "
+        "measurements."
         if evaluation.registered
-        else "Nothing was fitted to these rows."
+        else "Nothing was fitted to these measurements."
     )
     if evaluation.placed:
         how = (
-            f"New to the calibration, and placed by these rows: "
+            "New to the calibration, estimated from these measurements: "
             f"{', '.join(evaluation.placed)}. Nothing else was fitted to them."
         )
     if evaluation.outside:
         how += (
-            f" {evaluation.outside} rows lie outside the region in which the "
+            f" {evaluation.outside} measurements lie outside the region in which the "
             "correction was learned; there it fades to zero."
         )
     yield Line(how, "note")

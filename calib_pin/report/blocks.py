@@ -1,4 +1,4 @@
-"""What reports are made of, whoever shows them: lines, facts, tables, lists of names.
+"""The parts of a report, wherever it is shown: lines, facts, tables, lists of names.
 
 They are built once from a result; `terminal` and `html` only lay them out, so a number
 is the same wherever it is read.
@@ -19,7 +19,7 @@ class Line:
 
     Attributes:
         text: The words.
-        tone: How it is meant: a verdict, a heading, or a remark on what stands above.
+        tone: A verdict, a heading, or a remark on what stands above.
         indent: Whether it belongs to the block above.
     """
 
@@ -30,11 +30,11 @@ class Line:
 
 @dataclass(frozen=True)
 class Facts:
-    """Names with what is said of them, below each other.
+    """Names and their values, below each other.
 
     Attributes:
         title: Heading.
-        entries: Name and words of each; a name that is empty goes on.
+        entries: Name and words of each; an empty name continues the one above.
     """
 
     title: str
@@ -73,7 +73,7 @@ class Column:
 
 @dataclass(frozen=True)
 class Cell:
-    """What stands in a table.
+    """A cell of a table.
 
     Attributes:
         text: As people read it.
@@ -112,17 +112,19 @@ Block = Line | Facts | Names | Table
 def columns(
     first: str, titles: Iterable[str], kinds: Mapping[str, Kind] | None = None
 ) -> tuple[Column, ...]:
-    """A column of names before columns of numbers, and of words that are known.
+    """A column of names before columns of numbers or words.
 
     Args:
         first: Heading of the names.
         titles: Headings of the others.
-        kinds: Kind of those that are no numbers, beside those of `WORDS`.
+        kinds: Kinds that differ from numbers and from those of `WORDS`.
     """
     of = {**WORDS, **(kinds or {})}
     numbers = (Column(title, of.get(title, "number")) for title in titles)
     return Column(first, "name"), *numbers
 
 
-WORDS: Mapping[str, Kind] = dict.fromkeys(("unit", "rows", "robot", "status"), "word")
-"""Columns that are no numbers, by heading."""
+WORDS: Mapping[str, Kind] = dict.fromkeys(
+    ("unit", "measurements", "robot", "status"), "word"
+)
+"""Columns of words, by heading."""

@@ -1,4 +1,4 @@
-"""The tables of a comparison of two calibrations, with what they stand for."""
+"""The tables of a comparison of two calibrations, and what they refer to."""
 
 from __future__ import annotations
 
@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
-from calib_pin.report.tables import SIZES, listed, number, quantity
+from calib_pin.report.tables import SIZES, listed, number, quantity, uncertain
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibration_record import CalibrationRecord
 from calib_pin.validation.comparison import BOUND, Comparison
@@ -18,11 +18,11 @@ from calib_pin.validation.result import Accuracy
 __all__ = ["accuracies", "parameter_changes", "tip_differences"]
 
 FAR = 0.01
-"""Distance between the tools from which on it matters at which one tips differ [m]."""
+"""Distance between the tools from which it matters which of them is compared [m]."""
 
 
 def tip_differences(found: Comparison) -> Iterator[Block]:
-    """How far the tips are apart, where most, and what is no drift."""
+    """The distance of the tool points, its maximum, and what is no drift."""
     drift = found.drift
     explained = found.explained or (math.nan, math.nan)
     stages = [
@@ -34,7 +34,7 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
         *cells, shown = _sizes(accuracy, unit)
         rows.append((Cell(name), *cells, _known(noise, unit), shown))
     yield Table(
-        "Difference of the tip over the workspace",
+        "Tool-point difference over the workspace",
         columns("", (*SIZES[:-1], "noise rms", SIZES[-1])),
         rows,
     )
@@ -45,28 +45,28 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
 
 
 def _how(found: Comparison) -> Iterator[str]:
-    """What the differences of the tip stand for."""
+    """Sentences on what the differences refer to."""
     absorbed = found.drift.absorbed
     yield f"{len(found.drift.q)} random configurations within the joint limits."
     if absorbed:
         yield (
-            f"A displacement of {' and '.join(absorbed)} between A and B is fitted "
-            "away: what a frame can absorb is no drift."
+            f"A displacement of {' and '.join(absorbed)} between A and B is removed "
+            "by a fit: it is no drift of the robot."
         )
     else:
         yield "Base and tool are known."
     if not found.oriented:
-        yield "The rows do not tell orientations."
+        yield "The measurements contain no orientations."
     shifts = {d.frame: d.shift for d in found.displacements}
     if shifts.get("tool", 0.0) > FAR:
         yield (
-            "Compared is the tool of A; the one of B stood elsewhere, and B may know "
-            "less of the tip at A's."
+            "The tool point of A is compared; that of B was elsewhere, and B may be "
+            "less certain at A's."
         )
     if found.explained is None:
         return
     known = "" if len(absorbed) == 2 else ", base and tool included"
-    yield f"Noise is that of both{known}."
+    yield f"The noise is that of both calibrations{known}."
     statuses = {
         p.status
         for record in (found.first, found.second)
@@ -74,7 +74,7 @@ def _how(found: Comparison) -> Iterator[str]:
         if p.name in record.of_robot
     }
     if "weak" in statuses:
-        yield "It does not contain what was left at nominal as too weak."
+        yield "It excludes weakly observable directions, which were held at nominal."
 
 
 def _farthest(found: Comparison) -> Facts:
@@ -88,37 +88,38 @@ def _farthest(found: Comparison) -> Facts:
     if np.all(chain.revolute):
         angles = [*(angle.removesuffix(" deg") for angle in angles[:-1]), angles[-1]]
     return Facts(
-        f"It differs most, by {number(1e3 * drift.drift[position])} mm, with",
+        f"Largest difference: {number(1e3 * drift.drift[position])} mm",
         [
-            ("tip", f"at {x}, {y}, {z} mm in {chain.base}"),
+            ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
         ],
     )
 
 
 def _frames(found: Comparison) -> Iterator[Facts]:
-    """Where base and tool stand now: no drift of the robot."""
-    seen = {"base": "as the instrument sees it", "tool": "as the tip link sees it"}
+    """The displacements of base and tool, which are no drift of the robot."""
+    relative = {"base": "the instrument", "tool": "the tip link"}
     entries = []
     for moved in found.displacements:
         words = f"{number(1e3 * moved.shift)} mm"
         if moved.turn is not None:
             unit, factor = DISPLAY["rad"]
             words += f" and {number(factor * moved.turn)} {unit}"
-        entries.append((moved.frame, f"{words}, {seen[moved.frame]}"))
+        words += f", relative to {relative[moved.frame]}"
+        entries.append((moved.frame, words))
     if entries:
-        yield Facts("Stands elsewhere in B, which is no drift of the robot", entries)
+        yield Facts("Displaced in B, which is no drift of the robot", entries)
 
 
 def parameter_changes(found: Comparison) -> Iterator[Block]:
-    """What differs beyond its uncertainty, and what only one of both knows."""
+    """The differences beyond their uncertainty, and what only one calibration has."""
     if not found.same_nominal:
         return
     if found.moved:
         yield _moved(found)
     yield Line(" ".join(_counted(found)), "note")
     for label, names in zip("AB", found.alone, strict=True):
-        yield from listed(f"known by themselves in {label} only", names)
+        yield from listed(f"identifiable in {label} only", names)
 
 
 def _moved(found: Comparison) -> Table:
@@ -128,47 +129,47 @@ def _moved(found: Comparison) -> Table:
         rows.append(
             (
                 Cell(difference.name),
-                Cell(f"{factor * difference.change:+.4f}", difference.change),
-                Cell(f"{factor * difference.sigma:.4f}", difference.sigma),
+                *uncertain(difference.change, difference.sigma, factor),
                 Cell(f"{difference.significance:.1f}", difference.significance),
                 Cell(unit),
             )
         )
     return Table(
-        f"Parameters and sums that differ by more than {BOUND:.0f} standard deviations",
-        columns("", ("B - A", "std. dev.", "in std. dev.", "unit")),
+        f"Parameters and combinations that differ by more than {BOUND:.0f} standard "
+        "deviations",
+        columns("", ("B - A", "std. dev.", "ratio", "unit")),
         rows,
     )
 
 
 def _counted(found: Comparison) -> Iterator[str]:
-    """How many agree, and what is not compared."""
+    """Sentences on how many agree, and what is not compared."""
     if found.differences:
         known, agree = (
             _numbers([d for d in found.differences if d.significance <= bound])
             for bound in (math.inf, BOUND)
         )
         yield (
-            f"Both know {known} of the robot; {agree} agree within {BOUND:.0f} "
-            "standard deviations of the difference. By chance one in 370 lies beyond."
+            f"Both identify {known} of the robot; {agree} agree within {BOUND:.0f} "
+            "standard deviations of the difference. By chance, one in 370 does not."
         )
     else:
-        yield "There is no parameter and no sum of the robot that both know."
+        yield "No parameter and no combination of the robot is identified by both."
     if found.moved and found.drifted is False:
-        yield "What differs moves the tip by no more than noise does."
+        yield "The differences move the tool point by no more than noise does."
     if any(found.sums_alone):
         first, second = found.sums_alone
-        yield f"{first} sums are known in A only, {second} in B only."
+        yield f"{first} combinations are identified in A only, {second} in B only."
     if any(
         len(record.groups) > len(record.robot_groups)
         for record in (found.first, found.second)
     ):
-        yield "Sums with terms of base, tool or instrument are left out."
+        yield "Combinations with terms of base, tool or instrument are left out."
 
 
 def _numbers(differences: Sequence[Difference]) -> str:
     sums = sum(bool(d.terms) for d in differences)
-    return f"{len(differences) - sums} parameters and {sums} sums"
+    return f"{len(differences) - sums} parameters and {sums} combinations"
 
 
 def accuracies(found: Comparison) -> Iterator[Block]:
@@ -180,7 +181,7 @@ def accuracies(found: Comparison) -> Iterator[Block]:
     rows = []
     for name, unit in errors:
         shown = name
-        for which in ("fitted", "unseen"):
+        for which in ("fitted", "validation"):
             part = which
             for label, record in pair:
                 accuracy = _of(record, name, unit, which)
@@ -188,15 +189,16 @@ def accuracies(found: Comparison) -> Iterator[Block]:
                     words = (Cell(shown), Cell(part), Cell(label))
                     rows.append((*words, *_sizes(accuracy, unit)))
                     shown = part = ""
-    yield Table("Accuracy", columns("", ("rows", "of", *SIZES), {"of": "word"}), rows)
+    titles = ("measurements", "of", *SIZES)
+    yield Table("Accuracy", columns("", titles, {"of": "word"}), rows)
     said = ", ".join(f"{label} {record.validation}" for label, record in pair)
     if not found.same_rows:
-        said += ". The rows are not the same: the numbers are not strictly comparable"
+        said += ". The measurements differ: the numbers are not strictly comparable"
     yield Line(f"Validation: {said}.", "note")
 
 
 def _of(record: CalibrationRecord, name: str, unit: str, which: str) -> Accuracy | None:
-    """The accuracy of a quantity on fitted or unseen rows, where there is one."""
+    """The accuracy of a quantity on fitted or validation measurements, if known."""
     for error in record.errors:
         if (error.name, error.unit) == (name, unit):
             return error.after if which == "fitted" else error.validation_after

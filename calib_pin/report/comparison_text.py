@@ -20,7 +20,7 @@ __all__ = ["comparison_report"]
 
 
 def comparison_report(found: Comparison) -> Iterator[Block]:
-    """Whether the robot moved, where, by which parameters, and what to think of it."""
+    """Whether the robot changed, where, by which parameters, and the doubts."""
     pair = (("A", found.first), ("B", found.second))
     for label, record in pair:
         if not record.trusted:
@@ -43,11 +43,11 @@ def _verdict(found: Comparison) -> Line:
     drift = found.drift
     apart = _size(found, drift.position.rms, drift.orientation.rms)
     if found.identical:
-        return Line("No drift: both put the tip at the same places.", "good")
+        return Line("No drift: both predict the same tool points.", "good")
     if found.explained is None:
         return Line(
-            f"The tips are {apart} rms apart; how much of it is noise, the files do "
-            "not say.",
+            f"The tool points are {apart} rms apart; the files do not say how much of "
+            "it is noise.",
             "strong",
         )
     noise = _size(found, *found.explained)
@@ -56,28 +56,31 @@ def _verdict(found: Comparison) -> Line:
         return Line(f"{_cause(found)} {beyond}", "bad")
     within = f"{apart} rms where noise explains {noise}."
     if found.changed and found.described:
-        said = (
-            f"The robot changed, by less than noise hides at the tip: {_first(found)};"
-        )
-        return Line(f"{said} the tip differs by {within}", "bad")
-    said = "No drift beyond what the noise of both explains: the tip differs by"
+        said = f"The robot changed, but not visibly at the tool point: {_first(found)};"
+        return Line(f"{said} the tool points differ by {within}", "bad")
+    said = "No drift beyond the noise of both: the tool points differ by"
     return Line(f"{said} {within}", "good")
 
 
 def _cause(found: Comparison) -> str:
-    """What has made a drift, as far as it can be known."""
+    """The cause of a drift, as far as it is known."""
     trusted = found.first.trusted and found.second.trusted
     if found.same_rows or not found.same_parameters or not trusted:
-        return "The two do not agree on the tip: it differs by"
+        return "The two disagree on the tool point, which differs by"
     if not found.described:
-        return "The robot moved, or was measured at other configurations: tip drift"
-    return "The robot moved: tip drift"
+        return (
+            "The robot changed, or was measured at other configurations: tool-point "
+            "drift"
+        )
+    return "The robot changed: tool-point drift"
 
 
 def _first(found: Comparison) -> str:
     """The most significant difference in words."""
     leading = found.differences[0]
-    name = f"a sum with {leading.terms[0][0]}" if leading.terms else leading.name
+    name = leading.name
+    if leading.terms:
+        name = f"a combination with {leading.terms[0][0]}"
     unit, factor = DISPLAY.get(leading.unit, (leading.unit, 1.0))
     return (
         f"{name} by {number(factor * leading.change)} {unit}, "
@@ -95,27 +98,27 @@ def _size(found: Comparison, position: float, orientation: float) -> str:
 
 
 def _doubts(found: Comparison) -> Iterator[Line]:
-    """What else could make the difference."""
+    """Other possible causes of the difference."""
     if not found.same_nominal:
         yield Line(
-            "The nominal robots differ: parameters deviate each from their own and are "
-            "not compared, only the tips.",
+            "The nominal robots differ: only the tool points are compared, not the "
+            "parameters, which refer to different robots.",
             "note",
         )
     if found.same_rows and found.identical:
-        yield Line("Both are of the same measurements, fitted in the same way.", "note")
+        yield Line("Both fit the same measurements in the same way.", "note")
         return
     if found.same_rows:
         yield Line(
-            "Both are of the same measurements: not the robot moved, but they were "
-            "fitted in different ways, and their noise is not independent.",
+            "Both fit the same measurements: not the robot but the fit changed, and "
+            "their noise is not independent.",
             "note",
         )
         return
     if found.same_nominal and not found.same_parameters:
         yield Line(
-            "The errors are described by different parameters, which can make a "
-            "difference without any move of the robot.",
+            "The errors are described by different parameters, which can cause a "
+            "difference without any change of the robot.",
             "note",
         )
     if found.shared_rows:
@@ -129,8 +132,9 @@ def _doubts(found: Comparison) -> Iterator[Line]:
         and not found.described
     ):
         yield Line(
-            "Errors that no parameter describes are part of both fits, and they are "
-            "others at other configurations: rows at the same ones would tell.",
+            "Both fits contain errors that no parameter describes, which differ from "
+            "configuration to configuration: measurements at the same configurations "
+            "would settle it.",
             "note",
         )
 
@@ -140,6 +144,6 @@ def _origin(record: CalibrationRecord) -> str:
     kinds = [*setup.parameters, *([setup.learned] if setup.learned else [])]
     day = f"; {record.created[:10]}" if record.created else ""
     return (
-        f"{record.file}: {record.model.measurement.name}, {record.rows} rows, "
+        f"{record.file}: {record.model.measurement.name}, {record.rows} measurements, "
         f"{' + '.join(kinds)}{day}"
     )

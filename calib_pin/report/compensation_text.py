@@ -17,7 +17,7 @@ from calib_pin.units import DISPLAY
 __all__ = ["accuracy_lines", "compensation_report", "line_list"]
 
 SHOWN = 12
-"""Lines that are named before the rest is only counted."""
+"""Lines that are named; the rest is counted."""
 
 
 def compensation_report(
@@ -28,7 +28,7 @@ def compensation_report(
     file: str,
     lines: Sequence[int],
 ) -> Iterator[Block]:
-    """What is commanded, what it is worth, and what cannot be reached.
+    """The targets reached, the errors that remain, and the targets out of reach.
 
     Args:
         found: The commands.
@@ -51,7 +51,7 @@ def compensation_report(
         numbers = np.asarray(lines)
         at_limit = numbers[found.reached & found.at_limit]
         if len(at_limit):
-            yield Line(f"A joint stands at its limit in {line_list(at_limit)}.")
+            yield Line(f"A joint is at its limit in {line_list(at_limit)}.")
         outside = numbers[found.reached & found.outside]
         if len(outside):
             yield Line(
@@ -70,7 +70,7 @@ def compensation_report(
 
 
 def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
-    """How far the model itself is off, by what a calibration says of unseen rows.
+    """The error of the model itself on the calibration's validation measurements.
 
     Args:
         errors: Unit, mean, max and method by quantity.
@@ -79,8 +79,8 @@ def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
         unit, factor = DISPLAY[error["unit"]]
         mean, largest = (number(factor * error[key]) for key in ("mean", "max"))
         yield Line(
-            f"On unseen rows ({error['method']}) the model itself is off by {mean} "
-            f"{unit} mean, {largest} max ({name}).",
+            f"Error of the model itself on validation measurements ({error['method']}, "
+            f"{name}): mean {mean} {unit}, max {largest} {unit}.",
             "note",
         )
 
@@ -106,7 +106,7 @@ def _errors(found: Compensation) -> Table:
             rows.append((Cell(name), Cell(robot), *_sizes(sizes, unit)))
             name = ""
     return Table(
-        "Distance from the targets, as the calibrated model has it",
+        "Distance from the targets, by the calibrated model",
         columns("", ("commands", "mean", "max", "unit"), {"commands": "word"}),
         rows,
     )
@@ -150,7 +150,7 @@ def _jumps(found: Compensation, lines: Sequence[int]) -> Iterator[Line]:
     jumps = np.asarray(lines)[found.jumps]
     if len(jumps):
         yield Line(
-            "The corrections jump, as near a singularity, from the row before to "
-            f"{line_list(jumps)}: the robot would leave the way between them.",
+            "Discontinuity in joint space, as near a singularity, between "
+            f"{line_list(jumps)} and the line before: the robot would leave its path.",
             "bad",
         )

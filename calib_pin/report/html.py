@@ -22,6 +22,7 @@ from calib_pin.report.figures import Drawn
 from calib_pin.report.identification import ranks, remedied, unknown
 from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import (
+    STATUS,
     group_table,
     listed,
     outlier_table,
@@ -49,7 +50,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
     ),
     "residuals": ("Noise and outliers", ("residuals",)),
     "identifiability": (
-        "What can be known",
+        "Identifiability",
         (
             "singular-values",
             "correlations",
@@ -58,7 +59,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         ),
     ),
     "parameters": ("Parameters", ("parameter-intervals",)),
-    "provenance": ("What was done", ("convergence",)),
+    "provenance": ("Provenance", ("convergence",)),
 }
 """Title and figures of each section, by its key."""
 
@@ -99,7 +100,7 @@ def html_report(
         result: The result.
         document: Its `calibration.json`, which knows the files and their hashes.
         figures: What is drawn of it.
-        remedies: What would tell more of the robot.
+        remedies: Suggested measurements.
 
     Returns:
         UTF-8 text of one HTML file without references to any other.
@@ -131,13 +132,13 @@ def _file(name: str) -> str:
 
 def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
     for error in result.errors:
-        before, after, rows = error.before, error.after, "fitted rows"
+        before, after, which = error.before, error.after, "fitted"
         if error.validation_before and error.validation_after:
             before, after = error.validation_before, error.validation_after
-            rows = "unseen rows"
+            which = "validation"
         unit = error.unit
         yield _Tile(
-            label=f"mean {error.name} error, {rows}",
+            label=f"mean {error.name} error, {which} measurements",
             before=quantity(before.mean, unit),
             after=quantity(after.mean, unit),
             unit=DISPLAY[unit][0],
@@ -146,7 +147,7 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
         )
     if result.workspace is not None and result.verdict != "no-gain":
         yield _Tile(
-            label="expected tool error over the workspace, rms",
+            label="expected tool-point error over the workspace, rms",
             before=quantity(result.workspace.nominal[0], "m"),
             after=quantity(result.workspace.calibrated[0], "m"),
             unit=DISPLAY["m"][0],
@@ -191,7 +192,7 @@ def _sections(
             parameters=parameter_overview(result.parameters)
             if key == "parameters"
             else None,
-            statuses=tuple(dict.fromkeys(p.status for p in result.parameters)),
+            statuses=tuple(dict.fromkeys(STATUS[p.status] for p in result.parameters)),
         )
 
 
@@ -212,16 +213,13 @@ def _residuals(result: CalibrationResult) -> Iterator[Block]:
     yield from noise(result)
     if result.outliers:
         count = len(result.outliers)
-        yield Line(
-            f"{count} of {result.training} measurements are further off than chance "
-            "allows."
-        )
+        yield Line(f"{count} of {result.training} measurements are outliers.")
         yield outlier_table(result, LISTED)
         if len(result.outliers) > LISTED:
             more = len(result.outliers) - LISTED
             yield Line(f"{more} more are in calibration.json.", "note")
     else:
-        yield Line("No measurement is further off than chance allows.")
+        yield Line("No measurement is an outlier.")
     yield from statistics(result)
 
 
@@ -242,12 +240,15 @@ def _provenance(document: Mapping[str, Any]) -> Iterator[Block]:
         "",
         [
             ("command", shlex.join(about["command"])),
-            ("written", about["created"]),
+            ("created", about["created"]),
             ("versions", ", ".join(f"{k} {v}" for k, v in versions.items())),
             ("chain", f"{robot['base']} to {robot['tip']}"),
-            ("seed", str(solver["seed"])),
+            ("random seed", str(solver["seed"])),
             ("solver", f"{solver['name']}: {solver['status']}"),
-            ("steps", f"{solver['iterations']} ({solver['evaluations']} evaluations)"),
+            (
+                "iterations",
+                f"{solver['iterations']} ({solver['evaluations']} evaluations)",
+            ),
             ("time", f"{solver['seconds']:.2f} s"),
         ],
     )

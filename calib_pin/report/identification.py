@@ -1,4 +1,4 @@
-"""What can be known of a robot, what cannot, and what would tell more."""
+"""Identifiability: ranks, combinations, unobservable parameters, suggestions."""
 
 from __future__ import annotations
 
@@ -9,6 +9,7 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
 from calib_pin.report.tables import (
     ESTIMATE,
+    STATUS,
     group_table,
     listed,
     number,
@@ -18,23 +19,19 @@ from calib_pin.validation.result import CoupledGroup, Identification
 
 __all__ = ["identified", "of_place", "ranks", "remedied", "unknown"]
 
-REMARKS = {
-    "weak": "weak (these rows tell too little; partly or wholly left at nominal)",
-    "unidentifiable": "unidentifiable (no effect on what is measured)",
-    "fixed": "fixed",
-}
-"""Parameters without an estimate of their own, by their status."""
+REMARKS = {"weak": " (held wholly or partly at nominal)"}
+"""Remarks on a status that explain it."""
 
 
 def identified(
     found: Identification, *, fitted: bool, remedies: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
-    """Ranks, parameters by status, coupled groups as formulae, and remedies.
+    """Ranks, parameters by status, combinations as formulae, suggested measurements.
 
     Args:
-        found: What can be known.
+        found: The identifiability.
         fitted: Whether there are estimates to show.
-        remedies: What would tell more.
+        remedies: Suggested measurements.
     """
     yield ranks(found, fitted=fitted)
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
@@ -47,8 +44,8 @@ def identified(
         yield group_table(groups, ESTIMATE if fitted else ())
     if hidden := len(found.groups) - len(groups):
         yield Line(
-            f"{hidden} more sums begin with the place of a socket, sphere or "
-            "anchor; they are in calibration.json or with `identify --json`.",
+            f"{hidden} more combinations start with the position of a socket, sphere "
+            "or fixed reference point; see calibration.json or `identify --json`.",
             "note",
         )
     yield from unknown(found)
@@ -56,65 +53,66 @@ def identified(
 
 
 def of_place(group: CoupledGroup) -> bool:
-    """Whether a sum is that of the place of a socket or the like.
+    """Whether a combination starts with the position of a socket or the like.
 
-    Where a thing stands that one has put somewhere is of no interest by itself.
+    Such a position is of no interest by itself.
     """
     _, kind, _ = group.terms[0][0].rsplit(".", 2)
     return kind in ("socket", "sphere", "anchor")
 
 
 def unknown(found: Identification) -> Iterator[Names]:
-    """Parameters that have neither an estimate of their own nor stand in a sum."""
-    for status, meaning in REMARKS.items():
+    """Parameters that neither have an estimate nor stand in a combination."""
+    for status in ("weak", "unidentifiable", "fixed"):
         names = [p.name for p in found.parameters if p.status == status]
-        yield from listed(meaning, names)
+        yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
 
 
 def remedied(found: Identification, remedies: Sequence[Suggestion]) -> Iterator[Block]:
-    """What else could be measured or known, and how much of the robot it would tell."""
+    """Suggested measurements, and how many robot parameters each would identify."""
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
-    rows = [("as it is", known - weak)]
+    rows = [("no change", known - weak)]
     if weak:
-        rows.append(("more configurations, or others: calib-pin plan --add N", known))
+        rows.append(("more or other configurations: calib-pin plan --add N", known))
     rows += [(remedy.change, remedy.count) for remedy in remedies]
     if len(rows) > 1:
         yield Table(
-            "What would tell more",
-            (Column("", "remark"), Column("robot errors known")),
+            "Suggested measurements",
+            (Column("", "remark"), Column("identifiable robot parameters")),
             [(Cell(words), Cell(str(count), count)) for words, count in rows],
         )
     if any(remedy.complete for remedy in remedies):
         yield Line(
-            "Sums that are left then move the tool only together: no measurement of "
-            "the tool can take them apart, and no use of the robot needs to.",
+            "The combinations that remain move the tool point only together: no "
+            "measurement of it can separate them, and no task requires it.",
             "note",
         )
 
 
 def ranks(known: Identification, *, fitted: bool) -> Facts:
-    """Counts of what is free, what can be known, and what these rows tell."""
+    """Numbers of free parameters, structural and practical rank, singular values."""
     found = known.identifiability
     status = Counter(p.status for p in known.parameters if p.status != "fixed")
-    counts = ", ".join(f"{count} {name}" for name, count in status.items())
+    counts = ", ".join(f"{count} {STATUS[name]}" for name, count in status.items())
     entries = [
         ("free parameters", f"{found.parameters}   ({counts})"),
         (
             "structural rank",
             f"{found.structural_rank}   (gap {number(found.gap)}; Everett's count "
-            f"4R + 2P + 6 = {found.everett}, geometry and full poses)",
+            f"4R + 2P + 6 = {found.everett}, for geometry and full poses)",
         ),
     ]
     if fitted:
         remarks = []
         if found.weak:
-            remarks.append(f"{found.weak} directions left at nominal")
+            remarks.append(f"{found.weak} directions held at nominal")
         if found.revealed:
-            remarks.append(f"{found.revealed} seen only because the errors are large")
+            only = "observable only at the calibrated geometry"
+            remarks.append(f"{found.revealed} {only}")
         remark = f"   ({'; '.join(remarks)})" if remarks else ""
         entries.append(("practical rank", f"{found.rank}{remark}"))
     if not found.scale_observable:
-        entries.append(("scale", "unobservable: a larger robot fits as well"))
+        entries.append(("absolute scale", "unobservable; add a known length"))
     if found.singular_values:
         first, last = found.singular_values[0], found.singular_values[-1]
         spread = f"{number(first)} ... {number(last)}"
@@ -122,5 +120,5 @@ def ranks(known: Identification, *, fitted: bool) -> Facts:
         entries.append(("condition number", number(found.condition)))
     if found.singular_values and found.observability:
         indices = "  ".join(f"{k} {number(v)}" for k, v in found.observability.items())
-        entries.append(("observability", indices))
+        entries.append(("observability indices", indices))
     return Facts("Identifiability", entries)

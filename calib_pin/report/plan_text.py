@@ -6,18 +6,25 @@ from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
-from calib_pin.report.tables import group_table, listed, number, parameter_table
+from calib_pin.report.tables import (
+    STATUS,
+    group_table,
+    listed,
+    number,
+    parameter_table,
+    quantity,
+)
 from calib_pin.solvers import Status
 from calib_pin.units import DISPLAY
 
 __all__ = ["plan_report"]
 
 SHOWN = 12
-"""Lines of the table of the criterion against the number of configurations."""
+"""Lines of the table of accuracy against the number of configurations."""
 
 
 def plan_report(plan: Plan) -> Iterator[Block]:
-    """What was planned, when to stop measuring, and what the plan will tell."""
+    """The plan, its accuracy against the number of configurations, its estimates."""
     shown = ("std. dev.", "unit")
     identifiable = [p for p in plan.parameters if p.status == "identifiable"]
     weak = [p.name for p in plan.parameters if p.status == "weak"]
@@ -28,12 +35,12 @@ def plan_report(plan: Plan) -> Iterator[Block]:
         yield parameter_table(identifiable, shown)
     if plan.groups:
         yield group_table(plan.groups, shown)
-    yield from listed("weak (the plan tells too little; they stay at nominal)", weak)
+    yield from listed(f"{STATUS['weak']} (held at nominal)", weak)
 
 
 def _subject(plan: Plan) -> Iterator[Line]:
     chain = plan.problem.error.chain
-    more = f" beside {plan.measured} measured rows" if plan.measured else ""
+    more = f" in addition to {plan.measured} measurements" if plan.measured else ""
     yield Line(
         f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
         f"{chain.tip}; {plan.problem.measurement.name}, {len(plan.q)} configurations"
@@ -43,14 +50,14 @@ def _subject(plan: Plan) -> Iterator[Line]:
     ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
     remark = ended.get(plan.status, f" ({plan.status.value})")
     yield Line(
-        f"Found by {plan.method}{remark} from {plan.candidates} candidates of "
-        f"{plan.tried} tried.",
+        f"Selected by {plan.method}{remark} from {plan.candidates} candidates that "
+        f"meet the constraints, of {plan.tried} drawn.",
         "note",
     )
     if plan.assumed_tool:
         yield Line(
-            "Where the target sits on the tool is not stated (frames.tool.xyz in a "
-            "setup file); it is assumed to be 6 cm beside the tip.",
+            "The setup does not say where the target sits on the tool "
+            "(frames.tool.xyz); 6 cm beside the tip link is assumed.",
             "note",
         )
     if plan.unseen:
@@ -58,10 +65,10 @@ def _subject(plan: Plan) -> Iterator[Line]:
     if not plan.checked:
         moves = "Collisions are not checked."
     elif plan.blocked:
-        rows = ", ".join(str(place + 1) for place in plan.blocked)
+        numbers = ", ".join(str(place + 1) for place in plan.blocked)
         moves = (
-            "No configuration collides, but the straight move from the one before does "
-            f"for row {rows}: go another way there."
+            "No configuration collides, but the straight move to it from the one "
+            f"before does for number {numbers}: take a detour there."
         )
     else:
         moves = "No configuration and no straight move between them collides."
@@ -69,25 +76,26 @@ def _subject(plan: Plan) -> Iterator[Line]:
 
 
 def _steps(plan: Plan) -> Table:
-    """The criterion against the number of configurations."""
-    name, unit, factor = plan.criterion, "", 1.0
-    if name == "prediction":
-        unit, factor = DISPLAY["m"]
-    titles = [f"{name} [{unit}]" if unit else name]
-    titles += [] if name == "prediction" else ["tip error [mm]"]
+    """The criterion and the tool-point uncertainty by number of configurations."""
+    predicted = plan.criterion == "prediction"
+    factor = DISPLAY["m"][1] if predicted else 1.0
+    titles = ["tool-point uncertainty [mm]"]
+    if not predicted:
+        titles.insert(0, plan.criterion)
     rows = []
     for step in _chosen_steps(plan):
         label = f"{step.count}"
         if step.count == len(plan.q):
-            label += "  this plan"
+            label += "  planned"
         cells = [Cell(number(factor * step.value), step.value)]
-        if name != "prediction":
-            cells.append(Cell(number(1e3 * step.position), step.position))
+        if not predicted:
+            cells.append(quantity(step.position, "m"))
         rows.append((Cell(label), *cells))
     random = [Cell(number(factor * plan.random), plan.random)]
     random += [Cell("")] * (len(titles) - 1)
-    rows.append((Cell(f"{len(plan.q)}  at random"), *random))
-    return Table("When to stop", columns("", titles), rows)
+    rows.append((Cell(f"{len(plan.q)}  random baseline"), *random))
+    title = "Accuracy against number of configurations"
+    return Table(title, columns("", titles), rows)
 
 
 def _chosen_steps(plan: Plan) -> list[Step]:
@@ -109,17 +117,20 @@ def _tip(plan: Plan) -> Facts:
     unit, factor = DISPLAY["rad"]
     quantities = [q.name for q in plan.problem.measurement.quantities]
     tip = f"{number(1e3 * predicted.position)} mm"
-    # Without measured orientations the tool's own turn is not known anyway.
+    # Without measured orientations the tool's orientation is not known anyway.
     if "orientation" in quantities:
         tip += f", {number(factor * predicted.orientation)} {unit}"
     remark = ""
     if weak := directions.weak.shape[1]:
-        remark = f"   ({weak} directions too weak, left at nominal: their part of the "
-        remark += "tip error comes on top)"
+        remark = f"   ({weak} weakly observable directions held at nominal: their "
+        remark += "error comes on top)"
     return Facts(
-        "What a fit will know",
+        "Expected calibration result",
         [
-            ("tip error that noise leaves", f"{tip}   (rms over test poses)"),
+            (
+                "predicted tool-point uncertainty",
+                f"{tip}   (1 sigma, rms over test poses)",
+            ),
             ("rank", f"{directions.count} of {plan.rank}{remark}"),
         ],
     )

@@ -1,4 +1,4 @@
-"""What the residuals say: chi-square, and correlations."""
+"""Chi-square of the residuals, and correlations of the estimates."""
 
 from __future__ import annotations
 
@@ -16,7 +16,7 @@ LISTED = 5
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
-    """Chi-square and what it says of the standard deviations."""
+    """Chi-square, and whether it confirms the standard deviations."""
     learned = result.model.setup.learned is not None
     sigmas = "stated" if result.stated_sigma else "assumed"
     entries = [("chi-square", f"{number(result.chi2)} with {result.dof} dof")]
@@ -25,23 +25,23 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
         low, high = chi2_interval(result.dof)
         where = "inside"
         if result.chi2 < low:
-            where, remark = "below", "the sigma may be too large."
+            where, remark = "below", "sigma may be too large."
         elif result.chi2 > high:
             where = "above"
             remark = "sigma too small, outliers, or unmodeled errors."
         interval = f"{number(low)} ... {number(high)}"
-        entries.append(("", f"{where} the 95 % interval {interval}"))
+        entries.append(("", f"{where} its 95 % interval {interval}"))
     if result.dof > 0:
         entries.append(("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"))
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
     if remark and result.stated_sigma and not learned:
-        said = f"Chi-square is {where} what the stated sigma explains: {remark}"
+        said = f"Chi-square {where} its 95 % interval: {remark}"
         yield Line(said, indent=True)
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
-    """Estimates that move together.
+    """Strongly correlated estimates.
 
     Args:
         result: The result.
@@ -49,15 +49,11 @@ def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]
     """
     pairs = result.identifiability.correlated
     if pairs:
-        sums = {group.expression: f"sum {group.number}" for group in result.groups}
+        names = {g.expression: f"combination {g.number}" for g in result.groups}
         entries = [
-            f"{value:+.3f}  {sums.get(first, first)}  |  {sums.get(second, second)}"
+            f"{value:+.3f}  {names.get(first, first)}  |  {names.get(second, second)}"
             for first, second, value in pairs[:most]
         ]
-        entries += _rest(len(pairs), most, "pairs")
-        yield Names("Correlated above 0.95", entries)
-
-
-def _rest(count: int, most: int, what: str) -> Iterator[str]:
-    if count > most:
-        yield f"and {count - most} more {what} in calibration.json"
+        if len(pairs) > most:
+            entries.append(f"and {len(pairs) - most} more pairs in calibration.json")
+        yield Names("Correlations, abs(rho) > 0.95", entries)

@@ -5,7 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Iterator, Sequence
 
-from calib_pin.report.blocks import Cell, Column, Names, Table, columns
+from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (
     Accuracy,
@@ -21,6 +21,7 @@ from calib_pin.validation.result import (
 __all__ = [
     "ESTIMATE",
     "SIZES",
+    "STATUS",
     "accuracy_table",
     "distance_table",
     "group_table",
@@ -33,6 +34,7 @@ __all__ = [
     "quantity",
     "significant",
     "sizes",
+    "uncertain",
 ]
 
 ESTIMATE = ("value", "std. dev.", "unit")
@@ -43,6 +45,15 @@ DECIMALS = 4
 
 SIZES = ("mean", "rms", "95 %", "max", "unit")
 """Columns of an accuracy."""
+
+STATUS = {
+    "identifiable": "identifiable",
+    "coupled": "coupled",
+    "weak": "weakly observable",
+    "unidentifiable": "unobservable",
+    "fixed": "fixed",
+}
+"""The words for a parameter's status, by its name in calibration.json."""
 
 
 def number(value: float) -> str:
@@ -58,7 +69,7 @@ def number(value: float) -> str:
 
 
 def significant(value: float, digits: int = 2) -> str:
-    """So many significant digits: those of a standard deviation, or of an estimate."""
+    """A number with so many significant digits, by default a standard deviation's."""
     if not math.isfinite(value):
         return "inf" if value > 0 else "unknown"
     places = decimals(value, digits)
@@ -90,28 +101,29 @@ def sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
 
 
 def accuracy_table(errors: Sequence[QuantityErrors]) -> Table:
-    """Accuracy before and after, on fitted and on unseen rows."""
+    """Accuracy before and after, on fitted and on validation measurements."""
     rows = []
     for error in errors:
         pairs = [("fitted", error.before, error.after)]
         if error.validation_before and error.validation_after:
-            pairs.append(("unseen", error.validation_before, error.validation_after))
+            held_out = error.validation_before, error.validation_after
+            pairs.append(("validation", *held_out))
         name = error.name
         for which, before, after in pairs:
             for robot, accuracy in (("nominal", before), ("calibrated", after)):
                 words = (Cell(name), Cell(which), Cell(robot))
                 rows.append((*words, *sizes(accuracy, error.unit)))
                 name = which = ""
-    return Table("Accuracy", columns("", ("rows", "robot", *SIZES)), rows)
+    return Table("Accuracy", columns("", ("measurements", "robot", *SIZES)), rows)
 
 
 def distance_table(distances: Sequence[FoundDistance]) -> Table:
-    """Known distances beside those that the robot finds."""
+    """Known distances beside those of the nominal and of the calibrated robot."""
     unit, factor = DISPLAY["m"]
     rows = [
         (
             Cell(" - ".join(distance.between)),
-            Cell("fitted" if distance.fitted else "unseen"),
+            Cell("fitted" if distance.fitted else "validation"),
             *(
                 Cell(f"{factor * value:.3f}", value)
                 for value in (distance.value, distance.nominal, distance.found)
@@ -120,12 +132,12 @@ def distance_table(distances: Sequence[FoundDistance]) -> Table:
         )
         for distance in distances
     ]
-    titles = ("rows", "known", "nominal", "calibrated", "unit")
+    titles = ("measurements", "known", "nominal", "calibrated", "unit")
     return Table("Known distances", columns("", titles), rows)
 
 
 def ladder_table(ladder: Ladder) -> Table:
-    """The rungs of the model ladder with their errors on unseen rows."""
+    """The candidates of model selection with their errors on held-out measurements."""
     rungs = ladder.rungs
     quantities = [
         (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
@@ -138,12 +150,12 @@ def ladder_table(ladder: Ladder) -> Table:
         if not rung.reason:
             cells = [quantity(mean, unit) for _, unit, mean in rung.errors]
             part, deviation = (x / rungs[0].score for x in (rung.score, rung.deviation))
-            relative = Cell(f"{100 * part:.1f} +- {100 * deviation:.1f} %", part)
+            relative = Cell(_percent(100 * part, 100 * deviation), part)
             remark = _remark(rung, kept=k == ladder.chosen, best=rung is best)
         rows.append((Cell(rung.name), *cells, relative, Cell(remark)))
     units = [f"{name} [{DISPLAY[unit][0]}]" for name, unit in quantities]
     return Table(
-        "Model ladder: mean errors on unseen rows",
+        "Model selection: mean errors on validation measurements",
         columns("", (*units, "error", ""), {"": "remark"}),
         rows,
         emphasized=(ladder.chosen,),
@@ -152,10 +164,15 @@ def ladder_table(ladder: Ladder) -> Table:
 
 def _remark(rung: Rung, *, kept: bool, best: bool) -> str:
     if not rung.helps:
-        return "does not help"
+        return "no significant gain"
     if kept:
-        return "kept"
-    return "no better than what is kept" if best else ""
+        return "selected"
+    return "not significantly better than the selected model" if best else ""
+
+
+def _percent(value: float, sigma: float) -> str:
+    places = max(decimals(sigma), 0)
+    return f"{value:.{places}f} +- {sigma:.{places}f} %"
 
 
 def parameter_table(
@@ -174,15 +191,15 @@ def parameter_table(
 def group_table(
     groups: Sequence[CoupledGroup], shown: Sequence[str] = ESTIMATE
 ) -> Table:
-    """Coupled groups as formulae.
+    """Coupled groups as formulae: only these combinations can be estimated.
 
     Args:
         groups: The groups.
         shown: What stands beside them, some of `ESTIMATE`; nothing where empty.
     """
-    of = (Column("", "number"), *columns("sum" if shown else "", shown))
+    of = (Column("", "number"), *columns("combination" if shown else "", shown))
     return Table(
-        "Coupled groups: only the sums are known (coefficients in SI units)",
+        "Identifiable linear combinations (coefficients in SI units)",
         of,
         [
             (Cell(str(g.number)), Cell(g.expression), *_estimate(g, shown))
@@ -192,9 +209,9 @@ def group_table(
 
 
 def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
-    """All parameters with what is known of each.
+    """All parameters with their estimates.
 
-    What is fixed or nothing can be known of has no value: it is that of the URDF.
+    A fixed or unobservable parameter has no value: that of the URDF holds.
     """
     rows = []
     for p in parameters:
@@ -202,9 +219,10 @@ def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
         if p.status in ("fixed", "unidentifiable"):
             cells[0] = Cell("-")
         groups = ", ".join(map(str, p.groups))
-        rows.append((Cell(p.name), *cells, Cell(p.status), Cell(groups)))
-    titles = (*ESTIMATE, "status", "in sums")
-    return Table("Parameters", columns("parameter", titles, {"in sums": "word"}), rows)
+        rows.append((Cell(p.name), *cells, Cell(STATUS[p.status]), Cell(groups)))
+    titles = (*ESTIMATE, "status", "combinations")
+    kinds: dict[str, Kind] = {"combinations": "word"}
+    return Table("Parameters", columns("parameter", titles, kinds), rows)
 
 
 def outlier_table(result: CalibrationResult, most: int) -> Table:
@@ -241,20 +259,30 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
 def _estimate(
     item: ParameterEstimate | CoupledGroup, shown: Sequence[str]
 ) -> Iterator[Cell]:
-    """Value, standard deviation and unit of a parameter or a group, as asked for."""
+    """The cells of a parameter or a group, of the columns in `shown`."""
     unit, factor = DISPLAY.get(item.unit, (item.unit, 1.0))
-    deviation, places = Cell("-"), DECIMALS
-    if item.sigma is not None:
-        # The value to the place to which it is known.
-        places = decimals(factor * item.sigma) if item.sigma else DECIMALS
-        deviation = Cell(significant(factor * item.sigma), item.sigma)
-    value = Cell(_signed(factor * item.value, places), item.value)
-    cells = dict(zip(ESTIMATE, (value, deviation, Cell(unit)), strict=True))
+    pair = uncertain(item.value, item.sigma, factor)
+    cells = dict(zip(ESTIMATE, (*pair, Cell(unit)), strict=True))
     return (cells[column] for column in shown)
 
 
+def uncertain(value: float, sigma: float | None, factor: float) -> tuple[Cell, Cell]:
+    """A signed value and its standard deviation, both to the place that is known.
+
+    Args:
+        value: The value, in SI units.
+        sigma: Its standard deviation, if there is one.
+        factor: From SI to the unit that is shown.
+    """
+    deviation, places = Cell("-"), DECIMALS
+    if sigma is not None:
+        places = decimals(factor * sigma) if sigma else DECIMALS
+        deviation = Cell(significant(factor * sigma), sigma)
+    return Cell(_signed(factor * value, places), value), deviation
+
+
 def _signed(value: float, places: int) -> str:
-    """So many decimals with a sign, which zero has not."""
+    """A number with a sign, but for zero, and so many decimals."""
     text = f"{round(value, places):+.{max(places, 0)}f}"
     return text if float(text) else text[1:]
 

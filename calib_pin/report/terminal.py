@@ -10,7 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
-from calib_pin.report.blocks import Block, Facts, Line, Names, Table
+from calib_pin.report.blocks import Block, Line, Names, Table
 
 __all__ = ["WIDTH", "laid_out", "plain_text"]
 
@@ -57,33 +57,28 @@ def laid_out(blocks: Iterable[Block]) -> RenderableType:
 
 
 def _rendered(block: Block) -> Iterator[RenderableType]:
-    if isinstance(block, Table):
-        yield _table(block)
-    elif isinstance(block, Line):
+    if isinstance(block, Line):
         line = Text(block.text, style=STYLES[block.tone])
         yield Padding(line, INDENT) if block.indent else line
-    else:
+        return
+    if block.title:
         yield Text(block.title, style="bold")
-        if isinstance(block, Facts):
-            grid = rich_table.Table.grid(padding=(0, 2))
-            # A long path is broken; rich would cut it.
-            grid.add_column(overflow="fold")
-            grid.add_column(overflow="fold")
-            for name, words in block.entries:
-                grid.add_row(f"  {name}", words)
-            yield grid
-        if isinstance(block, Names):
-            yield from (Padding(Text(entry), INDENT) for entry in block.entries)
+    if isinstance(block, Table):
+        yield _table(block)
+    elif isinstance(block, Names):
+        yield from (Padding(Text(entry), INDENT) for entry in block.entries)
+    else:
+        grid = rich_table.Table.grid(padding=(0, 2))
+        # A long path is broken; rich would cut it.
+        grid.add_column(overflow="fold")
+        grid.add_column(overflow="fold")
+        for name, words in block.entries:
+            grid.add_row(f"  {name}", words)
+        yield grid
 
 
 def _table(table: Table) -> rich_table.Table:
-    result = rich_table.Table(
-        title=Text(table.title, style="bold") if table.title else None,
-        title_justify="left",
-        box=None,
-        pad_edge=False,
-        show_header=table.headed,
-    )
+    result = rich_table.Table(box=None, pad_edge=False, show_header=table.headed)
     for column in table.columns:
         result.add_column(
             Text(column.title),

@@ -43,7 +43,7 @@ def report(
 
     Args:
         result: The result.
-        remedies: What would tell more of the robot.
+        remedies: Suggested measurements.
     """
     yield from opening(result)
     yield subject(result)

@@ -1,4 +1,4 @@
-"""How far a result can be trusted: what was set aside, findings, noise, accuracy."""
+"""How far a result can be trusted: outliers, findings, noise, expected accuracy."""
 
 from __future__ import annotations
 
@@ -37,7 +37,7 @@ TONES = {"error": "bad", "warning": "strong", "info": "note"}
 
 
 def set_aside(result: CalibrationResult) -> Iterator[Line]:
-    """Which measurements were set aside, and what it would be with them."""
+    """The measurements set aside, and how far they would move the tool point."""
     rows = [outlier for outlier in result.outliers if outlier.weight == 0.0]
     if not rows:
         return
@@ -51,7 +51,7 @@ def set_aside(result: CalibrationResult) -> Iterator[Line]:
         them = "it" if len(rows) == 1 else "them"
         unit, factor = DISPLAY["m"]
         off = significant(factor * result.displaced)
-        with_them = f"; with {them} the tool would be {off} {unit} off from here"
+        with_them = f"; with {them} the tool point would move by {off} {unit}"
     yield Line(
         f"{len(rows)} of {result.training} {were} set aside ({named}){with_them}.",
         "strong",
@@ -64,7 +64,7 @@ def _named(words: Sequence[str]) -> str:
 
 
 def findings(result: CalibrationResult) -> Iterator[Line]:
-    """What is wrong with the data or the result, but for what the reason says."""
+    """The findings that the reason of the verdict does not name."""
     for finding in result.findings:
         if finding.message not in result.reason:
             tone = TONES[finding.severity]
@@ -73,16 +73,16 @@ def findings(result: CalibrationResult) -> Iterator[Line]:
 
 
 def advised(finding: Finding) -> str:
-    """What is wrong, and what to do about it."""
+    """A finding's message and remedy."""
     return "; ".join(filter(None, (finding.message, finding.remedy)))
 
 
 def expected(result: CalibrationResult) -> Iterator[Block]:
-    """How far the tool is expected to be off, where it was measured and elsewhere."""
+    """The expected error of the tool point, at the measurements and elsewhere."""
     known = [
         (where, accuracy)
         for where, accuracy in (
-            ("where you measured", result.measured),
+            ("where measured", result.measured),
             ("over the workspace", result.workspace),
         )
         if accuracy is not None
@@ -90,19 +90,20 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     if not known:
         return
     if result.verdict == "no-gain":
-        # Of a correction that nobody makes there is nothing to say.
+        # No correction is made, so that its accuracy is of no interest.
         unit, factor = DISPLAY["m"]
         parts = [f"{significant(factor * a.nominal[0])} {unit} {w}" for w, a in known]
-        said = f"Expected tool error as it is (rms): {', '.join(parts)}."
+        said = f"Expected tool-point error (rms), uncorrected: {', '.join(parts)}."
         yield Line(said, "note")
         return
     rows = [row for where, accuracy in known for row in _accuracy(where, accuracy)]
     titles = ("nominal", "calibrated", "95 %", "unmodeled", "unit", "better", "at")
-    yield Table("Expected tool error (rms)", columns("", titles), rows)
+    yield Table("Expected tool-point error (rms)", columns("", titles), rows)
     yield Line(
-        "95 %: the calibrated robot stays below in 95 of 100 cases. Unmodeled: the "
+        "95 %: the calibrated robot stays below it in 95 of 100 cases. Unmodeled: the "
         "part that no parameter describes. Better: the probability that the calibrated "
-        "robot is better; at: the share of configurations where it is so with 95 %.",
+        "robot is more accurate. At: the share of configurations where that "
+        "probability is at least 95 %.",
         "note",
     )
 
@@ -130,7 +131,7 @@ def percent(part: float) -> str:
 
 
 def noise(result: CalibrationResult) -> Iterator[Block]:
-    """The noise of every quantity: stated or assumed, estimated, and what is more."""
+    """The noise of every quantity, stated or assumed and estimated."""
     found = result.noise
     if not found:
         return
@@ -177,7 +178,7 @@ def _shown(size: float | None, unit: str) -> str:
 
 
 def _doubt(part: VarianceComponent) -> str:
-    """What contradicts the given standard deviation, and what is behind it."""
+    """Doubts about the given standard deviation, and their likely cause."""
     unit = DISPLAY[part.unit][0]
     parts = []
     if part.contradicted:
@@ -190,7 +191,7 @@ def _doubt(part: VarianceComponent) -> str:
         parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")
     if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
         parts.append(
-            "configurations differ more than their repetitions explain (p "
+            "lack of fit, configurations differ more than their repetitions (p "
             f"{_probability(part.lack_of_fit)})"
         )
     return f"{part.quantity}: {'; '.join(parts)}." if parts else ""

@@ -497,7 +497,7 @@ def test_options_win_over_the_setup_file(here, run):
 def test_validation_file(here, run):
     result = run(f"{POSITION} --validation new.csv -o out")
     assert result.status == 0
-    assert "Unseen rows (file)" in result.out
+    assert "Validation measurements (file)" in result.out
     found = document("out")
     assert found["errors"]["position"]["validation"]["method"] == "file"
     assert found["measurements"]["training"] == 40
@@ -697,12 +697,12 @@ def test_a_model_ladder(here, run, monkeypatch):
         monkeypatch.delitem(RESIDUAL_MODELS, name)
     result = run("calibrate arm.urdf rows.csv --model-ladder -o out")
     assert (result.status, result.err) == (0, "")
-    shown = result.out[result.out.index("Model ladder") :]
+    shown = result.out[result.out.index("Model selection") :]
     lines = [" ".join(line.split()) for line in shown.splitlines()]
     (kept,) = (line for line in lines if line.startswith("joint offset "))
-    assert kept.endswith(" % kept")
+    assert kept.endswith(" % selected")
     (geometric,) = (line for line in lines if line.startswith("geometric "))
-    assert geometric.endswith(" does not help")
+    assert geometric.endswith(" no significant gain")
     assert "no mass that loads a joint" in " ".join(result.out.split())
     found = document("out")
     ladder = found["model_ladder"]
@@ -732,7 +732,7 @@ def test_a_model_ladder(here, run, monkeypatch):
 def test_structure(here, run):
     result = run("identify arm.urdf --model pose --parameters placement")
     assert (result.status, result.err) == (0, "")
-    assert "structural rank   22" in result.out
+    assert "structural rank        22" in result.out
     assert "4R + 2P + 6 = 22" in result.out
     assert "std. dev." not in result.out
     assert run("identify arm.urdf --setup plane.yaml").status == 0
@@ -769,7 +769,7 @@ def test_identification_with_measurements(here, run, listing):
 def test_evaluation_of_a_robot(here, run):
     result = run("evaluate arm.urdf new.csv")
     assert (result.status, result.err) == (0, "")
-    assert "registered on these rows" in result.out
+    assert "registered on these measurements" in result.out
     assert "25" in result.out
     found = json.loads(run("evaluate arm.urdf new.csv --json").out)
     assert found["registered"] is True
@@ -780,7 +780,7 @@ def test_evaluation_of_a_robot(here, run):
 def test_evaluation_of_a_calibration(here, run):
     result = run("evaluate done/calibration.json rows.csv")
     assert (result.status, result.err) == (0, "")
-    assert "Nothing was fitted to these rows." in result.out
+    assert "Nothing was fitted to these measurements." in result.out
 
     def errors(words):
         found = json.loads(run(f"evaluate {words} --json").out)
@@ -820,7 +820,7 @@ def table(file: str) -> tuple[list[str], np.ndarray]:
 def test_simulation_is_repeatable(here, run):
     words = "simulate arm.urdf --model position --count 6 --seed 4 -o out.csv"
     result = run(words)
-    assert (result.status, result.out) == (0, "wrote 6 rows to out.csv\n")
+    assert (result.status, result.out) == (0, "wrote 6 measurements to out.csv\n")
     first = Path("out.csv").read_bytes()
     assert f"# simulated by: calib-pin {words}\n".encode() in first
     assert run(f"{words} --force").status == 0
@@ -946,9 +946,9 @@ def test_no_urdf_that_is_worse_than_the_nominal_one(tmp_path, monkeypatch, run):
     result = run("calibrate pa10 rows.csv --setup setup.yaml -o out --force")
     assert result.status == 0 and result.out.startswith("GOOD")
     said = " ".join(result.out.split())
-    assert "A URDF cannot hold compliance. None is written: " in said
+    assert "A URDF cannot hold compliance. No URDF is written: " in said
     assert result.err == (
-        "calib-pin: note: out/pa10.urdf is not of this run, which has no such file\n"
+        "calib-pin: note: out/pa10.urdf is not from this run, which has no such file\n"
     )
     assert Path("out/pa10.urdf").read_text() == "of somebody else"
     assert "pa10.urdf" not in document("out")["files"]

@@ -45,8 +45,10 @@ def test_two_calibrations_of_one_robot(there, run, listing):
     before = listing(there)
     result = run(PAIR)
     assert (result.status, result.err) == (0, "")
-    assert result.out.startswith("No drift beyond what the noise of both explains: ")
-    assert "later/calibration.json: position, 25 rows, joint-offset;" in result.out
+    assert result.out.startswith("No drift beyond the noise of both: ")
+    assert (
+        "later/calibration.json: position, 25 measurements, joint-offset;" in result.out
+    )
     assert max(map(len, result.out.splitlines())) <= 80
     assert listing(there) == before
 
@@ -56,7 +58,7 @@ def test_json_has_the_numbers_of_the_report(there, run):
     assert document["format"] == "calib-pin/comparison"
     text = run(PAIR).out
     rms = document["tip"]["position"]["rms"]
-    assert f"differs by {1e3 * rms:.4f} mm rms" in " ".join(text.split())
+    assert f"differ by {1e3 * rms:.4f} mm rms" in " ".join(text.split())
     for key in ("a", "b"):
         sizes = document[key]["errors"]["position"]["validation"]
         assert f"{1e3 * sizes['rms']:.4f}" in text
@@ -70,7 +72,7 @@ def test_a_drift_is_no_failure(there, run):
     assert run(words).status == 0
     result = run(PAIR)
     assert (result.status, result.err) == (0, "")
-    assert result.out.startswith("The robot moved: tip drift ")
+    assert result.out.startswith("The robot changed: tool-point drift ")
     assert "joint3.joint-offset.q " in result.out
 
 

@@ -241,7 +241,7 @@ def test_a_joint_at_its_limit_is_told(model, run):
     write("targets.csv", ",".join([*JOINTS, "x", "y", "z"]), rows)
     result = run(RUN)
     assert result.status == 0
-    assert "A joint stands at its limit in line 4." in result.out
+    assert "A joint is at its limit in line 4." in result.out
     assert numbers("commands.csv")[1, 3] == 2.5
 
 
@@ -268,8 +268,8 @@ def test_a_motion(model, run):
     # The rows that were fitted do not tell where the base link is.
     assert result.err.startswith(GUESSED) and result.err.count("\n") == 1
     out = " ".join(result.out.split())
-    assert "as the calibrated model has it" in out
-    assert "On unseen rows (5-fold) the model itself is off by" in out
+    assert "by the calibrated model" in out
+    assert "Error of the model itself on validation measurements (5-fold" in out
     assert "30 of 30 configurations of the nominal robot reached (positions" in out
     before, after = table("targets.csv"), table("commands.csv")
     assert after[0] == before[0]
@@ -307,7 +307,7 @@ def test_a_motion_that_jumps_is_not_written(model, run, listing, here, monkeypat
     before = listing(here)
     result = run(RUN)
     assert result.status == 2
-    assert "The corrections jump" in result.out
+    assert "Discontinuity in joint space" in result.out
     assert result.out.endswith("wrote nothing\n")
     assert listing(here) == before
     result = run(f"{RUN} --quiet")

@@ -144,7 +144,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
     (
         "simulate arm.urdf --count 5 -o out.csv",
         {},
-        "without measurements the way of measuring must be named with --model; "
+        "without measurements, --model must name the measurement model; "
         "allowed: position, pose, plane-distance, point-distance, "
         "relative-distance, fixed-point, plane-contact, sphere-contact, camera",
     ),

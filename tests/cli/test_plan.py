@@ -80,8 +80,8 @@ def test_what_is_written_and_printed(here, run):
     assert text.startswith(f"# planned by: calib-pin {words}\n")
     assert result.out.startswith("arm: 4 joints from base_link to tool; position, 8 c")
     assert result.out.endswith("wrote 8 configurations to plan.csv\n")
-    assert "8  this plan" in result.out
-    assert "8  at random" in result.out
+    assert "8  planned" in result.out
+    assert "8  random baseline" in result.out
     assert "Collisions are not checked." in result.out
     assert max(map(len, result.out.splitlines())) <= 80
 
@@ -101,7 +101,9 @@ def test_the_file_is_what_the_next_commands_take(here, run):
     # The plan promised what the fit then knew.
     result = run(f"{ADD} --add 4 --to measured.csv -o more.csv")
     assert (result.status, result.err) == (0, "")
-    assert "4 configurations beside 12 measured" in " ".join(result.out.split())
+    assert "4 configurations in addition to 12 measurements" in " ".join(
+        result.out.split()
+    )
     assert len(table("more.csv")[1]) == 4
 
 
@@ -120,7 +122,7 @@ def test_additions_in_every_form(words, here, run):
     assert (result.status, result.err) == (0, "")
     assert len(table("more.csv")[1]) == 4
     measured = 65 if "new.csv" in words else 40
-    assert f"beside {measured} measured" in " ".join(result.out.split())
+    assert f"in addition to {measured} measurements" in " ".join(result.out.split())
     # It starts with nothing: the table shows what is there already.
     (line,) = [line for line in result.out.splitlines() if line.startswith("0 ")]
     assert float(line.split()[1]) > 0.0
@@ -785,7 +787,7 @@ def test_what_no_search_could_change_is_said_before_it(
 def test_help_of_additions(run):
     words = " ".join(run("plan --help").out.replace("\u2502", " ").split())
     assert "Number of configurations to add to the measurements of --to." in words
-    assert "Measurements that are there already; may be repeated." in words
+    assert "Measurements that exist already; may be repeated." in words
 
 
 @pytest.mark.parametrize("name", CASES)

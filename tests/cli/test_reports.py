@@ -92,7 +92,7 @@ def test_pictures_of_an_earlier_run(here, run, refuses):
     stale = Path("figures/convergence.png")
     stale.write_text("of an earlier run")
     result = run(f"{CALIBRATE} --figures figures --force")
-    assert f"calib-pin: note: {stale} is not of this run" in result.err
+    assert f"calib-pin: note: {stale} is not from this run" in result.err
     assert stale.read_text() == "of an earlier run"
 
 

@@ -174,7 +174,7 @@ def test_meshes_that_did_not_travel(here, run, opened, tmp_path, monkeypatch):
     (here / "arm.urdf").unlink()
     result = run("view out/calibration.json --once --port 5")
     assert result.status == 0 and len(opened) == 1
-    assert "note: 2 meshes are not there" in result.err
+    assert "note: 2 meshes are missing" in result.err
 
 
 def test_an_example_robot_where_there_are_none(tmp_path, monkeypatch, run):
@@ -314,7 +314,7 @@ def test_beside_a_foreign_document_nothing_is_removed(text, few, run):
     assert result.status == 2
     assert names() == {*FILES, "residual_model.json"}
     for name in ("arm.urdf", "residual_model.json"):
-        assert f"note: done/{name} is not of this run" in result.err
+        assert f"note: done/{name} is not from this run" in result.err
 
 
 def test_a_folder_of_an_earlier_version(few, run):

@@ -52,7 +52,7 @@ def test_without_the_extra(
     result = run("view no/robot.urdf")
     assert (result.status, result.out) == (1, "")
     assert result.err == (
-        "calib-pin: the viewer needs viser, which is not there: "
+        "calib-pin: the viewer needs viser, which is missing: "
         "pip install 'calib-pin[view]'\n"
     )
 
@@ -117,8 +117,9 @@ def test_missing_meshes_are_noted_once(
     result = run("view meshes.urdf --port 5")
     assert result.status == 0
     assert result.err == (
-        "calib-pin: note: 2 meshes are not there or cannot be read, and simple shapes "
-        "stand in: 1.stl, ...; --package-dir DIR, the folder of its package\n"
+        "calib-pin: note: 2 meshes are missing or unreadable and replaced by "
+        "simple shapes: 1.stl, ...; name the folder of its package with "
+        "--package-dir\n"
     )
 
 
@@ -129,7 +130,9 @@ def test_few_rows_are_noted(
     Path("few.csv").write_text("\n".join(lines[:5]))
     result = run("view arm.urdf few.csv --setup setup.yaml --port 5")
     assert result.status == 0
-    assert result.err.startswith("calib-pin: note: errors before cannot be trusted: ")
+    assert result.err.startswith(
+        "calib-pin: note: the errors before cannot be trusted: "
+    )
 
 
 @pytest.mark.parametrize(

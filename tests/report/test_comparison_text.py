@@ -10,6 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.report.comparison_text import comparison_report
+from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.comparison import Comparison, Displacement, compare
 from calib_pin.validation.parameter_changes import Difference
@@ -45,7 +46,7 @@ def second(found: Comparison, **changes: object) -> Comparison:
 
 def test_no_drift(still):
     words = words_of(still)
-    assert words.startswith("No drift beyond what the noise of both explains: the tip")
+    assert words.startswith("No drift beyond the noise of both: the tool points")
     drift, noise = still.drift, still.explained
     for size in (1e3 * drift.position.rms, 1e3 * noise[0]):
         assert f"{size:.4f} mm" in words
@@ -55,16 +56,18 @@ def test_no_drift(still):
 
 def test_a_move(moved):
     words = words_of(moved)
-    assert words.startswith("The robot moved: tip drift 0.")
+    assert words.startswith("The robot changed: tool-point drift 0.")
     leading = moved.differences[0]
     row = next(
         line
         for line in text_of(moved).splitlines()
         if line.startswith(leading.terms[0][0])
     )
+    sigma = significant(np.degrees(leading.sigma))
+    places = len(sigma.partition(".")[2])
     expected = [
-        f"{np.degrees(leading.change):+.4f}",
-        f"{np.degrees(leading.sigma):.4f}",
+        f"{np.degrees(leading.change):+.{places}f}",
+        sigma,
         f"{leading.significance:.1f}",
         "deg",
     ]
@@ -74,19 +77,25 @@ def test_a_move(moved):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"noise": None}, "The robot moved, or was measured at other configurations:"),
-        ({"hashes": ("rows 0",)}, "The two do not agree on the tip: it differs by 0."),
+        (
+            {"noise": None},
+            "The robot changed, or was measured at other configurations:",
+        ),
+        (
+            {"hashes": ("rows 0",)},
+            "The two disagree on the tool point, which differs by 0.",
+        ),
         (
             {"predicted": None, "predicted_robot": None},
-            r"The tips are 0\.\d+ mm and 0\.\d+ deg rms apart; how",
+            r"The tool points are 0\.\d+ mm and 0\.\d+ deg rms apart; the files",
         ),
         (
             {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0)},
-            r"The robot changed, .*joint_4.*; the tip differs",
+            r"The robot changed, .*joint_4.*; the tool points differ",
         ),
         (
             {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0), "noise": 2.0},
-            "No drift beyond what the noise of both explains",
+            "No drift beyond the noise of both",
         ),
     ],
 )
@@ -97,15 +106,15 @@ def test_other_verdicts(changes, expected, moved):
 def test_tips_at_the_same_places(still):
     drift = replace(still.drift, drift=np.full(1000, 1e-9), turn=np.full(1000, 1e-9))
     words = words_of(replace(still, drift=drift))
-    assert words.startswith("No drift: both put the tip at the same places.")
-    assert "It differs most" not in words
+    assert words.startswith("No drift: both predict the same tool points.")
+    assert "Largest difference" not in words
 
 
 def test_what_must_not_be_trusted_comes_first(moved):
     bad = second(moved, verdict="untrusted", reason="not converged.")
     lines = text_of(bad).splitlines()
     assert lines[0] == "UNTRUSTED: B (1.json): not converged."
-    assert lines[1].startswith("The two do not agree on the tip")
+    assert lines[1].startswith("The two disagree on the tool point")
 
 
 # --- what stands below -------------------------------------------------------------
@@ -114,8 +123,8 @@ def test_what_must_not_be_trusted_comes_first(moved):
 @pytest.mark.parametrize(
     ("changes", "expected"),
     [
-        ({"noise": 1.5}, "rows at the same ones would tell"),
-        ({"hashes": ("rows 0",)}, "Both are of the same measurements"),
+        ({"noise": 1.5}, "measurements at the same configurations would settle it"),
+        ({"hashes": ("rows 0",)}, "Both fit the same measurements"),
         ({"hashes": ("rows 0", "more")}, "They share a measurement file"),
     ],
 )
@@ -126,8 +135,8 @@ def test_doubts(changes, expected, moved):
 
 def test_other_nominal_robots(moved):
     words = words_of(replace(moved, same_nominal=False))
-    assert words.startswith("The two do not agree on the tip")
-    assert "parameters deviate each from their own and are not compared" in words
+    assert words.startswith("The two disagree on the tool point")
+    assert "only the tool points are compared, not the parameters" in words
     assert "std. dev." not in words
 
 
@@ -135,7 +144,7 @@ def test_other_parameters(moved):
     model = moved.second.model
     learned = replace(model, setup=replace(model.setup, learned="network"))
     words = words_of(second(moved, model=learned))
-    assert words.startswith("The two do not agree on the tip")
+    assert words.startswith("The two disagree on the tool point")
     assert "described by different parameters" in words
     assert "placement + network" in words
 
@@ -144,7 +153,7 @@ def test_where_it_differs_most(moved):
     drift = moved.drift
     words = words_of(moved)
     x, y, z = 1e3 * drift.points[drift.farthest]
-    assert f"tip at {x:.1f}, {y:.1f}, {z:.1f} mm in base_link" in words
+    assert f"tool point at {x:.1f}, {y:.1f}, {z:.1f} mm in base_link" in words
     angles = ", ".join(f"{a:.1f}" for a in np.degrees(drift.q[drift.farthest]))
     assert f"joints at {angles} deg" in words
 
@@ -155,29 +164,30 @@ def test_frames_that_moved(still):
         displacements=(Displacement("base", 0.8, 0.1), Displacement("tool", 0.2, None)),
     )
     words = words_of(found)
-    assert "which is no drift of the robot base 800.0 mm and 5.730 deg, as" in words
-    assert "tool 200.0 mm, as the tip link sees it" in words
-    assert "the one of B stood elsewhere" in words
-    assert "stood elsewhere" not in words_of(still)
-    assert "Stands elsewhere" not in words_of(replace(still, displacements=()))
+    assert "which is no drift of the robot base 800.0 mm and 5.730 deg, rel" in words
+    assert "tool 200.0 mm, relative to the tip link" in words
+    assert "that of B was elsewhere" in words
+    assert "was elsewhere" not in words_of(still)
+    assert "Displaced in B" not in words_of(replace(still, displacements=()))
 
 
 def test_counts(still):
     single = sum(not d.terms for d in still.differences)
-    known = f"{single} parameters and {len(still.differences) - single} sums"
-    assert f"Both know {known} of the robot; {known} agree within 3" in words_of(still)
+    known = f"{single} parameters and {len(still.differences) - single} combinations"
+    said = f"Both identify {known} of the robot; {known} agree within 3"
+    assert said in words_of(still)
     none = replace(still, differences=(), alone=(("j.dh.d", "j.dh.a"), ()))
     words = words_of(replace(none, sums_alone=(2, 0)))
-    assert "There is no parameter and no sum of the robot that both know." in words
-    assert "2 sums are known in A only, 0 in B only." in words
-    assert "known by themselves in A only: j.dh.d|a" in words
+    assert "No parameter and no combination of the robot is identified by" in words
+    assert "2 combinations are identified in A only, 0 in B only." in words
+    assert "identifiable in A only: j.dh.d|a" in words
     assert "in B only:" not in words
 
 
 def test_positions_tell_no_orientations(still):
     (position, _) = still.second.errors
     words = words_of(second(still, errors=(position,)))
-    assert "The rows do not tell orientations." in words
+    assert "The measurements contain no orientations." in words
     assert "deg rms" not in words
 
 
@@ -189,7 +199,7 @@ def test_accuracy_of_older_files(still):
     row = next(line.split() for line in table if line.split()[:1] == ["B"])
     assert row[3] == "-"
     assert row[1] == f"{1e3 * position.after.mean:.4f}"
-    assert "Validation: A none, B none. The rows are not the same" in text
+    assert "Validation: A none, B none. The measurements differ" in text
 
 
 def test_80_columns_and_no_number_cut(moved):
@@ -207,5 +217,5 @@ def test_80_columns_and_no_number_cut(moved):
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text and text.isascii()
     assert not re.search(r" $", text, re.MULTILINE)
-    assert f"{np.degrees(-123.456):+.4f}" in text
+    assert f"{np.degrees(-123.456):+.0f}" in text
     assert re.sub(r"\s", "", found.first.file) in re.sub(r"\s", "", text)

@@ -77,7 +77,7 @@ def words(result: CalibrationResult, **changes: Any) -> str:
 def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
     said = (
         f"2 of {result.training} measurements were set aside (rows.csv:12, "
-        "rows.csv:14; target ball); with them the tool would be 2.6 mm off from here."
+        "rows.csv:14; target ball); with them the tool point would move by 2.6 mm."
     )
     assert words(result).startswith(f"{said} GOOD: ")
     bad = words(result, verdict="untrusted", reason="it did not converge.")
@@ -106,7 +106,7 @@ def test_verdicts(
     text = words(result, outliers=(), verdict=verdict, reason=reason)
     assert text.startswith(expected)
     assert ("Nothing is corrected" in text) == (verdict == "no-gain")
-    assert ("Joint origins move" in text) == (verdict != "no-gain")
+    assert ("Largest correction" in text) == (verdict != "no-gain")
 
 
 def test_findings(result: CalibrationResult) -> None:
@@ -120,23 +120,24 @@ def test_findings(result: CalibrationResult) -> None:
 
 def test_two_accuracies(result: CalibrationResult) -> None:
     lines = format_report(result).splitlines()
-    start = lines.index("Expected tool error (rms)")
+    start = lines.index("Expected tool-point error (rms)")
     cells = [line.split() for line in lines[start + 1 : start + 6]]
     assert cells[0] == [
         *("nominal", "calibrated", "95", "%", "unmodeled", "unit", "better", "at")
     ]
-    assert cells[1][3:] == [
+    assert cells[1][2:] == [
         *("0.76", "0.31", "0.39", "0.20", "mm", "100", "%", "100", "%")
     ]
     assert cells[3][3:] == [
         *("2.5", "0.31", "0.39", "0.20", "mm", ">", "99", "%", "93", "%")
     ]
     assert cells[4] == ["0.18", "0.023", "0.029", "0.017", "deg"]
-    assert "Expected tool error" not in words(result, measured=None, workspace=None)
+    none = words(result, measured=None, workspace=None)
+    assert "Expected tool-point error" not in none
     as_it_is = words(result, verdict="no-gain")
     assert (
-        "Expected tool error as it is (rms): 0.76 mm where you measured, 2.5 mm over "
-        "the workspace."
+        "Expected tool-point error (rms), uncorrected: 0.76 mm where measured, 2.5 mm "
+        "over the workspace."
     ) in as_it_is
     assert "Better: " not in as_it_is
 
@@ -155,8 +156,8 @@ def test_noise(result: CalibrationResult) -> None:
     assert cells[2] == ["orientation", "0.0057", "stated", "-", "-", "-", "-", "deg"]
     assert (
         "position: the measurements contradict the assumed 0.10 mm; 0.020 mm noise, "
-        "0.40 mm unmodeled; configurations differ more than their repetitions explain "
-        "(p < 0.001)."
+        "0.40 mm unmodeled; lack of fit, configurations differ more than their "
+        "repetitions (p < 0.001)."
     ) in words(result)
     assert "orientation: " not in words(result)
     # Stated noise that stands leaves nothing to say.

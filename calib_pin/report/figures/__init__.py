@@ -71,7 +71,7 @@ NAMES: Mapping[str, tuple[str, ...]] = {
     "plan": ("criterion-by-count", "predicted-deviations", "planned-positions"),
     "comparison": ("tip-drift",),
 }
-"""Names of all figures that there may be, by what they are of."""
+"""Names of all figures, by their subject."""
 
 OF_DRIFT: tuple[Callable[[TipDrift], Drawn | None], ...] = (drift_in_workspace,)
 
@@ -109,7 +109,7 @@ def plan_figures(plan: Plan) -> Iterator[Drawn]:
 
 
 def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
-    """Figures of what differs between two calibrations."""
+    """Figures of the difference between two calibrations."""
     yield from _drawn(OF_DRIFT, drift)
 
 

@@ -1,4 +1,4 @@
-"""What all figures are drawn on: style, colors, panels, and how they become bytes."""
+"""The canvas of all figures: style, colors, panels, and how they become bytes."""
 
 from __future__ import annotations
 
@@ -122,12 +122,12 @@ def drawing() -> Iterator[None]:
 
 @dataclass(frozen=True)
 class Drawn:
-    """A figure with its name and what it says.
+    """A figure with its name, title and caption.
 
     Attributes:
         name: Stem of its file and id in a page.
         title: Its heading.
-        reading: What to look for, and what it is here, in one line.
+        reading: The caption: what to look for, and the numbers, in one line.
         figure: The figure.
     """
 
@@ -222,7 +222,7 @@ def panels(
 
 
 def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]], left: float) -> None:
-    """What the signs mean, in one line at the upper edge.
+    """The legend, in one line at the upper edge.
 
     Args:
         figure: The figure.

@@ -1,4 +1,4 @@
-"""How a search by evolution went."""
+"""The convergence of a search by differential evolution."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["convergence"]
 
 
 def convergence(result: CalibrationResult) -> Drawn | None:
-    """Best cost of every generation, where there were any."""
+    """The best cost of every generation, where there were any."""
     cost = np.array(result.history)
     limits = log_limits(cost)
     if len(cost) < 2 or limits is None:
@@ -31,8 +31,8 @@ def convergence(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "convergence",
         "Convergence of the search",
-        f"Half the sum of squared whitened residuals of the best member fell from "
+        f"Half the sum of squared normalized residuals of the best member fell from "
         f"{number(cost[0])} to {number(cost[-1])} in {len(cost) - 1} generations of "
-        f"{result.solver}; a flat end means that more would not have helped.",
+        f"{result.solver}. Where the curve ends flat, more would not have helped.",
         figure,
     )

@@ -1,4 +1,4 @@
-"""Which estimates of the robot move together."""
+"""The correlations between the estimates of the robot."""
 
 from __future__ import annotations
 
@@ -42,7 +42,7 @@ NEGATIVE, POSITIVE = "#8073ac", "#e08214"
 
 
 def correlations(result: CalibrationResult) -> Drawn | None:
-    """Correlation of all that is known of the robot, the lower half of the matrix."""
+    """Correlations of the robot's estimates, the lower half of the matrix."""
     if not np.isfinite(result.covariance).all():
         return None
     estimates = of_robot(result.parameters, result.groups, result.model.error)
@@ -63,17 +63,17 @@ def correlations(result: CalibrationResult) -> Drawn | None:
     remark = ""
     if len(kept) < len(estimates):
         remark = (
-            f" {len(kept)} of {len(estimates)} are shown, those that correlate most, "
-            f"above {TOGETHER} with another."
+            f" {len(kept)} of {len(estimates)} are shown: those with the largest "
+            f"correlations, above {TOGETHER}."
         )
     apart = np.abs(R - np.diag(np.diag(R)))
     i, j = (int(k) for k in np.unravel_index(apart.argmax(), R.shape))
     return Drawn(
         "correlations",
         "Correlation of the estimates",
-        f"Strong color off the diagonal: the rows tell only a mix of the two well. The "
-        f"largest is {number(float(R[i, j]))}, of {estimates[j].label} and "
-        f"{estimates[i].label}.{remark}",
+        f"Strong color off the diagonal: the measurements determine only a mix of the "
+        f"two well. The largest correlation is {number(float(R[i, j]))}, between "
+        f"{estimates[j].label} and {estimates[i].label}.{remark}",
         figure,
     )
 
@@ -122,7 +122,7 @@ def _squares(columns: Floats, rows: Floats, level: int) -> PathPatch:
 
 
 def _shades(figure: Figure) -> None:
-    """What the shades mean, at the right, where the matrix is empty."""
+    """The color scale, at the right, where the matrix is empty."""
     place = Affine2D().scale(0.085, 0.13)
     place.translate(WIDTH - 1.2, figure.get_figheight() - 0.2)
     for level in (*range(-STEPS, 0), *range(1, STEPS + 1)):

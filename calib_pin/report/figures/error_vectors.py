@@ -35,7 +35,7 @@ STAGES = {"before (nominal robot)": BEFORE, "after (calibrated)": AFTER}
 
 
 def error_vectors(result: CalibrationResult) -> Drawn | None:
-    """Errors of the fitted rows where the tool was, from three sides."""
+    """Errors of the fitted measurements at the tool positions, from three sides."""
     vectors = result.fitted.displacements
     if vectors is None:
         return _sizes(result.fitted)
@@ -65,9 +65,9 @@ def error_vectors(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "error-vectors",
         "Position errors in the workspace",
-        f"Arrows lead from where the tool is to where the error takes it, magnified "
-        f"{factor:g} times; mean length {means} mm before and after. Neighbors that "
-        "agree are errors of the robot, what is left at random is noise."
+        f"Arrows lead from the tool point to where the error takes it, magnified "
+        f"{factor:g} times; mean length {means} mm before and after. Arrows that "
+        "agree with their neighbors show errors of the robot; random ones are noise."
         + thinning(len(drawn), len(lengths[0])),
         figure,
     )
@@ -103,7 +103,7 @@ def _scale_arrow(figure: Figure, scale: float, factor: float) -> None:
 
 
 def _sizes(rows: RowErrors) -> Drawn | None:
-    """What was measured otherwise: points colored by the error that is left."""
+    """Where no position is measured: points colored by the remaining error."""
     rated = [(q, rows.sizes(q)[1]) for q in rows.quantities]
     rated = [(q, sizes) for q, sizes in rated if not np.isnan(sizes).all()]
     if not rated:
@@ -122,7 +122,7 @@ def _sizes(rows: RowErrors) -> Drawn | None:
     return Drawn(
         "errors-in-workspace",
         "Errors in the workspace",
-        "Where the tool was, from three sides; the color is the error that is left "
-        f"after calibration. Regions of one color hint at what the model lacks.{note}",
+        "Tool positions from three sides; the color is the error that remains after "
+        f"calibration. Regions of one color hint at unmodeled errors.{note}",
         figure,
     )

@@ -1,4 +1,4 @@
-"""What of the robot has an estimate: its parameters, and sums of them."""
+"""The estimates of the robot: parameters and linear combinations of them."""
 
 from __future__ import annotations
 
@@ -17,10 +17,10 @@ __all__ = ["Estimate", "correlation", "of_robot"]
 
 @dataclass(frozen=True)
 class Estimate:
-    """A parameter or a coupled sum that is known.
+    """A parameter or a linear combination that is known.
 
     Attributes:
-        label: What it is called in figures.
+        label: Its name in figures.
         unit: Its unit.
         value: Estimate.
         sigma: Standard deviation.
@@ -39,13 +39,13 @@ def of_robot(
     groups: Sequence[CoupledGroup],
     error: ErrorModel,
 ) -> list[Estimate]:
-    """Identifiable parameters and sums of the robot, from base to tip.
+    """Identifiable parameters and combinations of the robot, from base to tip.
 
-    A sum that begins with a frame or the instrument is theirs.
+    A combination that begins with a frame or the instrument is theirs.
 
     Args:
         parameters: All parameters.
-        groups: All coupled sums.
+        groups: All coupled groups.
         error: Tells what belongs to the robot.
     """
     own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
@@ -58,7 +58,7 @@ def of_robot(
     for g in groups:
         if g.terms[0][0] in own and _known(g.sigma):
             at = place[g.terms[0][0]]
-            found.append((at, _estimate(f"sum {g.number}", g, g.terms)))
+            found.append((at, _estimate(f"combination {g.number}", g, g.terms)))
     return [estimate for _, estimate in sorted(found, key=lambda pair: pair[0])]
 
 

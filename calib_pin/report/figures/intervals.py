@@ -1,4 +1,4 @@
-"""What was found for every parameter, and how certain that is."""
+"""The estimates of the robot with their uncertainty."""
 
 from __future__ import annotations
 
@@ -36,10 +36,9 @@ def parameter_intervals(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "parameter-intervals",
         "Estimated errors of the robot",
-        f"Values with two standard deviations to either side, from base to tip: {sure} "
-        f"of {len(estimates)} differ from zero. A line that does not show is "
-        f"shorter than its mark. The formulae of the sums stand in the table of "
-        f"coupled groups.{remark}",
+        f"Values with two standard deviations to either side, from base to tip; {sure} "
+        f"of {len(estimates)} differ from zero. Intervals shorter than the mark do "
+        f"not show. The table of linear combinations has their formulae.{remark}",
         figure,
     )
 

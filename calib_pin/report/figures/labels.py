@@ -58,7 +58,7 @@ def plain(value: float) -> str:
 
 
 def log_limits(*values: Floats) -> tuple[float, float] | None:
-    """Limits of a log axis that shows what of some values it can; None for nothing."""
+    """Limits of a log axis for the positive values; None where there is none."""
     found = np.concatenate([np.ravel(part) for part in values])
     found = found[np.isfinite(found) & (found > 0.0)]
     if found.size == 0:

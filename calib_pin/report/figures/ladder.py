@@ -1,4 +1,4 @@
-"""The model ladder: what every further part of the model is worth."""
+"""Model selection: the gain of every further part of the model."""
 
 from __future__ import annotations
 
@@ -22,7 +22,7 @@ from calib_pin.validation.result import CalibrationResult, Ladder, Rung
 __all__ = ["model_ladder"]
 
 LINE = 0.3
-"""Height of a rung [inch]."""
+"""Height of a candidate [inch]."""
 
 LEFT = 2.45
 """Width of the names [inch]."""
@@ -35,7 +35,7 @@ DWARFS = 8.0
 
 
 def model_ladder(result: CalibrationResult) -> Drawn | None:
-    """Mean error on unseen rows by rung, with its standard error."""
+    """Mean error on validation measurements by candidate, with its standard error."""
     ladder = result.ladder
     if ladder is None or not np.isfinite([r.score for r in ladder.rungs]).any():
         return None
@@ -48,17 +48,16 @@ def model_ladder(result: CalibrationResult) -> Drawn | None:
     kept = ladder.rungs[ladder.chosen]
     return Drawn(
         "model-ladder",
-        "Model ladder",
-        "Mean error on unseen rows, in standard deviations of the measurements, with "
-        "its standard error; at the right in units of each quantity. "
-        "Kept is the simplest model within one standard error of the best: "
-        f"{kept.name}.",
+        "Model selection",
+        "Mean error on validation measurements, in standard deviations, with its "
+        "standard error; at the right in units of each quantity. The simplest model "
+        f"within one standard error of the best is selected: {kept.name}.",
         figure,
     )
 
 
 def _rungs(axes: Axes, ladder: Ladder) -> None:
-    """A point with its standard error for every rung, the simplest at the top."""
+    """A point with its standard error for every candidate, the simplest at the top."""
     for k, rung in enumerate(ladder.rungs):
         if not np.isfinite(rung.score):
             continue
@@ -74,15 +73,15 @@ def _rungs(axes: Axes, ladder: Ladder) -> None:
     axes.set_ylim(len(ladder.rungs) - 0.3, -0.7)
     axes.set_yticks([])
     for k, rung in enumerate(ladder.rungs):
-        remark = " (kept)" if k == ladder.chosen else ""
+        remark = " (selected)" if k == ladder.chosen else ""
         beside(axes, k, f"{shortened(rung.name, 30)}{remark}", size=9.0)
         place = axes.get_yaxis_transform()
         axes.text(1.03, k, _errors(rung), va="center", transform=place)
-    axes.set_xlabel("mean error on unseen rows [standard deviations]")
+    axes.set_xlabel("mean error on validation measurements [std. dev.]")
 
 
 def _scale(axes: Axes, rungs: Sequence[Rung]) -> None:
-    """The axis of the errors, logarithmic where one rung dwarfs another."""
+    """The axis of the errors, logarithmic where one candidate dwarfs another."""
     best = min(rungs, key=lambda rung: rung.score)
     axes.axvline(best.score + best.deviation, color=MUTED, linestyle=":")
     lows, highs = (

@@ -43,7 +43,7 @@ class Listed:
     Attributes:
         axes: The panel; a line is one high, the first one at zero.
         unit: What people read.
-        estimates: What stands in the lines.
+        estimates: The estimates of its lines.
         values: Estimates in that unit, shape (n,).
         sigmas: Standard deviations in that unit, shape (n,).
     """
@@ -58,10 +58,10 @@ class Listed:
 def lists(
     estimates: Sequence[Estimate], weight: Callable[[Estimate], float]
 ) -> tuple[Figure, list[Listed], str]:
-    """A figure with empty panels, and what to say if something is left out.
+    """A figure with empty panels, and a remark if something is left out.
 
     Args:
-        estimates: What is listed, in order.
+        estimates: The estimates, in order.
         weight: Where there are too many, those where this is largest are kept.
     """
     units: dict[str, list[Estimate]] = {}

@@ -1,4 +1,4 @@
-"""How well a plan is going to determine every parameter."""
+"""The standard deviations that a plan will give the parameters."""
 
 from __future__ import annotations
 
@@ -14,7 +14,7 @@ __all__ = ["predicted_deviations"]
 
 
 def predicted_deviations(plan: Plan) -> Drawn | None:
-    """Predicted standard deviations of what will be known, one panel per unit."""
+    """Predicted standard deviations of the estimates, one panel per unit."""
     estimates = of_robot(plan.parameters, plan.groups, plan.problem.error)
     estimates = [estimate for estimate in estimates if estimate.sigma > 0.0]
     if not estimates:
@@ -23,13 +23,13 @@ def predicted_deviations(plan: Plan) -> Drawn | None:
     for listed in panels:
         _deviations(listed)
     weak = sum(p.status == "weak" for p in plan.parameters)
-    told = f" {weak} parameters are too weak and not shown." if weak else ""
+    told = f" {weak} weakly observable parameters are not shown." if weak else ""
     return Drawn(
         "predicted-deviations",
         "Predicted standard deviations",
-        "Standard deviation that each parameter and each sum will have, from base to "
-        f"tip; those far to the right profit most from further measurements.{told}"
-        f"{remark}",
+        "Standard deviations that the parameters and combinations will have, from base "
+        "to tip. Those far to the right benefit most from further measurements."
+        f"{told}{remark}",
         figure,
     )
 

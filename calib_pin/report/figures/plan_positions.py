@@ -1,4 +1,4 @@
-"""Where a plan takes the tool, and in which order."""
+"""The tool positions of a plan, in their order."""
 
 from __future__ import annotations
 
@@ -38,15 +38,15 @@ def planned_positions(plan: Plan) -> Drawn | None:
     return Drawn(
         "planned-positions",
         "Planned positions of the tool",
-        f"The {len(points)} configurations in the order of the plan, from three sides, "
-        "the square is the first. Straight lines join what comes in turn, "
-        f"{length:.2f} m in all; the robot itself moves on curves.",
+        f"The {len(points)} configurations in the order of the plan, from three sides; "
+        f"the square is the first. Straight lines, {length:.2f} m in all, join one "
+        "with the next; the robot itself moves on curves.",
         figure,
     )
 
 
 def tool_positions(plan: Plan) -> Floats:
-    """Where the nominal robot has its tool, in the base link, shape (K, 3) [m]."""
+    """Tool points of the nominal robot in the base link, shape (K, 3) [m]."""
     error = plan.problem.error
     T = error.poses(plan.q, np.zeros(len(error.parameters)))
     to_base = error.base.inverse().homogeneous
@@ -54,7 +54,7 @@ def tool_positions(plan: Plan) -> Floats:
 
 
 def _way(axes: Axes, spots: Floats, scale: float) -> None:
-    """The way, its stops, and the numbers that have room.
+    """The path, its stops, and the numbers that have room.
 
     Args:
         axes: A view.

@@ -1,4 +1,4 @@
-"""What more or fewer configurations than planned would be worth."""
+"""The accuracy of a plan against its number of configurations."""
 
 from __future__ import annotations
 
@@ -30,10 +30,10 @@ SMALL = ("condition", "prediction")
 
 @dataclass(frozen=True)
 class _Curve:
-    """Something against the number of configurations.
+    """A measure of accuracy against the number of configurations.
 
     Attributes:
-        label: What it is, with its unit.
+        label: Its name, with its unit.
         values: Its value for every number, shape (K,).
         random: Its value for configurations at random, if that is known.
     """
@@ -44,7 +44,7 @@ class _Curve:
 
 
 def criterion_by_count(plan: Plan) -> Drawn | None:
-    """The criterion and the predicted error of the tip by number of configurations."""
+    """The criterion and the tool-point uncertainty by number of configurations."""
     counts = np.array([step.count for step in plan.steps], float)
     curves = [curve for curve in _curves(plan) if log_limits(curve.values)]
     if len(counts) < 2 or not curves:
@@ -61,10 +61,10 @@ def criterion_by_count(plan: Plan) -> Drawn | None:
     return Drawn(
         "criterion-by-count",
         "Number of configurations",
-        f"Below {len(plan.q)} the best part of the plan, above it the plan with more "
-        f"candidates. This plan has {plan.criterion} {own}{unit}, as many at random "
-        f"{random}{unit}; it is to be {size}. Where a curve is flat, measuring more "
-        "gains little.",
+        f"Below {len(plan.q)} configurations the best part of the plan, above it the "
+        f"plan with more candidates. The plan has {plan.criterion} {own}{unit}, the "
+        f"random baseline {random}{unit}; {size} is good. Where a curve is flat, "
+        "further measurements gain little.",
         figure,
     )
 
@@ -72,7 +72,7 @@ def criterion_by_count(plan: Plan) -> Drawn | None:
 def _curves(plan: Plan) -> list[_Curve]:
     unit, factor = unit_of("m")
     position = factor * np.array([step.position for step in plan.steps])
-    tip = f"tip error [{unit}], rms"
+    tip = f"tool-point uncertainty [{unit}]"
     if plan.criterion == "prediction":
         return [_Curve(tip, position, factor * plan.random)]
     values = np.array([step.value for step in plan.steps])
@@ -87,7 +87,7 @@ def _draw(axes: Axes, counts: Floats, curve: _Curve, planned: int) -> None:
         [planned] * len(own),
         own,
         **marks(INK, "o", 9.0, hollow=True),
-        label=f"this plan, {planned}",
+        label=f"planned, {planned}",
     )
     if curve.random is not None and np.isfinite(curve.random):
         shown.append(np.array([curve.random]))
@@ -95,7 +95,7 @@ def _draw(axes: Axes, counts: Floats, curve: _Curve, planned: int) -> None:
             planned,
             curve.random,
             **marks(BEFORE, "X", 8.0),
-            label=f"{planned} at random",
+            label=f"random baseline, {planned}",
         )
     limits = log_limits(*shown)
     assert limits is not None, "only drawn where something is positive"

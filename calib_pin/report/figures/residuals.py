@@ -44,7 +44,7 @@ MARKS = ("o", "s", "^", "D", "v")
 
 
 def residuals(result: CalibrationResult) -> Drawn | None:
-    """Histogram and normal plot of the whitened residuals of the fitted rows."""
+    """Histogram and normal plot of the normalized residuals of the fit."""
     values = whitened(result)
     if sum(map(len, values.values())) < FEWEST:
         return None
@@ -58,9 +58,9 @@ def residuals(result: CalibrationResult) -> Drawn | None:
     return Drawn(
         "residuals",
         "Distribution of the residuals",
-        "Residuals of the fitted rows in standard deviations, as they are estimated: "
-        f"{100.0 * outside:.2f} % lie outside ±3, of normal ones 0.27 % would. Points "
-        "away from the line at its ends are heavy tails or outliers.",
+        "Residuals of the fitted measurements divided by their estimated standard "
+        f"deviations: {100.0 * outside:.2f} % lie outside ±3; of normal ones 0.27 % "
+        "would. Points that leave the line at its ends are heavy tails or outliers.",
         figure,
     )
 
@@ -68,7 +68,7 @@ def residuals(result: CalibrationResult) -> Drawn | None:
 def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
     """Residuals in their standard deviations by quantity, ascending, (N,) each.
 
-    Nothing where these are not known.
+    Empty where these are not known.
     """
     rows = result.fitted
     if not result.noise:

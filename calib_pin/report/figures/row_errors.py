@@ -1,4 +1,4 @@
-"""Errors of every measurement, before and after, fitted and unseen."""
+"""Errors of every measurement, before and after, of fit and validation."""
 
 from __future__ import annotations
 
@@ -32,7 +32,7 @@ from calib_pin.validation.row_errors import RowErrors
 __all__ = ["errors_per_measurement"]
 
 LIMIT = 20_000
-"""Rows that are drawn at most."""
+"""Measurements that are drawn at most."""
 
 VECTORS = 500
 """Points of one kind that are drawn as paths of their own."""
@@ -47,7 +47,7 @@ PANEL = 1.65
 """Height of a panel [inch]."""
 
 FOOT = 0.1
-"""Height of what stands below the last row, less a title [inch]."""
+"""Height of the labels below the last row, less a title [inch]."""
 
 SIGNS: dict[str, dict[str, Any]] = {
     "before": marks(BEFORE, "o", hollow=True),
@@ -60,17 +60,17 @@ RING = marks(INK, "o", 10.0, hollow=True)
 
 @dataclass(frozen=True)
 class _Pane:
-    """The errors of one quantity of the fitted or the unseen rows.
+    """The errors of one quantity of the fitted or the validation measurements.
 
     Attributes:
-        rows: `fitted` or `unseen`.
+        rows: `fitted` or `validation`.
         quantity: Name of the quantity.
         unit: What people read.
-        sizes: Sizes before and after in that unit, shape (N,) each; NaN for rows that
-            do not have it.
-        counted: The rows that were not set aside, shape (N,).
-        drawn: Positions of the rows that are drawn, ascending, shape (M,).
-        rings: Positions of those among them that do not fit, shape (K,).
+        sizes: Sizes before and after in that unit, shape (N,) each; NaN for
+            measurements that do not have it.
+        counted: The measurements that were not set aside, shape (N,).
+        drawn: Positions of those that are drawn, ascending, shape (M,).
+        rings: Positions of the outliers among them, shape (K,).
     """
 
     rows: str
@@ -83,16 +83,16 @@ class _Pane:
 
     @property
     def means(self) -> list[float]:
-        """Mean sizes before and after; nothing where no row has the quantity."""
+        """Mean sizes before and after; empty where no measurement has the quantity."""
         sizes = [size[~np.isnan(size) & self.counted] for size in self.sizes]
         return [float(size.mean()) for size in sizes] if all(map(len, sizes)) else []
 
 
 def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
-    """Sizes of the errors of every row: one row of panels per quantity."""
+    """Sizes of the errors of every measurement: one row of panels per quantity."""
     parts = [_panes("fitted", result.fitted, [o.row for o in result.outliers])]
     if result.unseen is not None:
-        parts.append(_panes("unseen", result.unseen, []))
+        parts.append(_panes("validation", result.unseen, []))
     rows = [panes for panes in zip(*parts, strict=True) if panes[0].means]
     if not rows:
         return None
@@ -101,7 +101,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
         "before (nominal robot)": SIGNS["before"],
         "after (calibrated)": SIGNS["after"],
     }
-    key(figure, {**entries, **({"does not fit": RING} if result.outliers else {})}, 0.7)
+    key(figure, {**entries, **({"outlier": RING} if result.outliers else {})}, 0.7)
     for k, panes in enumerate(rows):
         row = panels(figure, len(panes), HEAD + k * ROW, PANEL, right=0.3, gap=0.4)
         _scale(row, panes)
@@ -118,7 +118,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
 
 
 def _panes(name: str, rows: RowErrors, outliers: Sequence[int]) -> list[_Pane]:
-    """What there is to draw of some rows; the most important ones, if they are many."""
+    """The panels of some measurements; of many, the most important ones are drawn."""
     sizes = [rows.sizes(quantity) for quantity in rows.quantities]
     drawn = thinned(
         len(rows), LIMIT, [size for pair in sizes for size in pair], outliers
@@ -146,7 +146,7 @@ def _scale(row: Sequence[Axes], panes: Sequence[_Pane]) -> None:
 
 
 def _points(axes: Axes, pane: _Pane) -> None:
-    """Errors before and after; what no log axis can show stands at its ends."""
+    """Errors before and after; those no log axis can show stand at its ends."""
     count = len(pane.sizes[0])
     width = float(np.clip(50.0 / np.sqrt(count), 1.8, 4.5))
     for (stage, sign), sizes in zip(SIGNS.items(), pane.sizes, strict=True):
@@ -175,7 +175,7 @@ def _points(axes: Axes, pane: _Pane) -> None:
 def _at_end(
     axes: Axes, at: NDArray[np.intp], style: Mapping[str, Any], height: float
 ) -> None:
-    """Marks of some rows at the upper or the lower end of the axis."""
+    """Marks at the upper or the lower end of the axis."""
     if len(at):
         axes.plot(
             *(at, np.full(len(at), height)),
@@ -190,19 +190,19 @@ def _reading(
 ) -> Iterator[str]:
     pane = rows[0][-1]
     if means := [number(mean) for mean in pane.means]:
-        of = "fitted rows"
-        if pane.rows == "unseen":
-            of = f"rows that the fit has not seen ({result.validation})"
+        of = "fitted measurements"
+        if pane.rows == "validation":
+            of = f"validation measurements ({result.validation})"
         yield (
             f"On {of} the mean {pane.quantity} error goes from {means[0]} to "
             f"{means[1]} {pane.unit}."
         )
     if len(rows[0]) > 1:
-        yield "Fitted and unseen rows should look alike."
+        yield "Fitted and validation measurements should look alike."
     if result.outliers:
-        yield f"{len(result.outliers)} ringed rows do not fit."
+        yield f"Rings mark {len(result.outliers)} outliers."
     if any(np.isinf(size).any() for row in rows for p in row for size in p.sizes):
-        yield "Triangles at the upper edge are rows that cannot be predicted."
+        yield "Triangles at the upper edge are measurements that cannot be predicted."
     for p in rows[0]:
         if note := thinning(len(p.drawn), len(p.sizes[0])):
             yield f"{p.rows.capitalize()}:{note}"

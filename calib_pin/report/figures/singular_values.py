@@ -1,4 +1,4 @@
-"""Singular values: what the way of measuring can reveal, and what these rows tell."""
+"""Singular values, structural and of the measurements."""
 
 from __future__ import annotations
 
@@ -25,7 +25,7 @@ __all__ = ["singular_values"]
 
 
 def singular_values(result: CalibrationResult) -> Drawn | None:
-    """Structural singular values with their gap beside those of the fitted rows."""
+    """Structural singular values with their gap beside those of the measurements."""
     ranks = result.identifiability
     kinds = []
     if any(value > 0.0 for value in ranks.structural_values):
@@ -40,10 +40,10 @@ def singular_values(result: CalibrationResult) -> Drawn | None:
         draw(axes, ranks)
     dropped = len(ranks.structural_values) - ranks.structural_rank
     words = {
-        _structural: f"The structure: {ranks.structural_rank} directions can be seen "
-        f"at all and {max(dropped, 0)} are rounding; a wide gap makes that certain.",
-        _practical: "What these rows tell of the robot: the condition number is "
-        f"{number(ranks.condition)}.",
+        _structural: f"Structure: {ranks.structural_rank} directions are identifiable "
+        f"and {max(dropped, 0)} numerically zero; a wide gap makes that certain.",
+        _practical: "Measurements: the condition number of the robot's identifiable "
+        f"directions is {number(ranks.condition)}.",
     }
     reading = " ".join(words[kind] for kind in kinds)
     return Drawn("singular-values", "Singular values", reading, figure)
@@ -64,7 +64,7 @@ def _structural(axes: Axes, ranks: Identifiability) -> None:
         axes.plot(
             *(rank[kept:], shown[kept:]),
             **marks(MUTED, "x", 4.5, hollow=True),
-            label=f"{len(values) - kept} rounding",
+            label=f"{len(values) - kept} numerically zero",
         )
     log_axis(axes, "y", limits)
     if 0 < kept < len(values):
@@ -76,7 +76,7 @@ def _structural(axes: Axes, ranks: Identifiability) -> None:
 
 
 def _gap(axes: Axes, at: float, low: float, high: float, gap: float) -> None:
-    """A double arrow between what is kept and what is rounding."""
+    """A double arrow between the last value kept and the first that is zero."""
     axes.annotate(
         "",
         xy=(at, high),
@@ -96,6 +96,6 @@ def _practical(axes: Axes, ranks: Identifiability) -> None:
         **marks(AFTER, "o", 5.0),
     )
     log_axis(axes, "y", limits)
-    axes.set_title(f"these rows: condition {number(ranks.condition)}")
+    axes.set_title(f"measurements: condition {number(ranks.condition)}")
     axes.set_xlabel("direction of the robot")
-    axes.set_ylabel("singular value, whitened")
+    axes.set_ylabel("singular value, normalized")

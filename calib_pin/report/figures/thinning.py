@@ -1,4 +1,4 @@
-"""Which of very many rows are drawn: evenly some, and always those that matter."""
+"""Which of very many measurements are drawn: an even choice, and those that matter."""
 
 from __future__ import annotations
 
@@ -18,15 +18,15 @@ LARGEST = 100
 def thinned(
     count: int, limit: int, sizes: Sequence[Floats], always: Sequence[int] = ()
 ) -> NDArray[np.intp]:
-    """Positions of the rows that are drawn, ascending, shape (M,).
+    """Positions of the measurements that are drawn, ascending, shape (M,).
 
     Args:
-        count: Number N of rows.
-        limit: Number of rows that are drawn at most.
-        sizes: Sizes of errors, shape (N,) each, NaN where a row has none; the largest
+        count: Number N of measurements.
+        limit: Number that is drawn at most.
+        sizes: Sizes of errors, shape (N,) each, NaN where there is none; the largest
             are drawn.
-        always: Rows that are drawn as well, the most important ones first; they may
-            take a half of all.
+        always: Positions that are drawn as well, the most important ones first; they
+            may take half of all.
     """
     if count <= limit:
         return np.arange(count)
@@ -43,7 +43,7 @@ def thinned(
 
 
 def thinning(shown: int, count: int) -> str:
-    """What to say where rows are left out; empty where none is."""
+    """A sentence where measurements are left out; empty where none is."""
     if shown == count:
         return ""
-    return f" {shown} of {count} rows are drawn, the largest errors among them."
+    return f" {shown} of {count} measurements are drawn, including the largest errors."

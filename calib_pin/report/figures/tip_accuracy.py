@@ -1,4 +1,4 @@
-"""How well the tip is known, by number of measurements and over the workspace."""
+"""The tool-point uncertainty, by number of measurements and over the workspace."""
 
 from __future__ import annotations
 
@@ -26,7 +26,7 @@ __all__ = ["drift_in_workspace", "tip_by_count", "tip_in_workspace"]
 
 
 def tip_by_count(result: CalibrationResult) -> Drawn | None:
-    """Predicted error of the tip against the number of measurements."""
+    """The predicted tool-point uncertainty against the number of measurements."""
     tip = result.tip
     if tip is None:
         return None
@@ -49,7 +49,7 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
         label="∝ 1/√n",
     )
     style = {**marks(AFTER, "o", 5.0), "linestyle": "-"}
-    axes.plot(counts, errors, **style, label="some of these rows")
+    axes.plot(counts, errors, **style, label="part of the measurements")
     axes.plot(
         *(counts[-1:], errors[-1:]),
         **marks(INK, "o", 10.0, hollow=True),
@@ -58,54 +58,55 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
     log_axis(axes, "x", ends)
     log_axis(axes, "y", limits)
     axes.set_xlabel("number of measurements")
-    axes.set_ylabel(f"tip error [{unit}], rms")
+    axes.set_ylabel(f"tool-point uncertainty [{unit}]")
     axes.legend(loc="upper right")
     return Drawn(
         "tip-error-by-count",
-        "Tip error by number of measurements",
-        f"Error of the tip that noise leaves, predicted over the workspace: "
+        "Accuracy against number of measurements",
+        f"Predicted tool-point uncertainty (1 sigma, rms over the workspace): "
         f"{number(errors[-1])} {unit} with all {counts[-1]:.0f} measurements. Far "
-        "above the dashed line too few rows determine all parameters; along it, four "
-        f"times the rows halve the error. {_left_out(result)}",
+        "above the dashed line the measurements are too few to determine all "
+        "parameters; along it, four times as many halve the uncertainty. "
+        f"{_left_out(result)}",
         figure,
     )
 
 
 def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
-    """Predicted error of the tip at random configurations, from three sides."""
+    """The predicted tool-point uncertainty over the workspace, from three sides."""
     tip = result.tip
     if tip is None or len(tip.points) == 0 or not np.isfinite(tip.position).all():
         return None
-    figure, words = _over_workspace(tip.points, tip.position, "tip error", ", rms")
+    figure, words = _over_workspace(tip.points, tip.position, "uncertainty", ", rms")
     return Drawn(
         "tip-accuracy-in-workspace",
-        "Tip accuracy over the workspace",
-        f"Error of the tip that noise leaves {words}. {_left_out(result)}",
+        "Tool-point accuracy over the workspace",
+        f"Predicted tool-point uncertainty (1 sigma) {words}. {_left_out(result)}",
         figure,
     )
 
 
 def _left_out(result: CalibrationResult) -> str:
-    """What the prediction does not know."""
-    said = "Not in it is what no parameter of the model describes"
+    """What the prediction does not contain, as a sentence."""
+    said = "It excludes unmodeled errors"
     if weak := result.identifiability.weak:
-        said += f", nor the {weak} directions that are left at nominal"
+        said += f" and the {weak} directions held at nominal"
     if result.stated_sigma and result.chi2 > chi2_interval(result.dof)[1]:
         said += (
-            f"; it holds for the stated sigma, and the rows scatter "
+            f"; it holds for the stated sigma, while the measurements scatter "
             f"{number(result.sigma0)} times as much"
         )
     return f"{said}."
 
 
 def drift_in_workspace(drift: TipDrift) -> Drawn:
-    """How far the tips of two calibrations are apart, from three sides."""
+    """The distance of the tool points of two calibrations, from three sides."""
     figure, words = _over_workspace(drift.points, drift.drift, "distance", "")
     return Drawn(
         "tip-drift",
-        "Distance of the tips over the workspace",
-        f"How far the tips of both calibrations are apart {words}. What a frame can "
-        "absorb that one of them estimated is fitted away.",
+        "Distance of the tool points over the workspace",
+        f"Distance of the tool points of both calibrations {words}. Displacements of "
+        "estimated frames are removed by a fit.",
         figure,
     )
 
@@ -116,10 +117,10 @@ def _over_workspace(
     """Points colored by a size, and the sizes in words.
 
     Args:
-        points: Where the tips are, shape (N, 3) [m].
-        sizes: What is shown of each, shape (N,) [m].
-        name: What that is.
-        kind: What kind of mean, after the unit.
+        points: Tool points, shape (N, 3) [m].
+        sizes: A length of each, shape (N,) [m].
+        name: Its name.
+        kind: Its kind of mean, after the unit.
     """
     unit, factor = unit_of("m")
     views = Sides.of(points)

@@ -39,7 +39,7 @@ MARGIN = 0.12
 """Room around the points, in parts of the largest extent."""
 
 LEAST = 0.2
-"""Least extent of what is drawn [m]."""
+"""Least extent of the points [m]."""
 
 COLORS = "viridis"
 
@@ -122,7 +122,7 @@ def colored(
         sides: The views.
         points: Points in the base link, shape (N, 3) [m].
         values: A value of each, shape (N,); infinite ones look like the largest.
-        label: What the values are, with their unit.
+        label: Name of the values, with their unit.
     """
     low, high, clipped = _range(values)
     remark = ", more at the end" if clipped else ""

@@ -78,7 +78,7 @@ def test_very_many_arrows_are_thinned(
         p for p in drawn.figure.axes[3].get_children() if isinstance(p, PathPatch)
     )
     assert len(patch.get_path().vertices) == 5 * ARROWS
-    assert f"{ARROWS} of 3000 rows" in drawn.reading
+    assert f"{ARROWS} of 3000 measurements" in drawn.reading
     assert drawn.reading.count("  ") == 0
 
 

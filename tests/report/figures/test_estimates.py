@@ -30,7 +30,8 @@ def test_what_is_known_comes_from_base_to_tip(calibrated: CalibrationResult) -> 
     names = [p.name for p in calibrated.parameters]
     places = [names.index(estimate.terms[0][0]) for estimate in found]
     assert places == sorted(places)
-    assert found[2].label == "sum 1" and found[0].label == "joint_1.link-transform.mx"
+    assert found[2].label == "combination 1"
+    assert found[0].label == "joint_1.link-transform.mx"
 
 
 def test_frames_are_not_of_the_robot(calibrated: CalibrationResult) -> None:

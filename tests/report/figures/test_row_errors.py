@@ -39,7 +39,7 @@ def test_points_are_the_errors(
             titles.append(axes.get_title("left"))
     after = 1e3 * calibrated.errors[0].after.mean
     assert titles[0].startswith("fitted: ") and f"{after:.4f} mm" in titles[0]
-    assert titles[3].startswith("unseen: ") and titles[3].endswith(" deg")
+    assert titles[3].startswith("validation: ") and titles[3].endswith(" deg")
     assert drawn.figure.axes[0].get_ylabel() == "position error [mm]"
     assert "(5-fold)" in drawn.reading
 
@@ -52,7 +52,7 @@ def test_rows_that_do_not_fit_are_ringed(
     after = 1e3 * np.linalg.norm(calibrated.fitted.after[[3, 7], :3], axis=1)
     assert at.tolist() == [4, 8]
     np.testing.assert_allclose(shown, after)
-    assert "2 ringed rows" in drawn.reading
+    assert "Rings mark 2 outliers" in drawn.reading
     unseen = drawn.figure.axes[1]
     assert all(one.get_label() != "outliers" for one in unseen.lines)
 
@@ -89,4 +89,4 @@ def test_very_many_rows_are_thinned_and_rastered(
     assert count // 3 + 1 in at, "the worst row"
     assert {4, 8} <= set(at)
     assert shown.max() == shown[at == count // 3 + 1]
-    assert (f"{LIMIT} of {count} rows" in drawn.reading) == (count > LIMIT)
+    assert (f"{LIMIT} of {count} measurements" in drawn.reading) == (count > LIMIT)

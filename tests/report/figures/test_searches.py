@@ -38,7 +38,7 @@ def test_tip_errors_are_in_millimeters(
     counts, errors = tip.by_count.curve
     drawn = draw(tip_by_count, calibrated)
     (axes,) = drawn.figure.axes
-    curve = next(x for x in axes.lines if x.get_label() == "some of these rows")
+    curve = next(x for x in axes.lines if x.get_label() == "part of the measurements")
     np.testing.assert_allclose(curve.get_xdata(), counts)
     np.testing.assert_allclose(curve.get_ydata(), 1e3 * errors)
     own = next(x for x in axes.lines if str(x.get_label()).startswith("40 measured"))
@@ -75,7 +75,7 @@ def test_rungs_have_their_score_and_its_deviation(
     (segment,) = axes.containers[0].lines[2][0].get_segments()
     assert segment[:, 0].tolist() == [18.0, 22.0]
     labels = [text.get_text() for text in axes.texts]
-    assert "geometric (kept)" in labels and "0.1000 mm" in labels
+    assert "geometric (selected)" in labels and "0.1000 mm" in labels
     assert labels[-2:] == ["+ compliance", "not tried"]
     assert axes.get_xscale() == "log", "one rung dwarfs the other"
     assert "geometric" in drawn.reading

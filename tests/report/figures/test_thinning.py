@@ -28,7 +28,7 @@ def test_the_worst_rows_are_always_drawn() -> None:
     counts, _ = np.histogram(drawn, 10, (0, 50_000))
     assert counts.min() > 1900 and counts.max() < 2100
     assert (drawn == thinned(50_000, 20_000, sizes, [7, 49_999])).all()
-    assert "20000 of 50000 rows" in thinning(20_000, 50_000)
+    assert "20000 of 50000 measurements" in thinning(20_000, 50_000)
 
 
 def test_rows_that_do_not_fit_take_half_of_all() -> None:

@@ -9,10 +9,11 @@ from __future__ import annotations
 import shlex
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
+from functools import cache
 from importlib.resources import files
 from typing import Any
 
-from jinja2 import Environment, StrictUndefined
+from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
 from calib_pin.planning.suggestions import Suggestion
@@ -33,7 +34,7 @@ from calib_pin.report.trust import expected, findings, noise, percent
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["html_report"]
+__all__ = ["html_report", "summary_html"]
 
 LISTED = 200
 """Outliers and correlated pairs that the page lists; the file has all of them."""
@@ -105,13 +106,8 @@ def html_report(
     Returns:
         UTF-8 text of one HTML file without references to any other.
     """
-    environment = Environment(
-        autoescape=True, trim_blocks=True, lstrip_blocks=True, undefined=StrictUndefined
-    )
-    environment.filters["kind"] = lambda block: type(block).__name__
-    environment.filters["exact"] = repr
-    page = environment.from_string(_file("report.html"))
     name = result.model.chain.robot.name
+    page = _pages().get_template("report.html")
     return page.render(
         title=f"Calibration of {name}",
         subject=subject(result).text,
@@ -124,6 +120,38 @@ def html_report(
         version=document["provenance"]["calib_pin"],
         run=document.get("run", ""),
     ).encode("utf-8", "backslashreplace")
+
+
+def summary_html(result: CalibrationResult) -> str:
+    """Verdict and accuracy of a calibration as part of a page, such as a notebook's.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space7")
+        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
+        >>> rows = calib_pin.read_measurements(
+        ...     calib_pin.robot_file("space7", "measurements.csv"), chain
+        ... )
+        >>> result = calib_pin.calibrate(chain, rows, setup)
+        >>> summary_html(result).splitlines()[1][:24]
+        '<p class="good">GOOD: po'
+    """
+    blocks = [*opening(result), subject(result), *accuracy(result)]
+    return _pages().get_template("summary.html").render(blocks=blocks)
+
+
+@cache
+def _pages() -> Environment:
+    environment = Environment(
+        loader=PackageLoader("calib_pin.report", "page"),
+        autoescape=True,
+        trim_blocks=True,
+        lstrip_blocks=True,
+        undefined=StrictUndefined,
+    )
+    environment.filters["kind"] = lambda block: type(block).__name__
+    environment.filters["exact"] = repr
+    return environment
 
 
 def _file(name: str) -> str:

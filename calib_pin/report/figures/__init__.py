@@ -5,6 +5,8 @@ from __future__ import annotations
 from collections.abc import Callable, Iterable, Iterator, Mapping
 from typing import TypeVar
 
+from matplotlib.figure import Figure
+
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.convergence import convergence
@@ -32,6 +34,7 @@ __all__ = [
     "Drawn",
     "calibration_figures",
     "comparison_figures",
+    "figures_of",
     "plan_figures",
 ]
 
@@ -93,6 +96,11 @@ def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
         ['errors-per-measurement', 'error-vectors']
     """
     yield from _drawn(OF_CALIBRATION, result)
+
+
+def figures_of(result: CalibrationResult) -> dict[str, Figure]:
+    """The same as matplotlib figures, by name, without title and caption."""
+    return {drawn.name: drawn.figure for drawn in calibration_figures(result)}
 
 
 def plan_figures(plan: Plan) -> Iterator[Drawn]:

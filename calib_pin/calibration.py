@@ -235,7 +235,7 @@ def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
     for distance in setup.distances:
         for end in distance.between:
             if end not in names:
-                reason = f"'distances' names '{end}', which no row does"
+                reason = f"'distances' names '{end}', which no measurement does"
                 raise OptionError(
                     f"{reason}{nearest(end, names)}",
                     file=setup.file or None,

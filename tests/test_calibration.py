@@ -91,7 +91,7 @@ def test_validation_rows_and_holdout_exclude_each_other() -> None:
 
 def test_nothing_left_to_fit() -> None:
     chain, rows = measured(20)
-    with pytest.raises(InputError, match="no row is left"):
+    with pytest.raises(InputError, match="no measurement is left"):
         calib_pin.calibrate(chain, replace(rows, validate=np.ones(20, bool)))
 
 
@@ -256,7 +256,7 @@ def test_validation_rows_of_another_model() -> None:
 
 def test_holdout_of_everything() -> None:
     chain, rows = measured(20)
-    with pytest.raises(OptionError, match="leaves no row"):
+    with pytest.raises(OptionError, match="leaves no measurement"):
         calib_pin.calibrate(chain, rows, holdout=0.9999)
 
 
@@ -267,7 +267,7 @@ def test_evaluation_of_too_few_rows() -> None:
     assert few.verdict == "untrusted"
     assert "used up" in few.reason
     assert calib_pin.evaluate(chain, rows).verdict == "good"
-    with pytest.raises(InputError, match="no rows"):
+    with pytest.raises(InputError, match="no measurements"):
         calib_pin.evaluate(chain, rows.rows(np.arange(0)))
 
 

@@ -233,7 +233,7 @@ def test_panda_at_places_it_has_not_seen(
         assert abs(distance.found - 0.05) < 1.1e-3
         assert distance.fitted or abs(distance.nominal - 0.05) > 2.5e-3
     report = calib_pin.format_report(result)
-    assert "back-high/0 - back-high/1  unseen  50.000" in report
+    assert "back-high/0 - back-high/1  validation    50.000" in report
 
 
 def test_panda_without_a_distance_has_no_scale(
@@ -241,7 +241,7 @@ def test_panda_without_a_distance_has_no_scale(
 ) -> None:
     result = calib_pin.calibrate(*panda)
     assert result.verdict == "untrusted"
-    assert "the scale is unobservable" in result.reason
+    assert "the absolute scale is unobservable" in result.reason
     assert not result.identifiability.scale_observable and result.geometry is None
     assert "scale" in calib_pin.format_report(result)
     # Nothing pulls at it, so it stays nominal: the sockets are not drawn together.

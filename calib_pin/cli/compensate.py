@@ -160,9 +160,9 @@ def compensate(
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
     if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
         notice(
-            "base or tool were estimated along with the robot, so where the base link "
-            "and the tip link are is known up to a fixed displacement each; state them "
-            "in the setup file, or give targets of the tool in the measuring frame"
+            "base or tool were estimated along with the robot, so the base link and "
+            "the tip link are each known up to a fixed displacement; state them in "
+            "the setup file, or give targets of the tool in the measurement frame"
         )
     ends = frame or FRAMES[0], point or POINTS[0]
     with progress_bar(quiet=quiet) as bar:

@@ -273,7 +273,7 @@ def check_spread(
     for k, (name, column) in enumerate(zip(POSITION, positions.T, strict=True)):
         if base is None:
             center, spread = float(np.median(column)), float(np.ptp(column))
-            what = "the rows span"
+            what = "the measurements span"
         else:
             center, what = float(base[k]), "it is away from the base"
             spread = float(np.abs(column - center).max())

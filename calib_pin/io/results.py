@@ -321,7 +321,9 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
     for section in SECTIONS:
         for member in getattr(fitted, section):
             if (section, member) not in used:
-                raise ValueError(f"no row refers to '{member}' under '{section}'")
+                raise ValueError(
+                    f"no measurement refers to '{member}' under '{section}'"
+                )
     if model.name != name or (known and list(model.targets) != targets):
         raise ValueError("'measurements.targets' are not those of 'measurements.model'")
     return model

@@ -377,8 +377,8 @@ class CameraModel(ReferenceObjects):
             ends = ends and (invert(ends[1]), invert(ends[0]))
         if ends is None:
             raise InputError(
-                f"{len(data)} rows of the model 'camera' are too few to find where the "
-                "camera is; give 'frames' in a setup file (--setup)"
+                f"{len(data)} measurements of the model 'camera' are too few to locate "
+                "the camera; give 'frames' in a setup file (--setup)"
             )
         return base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
 

@@ -130,26 +130,26 @@ def _changes(
     parts = set(model.split(PLUS))
     if not parts & TRACKED:
         tracker = replace(plain, base_frame=frame_setup(stand, known=False))
-        yield "measure positions of the tool", "position", tracker
+        yield "measure positions of the tool point", "position", tracker
         yield POSES, "pose", tracker
     else:
         if "pose" not in parts:
             if not setup.targets:
                 beside = frame_setup(place * BESIDE, known=tool)
-                words = "put the target beside the last axis"
+                words = "mount the target off the last axis"
                 yield words, model, replace(setup, tool_frame=beside)
             yield POSES, "pose", plain
         if not base:
-            words = "know where the base link stands in the measuring frame"
+            words = "state the pose of the base link in the measurement frame"
             held = frame_setup(stand, known=True)
             yield f"{words} (frames.base)", model, replace(setup, base_frame=held)
         if points:
-            words = "know where the points sit on the tool (targets)"
+            words = "state the positions of the points on the tool (targets)"
             held = frame_setup(place, known=True)
             fixed = _held(setup.targets)
             yield words, model, replace(setup, targets=fixed, tool_frame=held)
         elif not tool:
-            words = "know where the tool sits on the robot (frames.tool)"
+            words = "state the pose of the tool on the robot (frames.tool)"
             held = frame_setup(place, known=True)
             yield words, model, replace(setup, tool_frame=held)
     at_ends = (frame_setup(stand, known=True), frame_setup(place, known=True))

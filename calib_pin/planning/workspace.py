@@ -262,7 +262,7 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
     chain, setup = problem.error.chain, problem.setup
     if chain.inverted:
         raise RobotError(
-            f"the limits of joint '{chain.inverted[0]}' cross, lower is above upper",
+            f"inverted limits of joint '{chain.inverted[0]}': lower is above upper",
             file=chain.robot.file,
         )
     # Controllers complain at the very limit.

@@ -117,7 +117,7 @@ def prepared(
         theta = np.zeros(len(problem.parameters))
         registration = True
     if len(rows) == 0:
-        raise InputError("there are no rows to evaluate")
+        raise InputError("there are no measurements to evaluate")
     reason, known = "", {feature.name for feature in problem.measurement.features}
     if registration:
         if isinstance(robot, CalibratedModel):

@@ -74,7 +74,7 @@ def registered_if_moved(
         "values": float(values),
         "unknowns": float(unknowns),
     }
-    seen = "the instrument stood elsewhere for the validation measurements"
+    seen = "the instrument had another station for the validation measurements"
     rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
     if problem.distinct_values <= unknowns or rows.configurations < FEWEST:
         return None, Finding(

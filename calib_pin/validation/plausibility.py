@@ -221,7 +221,7 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         "scale",
         "error" if abs(s) > OPTIONS.largest_growth else "warning",
         f"all lengths of the robot came out {100 * abs(part):.2g} % {longer} "
-        f"({abs(s) / deviation:.0f} standard deviations), which no robot is",
+        f"({abs(s) / deviation:.0f} standard deviations), which is implausible",
         {"scale": part, "sigma": deviation, "size": size},
         f"check {_yardstick(fitted)}",
     )
@@ -292,7 +292,7 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
             "found": stated.value + apart,
             "normalized_residual": float(w[k]),
         },
-        "measure this distance again, or state the sigma that it has",
+        "measure this distance again, or state its true sigma",
     )
 
 
@@ -371,7 +371,7 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         yield Finding(
             "large-correction",
             "warning",
-            f"{said}, and the measurements insist on it",
+            f"{said}, and the measurements confirm it",
             evidence,
             "check this origin in the URDF, and how the joint is mounted",
         )

@@ -26,20 +26,20 @@ from calib_pin.validation.result import QuantityErrors
 __all__ = ["CHECK", "Grounds", "unexplained", "verdict"]
 
 SCALE = (
-    "the scale is unobservable: with all lengths longer by one factor the robot fits "
-    "these rows as well"
+    "the absolute scale is unobservable: a robot larger by any factor fits these "
+    "measurements as well"
 )
 """Why a robot of unknown size must not be trusted."""
 
 MISSING = (
-    "state a known distance, between two sockets say ('distances' in the setup file), "
-    "or hold a length that is known ('fixed')"
+    "add a known length: a distance between two sockets, say ('distances' in the setup "
+    "file), or a length of the robot that is held ('fixed')"
 )
 """What to do about it where no distance is stated."""
 
 STATED = (
-    "the known distances that are stated are too uncertain, or not between what these "
-    "rows name, some of which may be set aside"
+    "the stated distances are too uncertain, or their ends are not measured, or set "
+    "aside"
 )
 """What to do about it where there are distances."""
 
@@ -47,7 +47,7 @@ CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
     "units"
 )
-"""What to do about rows that nothing explains."""
+"""What to do about measurements that nothing explains."""
 
 
 @dataclass(frozen=True)
@@ -144,7 +144,7 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
     enough = fitted.problem.distinct_values >= fitted.structure.rank
     if enough and free.any() and fitted.directions.robot.shape[1] == 0:
-        return "the errors are so large that the rows tell nothing of the robot"
+        return "the errors are so large that no robot parameter is observable"
     for quantity in errors:
         for accuracy in (quantity.after, quantity.validation_after):
             if accuracy and accuracy.rms > OPTIONS.unexplained * expected_size(
@@ -202,7 +202,7 @@ def _unchecked(grounds: Grounds) -> str:
         and not all(map(_stands, fitted.noise))
     ):
         return (
-            f"{left:.1f} redundant values are too few to tell the noise by; measure "
+            f"{left:.1f} redundant values are too few to estimate the noise; measure "
             "more configurations, or state the standard deviations"
         )
     held = grounds.gains[0].configurations if grounds.gains else 0
@@ -231,7 +231,7 @@ def _disproved(grounds: Grounds) -> str:
         if gain.worse < OPTIONS.loss_chance:
             unit, factor = units.get(gain.quantity, ("standard deviations", 1.0))
             return (
-                "on measurements it has not seen the corrected robot is worse than the "
+                "on held-out measurements the corrected robot is worse than the "
                 f"nominal one: {gain.quantity} errors larger by "
                 f"{-factor * gain.mean:.3g} +- {factor * gain.deviation:.1g} {unit}"
             )
@@ -240,8 +240,8 @@ def _disproved(grounds: Grounds) -> str:
     limit = OPTIONS.misjudged * (1.0 + 2.0 / np.sqrt(2.0 * first.configurations))
     if first.ratio > limit:
         return (
-            f"errors on measurements it has not seen are {first.ratio:.1f} times as "
-            "large as the fit predicts"
+            f"errors on held-out measurements are {first.ratio:.1f} times as large as "
+            "the fit predicts"
         )
     return ""
 
@@ -285,9 +285,9 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     if nothing or not shown:
         return "no-gain", _nothing(grounds)
     return "untrusted", (
-        "it is better where it was measured, but over the workspace it may be off by "
-        f"{calibrated} corrected and {nominal} as it is, better with a probability of "
-        f"{100.0 * workspace.better:.0f} % only; measure configurations that differ "
+        "the corrected robot is better where it was measured, but over the workspace "
+        f"{calibrated} instead of {nominal} are expected, better with a probability of "
+        f"only {100.0 * workspace.better:.0f} %; measure configurations that differ "
         "more"
     )
 

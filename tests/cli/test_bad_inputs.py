@@ -351,7 +351,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "all rows for validation": (
         CALIBRATE,
         {"rows.csv": column("set", lambda *_: "validate")},
-        dict(reason=("no row", "validation")),
+        dict(reason=("no measurement", "validation")),
     ),
     "two models at once": (
         CALIBRATE,
@@ -425,7 +425,10 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
         dict(
             file="bad.yaml",
             value=["a/0", "a/2"],
-            reason=("'distances' names 'a/2', which no row does", "did you mean 'a/"),
+            reason=(
+                "'distances' names 'a/2', which no measurement does",
+                "did you mean 'a/",
+            ),
         ),
     ),
     "camera without intrinsics": (
@@ -599,9 +602,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "too few rows for a ladder": (
         f"{CALIBRATE} --model-ladder",
         {"rows.csv": lines(6)},
-        dict(
-            reason=("the model ladder has no footing", "4 configurations are too few")
-        ),
+        dict(reason=("no model can be selected", "4 configurations are too few")),
     ),
     "name on no rung of a ladder": (
         f"{SETUP} --model-ladder",
@@ -841,7 +842,7 @@ def rows_of_another_robot(_: Path) -> None:
         (
             rows_of_another_robot,
             "untrusted",
-            "not seen|worse than the nominal|position errors larger by| mm",
+            "held-out|worse than the nominal|position errors larger by| mm",
         ),
     ],
 )
@@ -898,6 +899,6 @@ def test_evaluation_of_an_untrusted_calibration_says_so(here, run):
     result = run("evaluate out/calibration.json new.csv")
     assert result.status == 2
     assert result.out.startswith(
-        "UNTRUSTED: out/calibration.json must not be trusted: on measurements"
+        "UNTRUSTED: out/calibration.json must not be trusted: on held-out"
     )
     assert "Nothing was fitted" in result.out

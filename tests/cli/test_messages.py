@@ -31,7 +31,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
     (
         f"{CALIBRATE} --holdout 0.2 --validation new.csv",
         {},
-        "give validation rows or a holdout, not both",
+        "give validation measurements or a holdout, not both",
     ),
     (f"{CALIBRATE} ./rows.csv", {}, "rows.csv: this file is given twice"),
     (

@@ -496,7 +496,11 @@ def test_the_section_and_the_frames_of_a_camera(arm):
         ("position+camera", ("camera",), "'camera' is missing"),
         ("position+camera", ("frames", "camera.base"), "'camera.base' is missing"),
         ("position+camera", ("targets", "m3"), "are not those"),
-        ("position+camera", ("measurements", "targets", 3), "no row refers to 'm2'"),
+        (
+            "position+camera",
+            ("measurements", "targets", 3),
+            "no measurement refers to 'm2'",
+        ),
     ],
 )
 def test_what_is_missing(case, path, message, arm, refused):

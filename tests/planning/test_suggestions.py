@@ -34,7 +34,7 @@ def test_positions_of_an_arm() -> None:
     gains = found("position", Setup())
     assert [*gains.values()] == [18, 18, 22, 17, 26]
     away, poses, base, tool, last = gains
-    assert "beside the last axis" in away and "poses" in poses
+    assert "off the last axis" in away and "poses" in poses
     assert "frames.base" in base and "frames.tool" in tool
     assert last == "measure full poses with base and tool known"
 

@@ -93,7 +93,7 @@ def test_limits_of_the_urdf_that_cross(
     urdf_of: Callable[..., str],
     chain_of: Callable[..., Chain],
 ) -> None:
-    with pytest.raises(RobotError, match="limits of joint 'j1' cross"):
+    with pytest.raises(RobotError, match="inverted limits of joint 'j1'"):
         workspace_of(limited(urdf_of, chain_of, (0.5, -0.5)))
 
 

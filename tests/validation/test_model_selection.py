@@ -335,7 +335,7 @@ def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
     assert not offset.reason and kept(selected) is offset
     assert not compliance.reason
     for rung in (geometric, transmission, both):
-        assert rung.reason == "7 configurations are too few to leave a part out"
+        assert rung.reason == "7 configurations are too few to hold out a fold"
         assert np.isnan(rung.score) and rung.rank == 0 and not rung.errors
         assert not rung.helps
 
@@ -344,7 +344,7 @@ def test_too_few_rows_for_any_rung(chain: Chain, refused: Callable[..., Any]) ->
     rows = simulated(chain, ["joint-offset"], count=4)
     # However often they were read.
     for often in (1, 20):
-        with refused(OptionError, ["no footing", "4 configurations are too few"]):
+        with refused(OptionError, ["no model can", "4 configurations are too few"]):
             select_model(chain, rows.rows(np.repeat(np.arange(4), often)), Setup(), 0)
 
 

@@ -35,6 +35,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
     number,
+    option,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (
@@ -74,63 +75,64 @@ def calibrate(
     parameters: Parameters = None,
     solver: Annotated[
         str | None,
-        typer.Option(
+        option(
+            FIT,
             "--solver",
-            metavar="NAME",
-            help="gauss-newton (default), two-step (alternating: frames and "
+            "NAME",
+            "gauss-newton (default), two-step (alternating: frames and "
             "instrument, then the robot), de (differential evolution), or hybrid: de, "
             "then gauss-newton, for errors of centimeters and degrees.",
-            rich_help_panel=FIT,
         ),
     ] = None,
     loss: Annotated[
         str | None,
-        typer.Option(
+        option(
+            FIT,
             "--loss",
-            metavar="NAME",
-            help="auto (default) sets outliers aside where there are any; gnc always "
+            "NAME",
+            "auto (default) sets outliers aside where there are any; gnc always "
             "searches for them; huber gives them less weight; squared weights all "
             "measurements equally.",
-            rich_help_panel=FIT,
         ),
     ] = None,
     learned: Annotated[
         str | None,
-        typer.Option(
+        option(
+            FIT,
             "--learned",
-            metavar="NAME",
-            help="Learn the errors that no parameter describes: network or "
+            "NAME",
+            "Learn the errors that no parameter describes: network or "
             "gaussian-process; with --model-ladder the only one that is tried.",
-            rich_help_panel=FIT,
         ),
     ] = None,
     model_ladder: Annotated[
         bool,
-        typer.Option(
+        option(
+            FIT,
             "--model-ladder",
-            help="Select the model: try joint offsets, geometry, transmission, "
+            None,
+            "Select the model: try joint offsets, geometry, transmission, "
             "compliance and learned corrections on held-out measurements, and take "
             "the simplest of the best.",
-            rich_help_panel=FIT,
         ),
     ] = False,
     validation: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            FIT,
             "--validation",
-            metavar="FILE",
-            help="Check the fit on the measurements of this file.",
-            rich_help_panel=FIT,
+            "FILE",
+            "Check the fit on the measurements of this file.",
         ),
     ] = None,
     holdout: Annotated[
         float | None,
-        typer.Option(
+        option(
+            FIT,
             "--holdout",
-            metavar="PART",
-            help="Hold out this part of the measurements, such as 0.2, for the check.",
-            parser=number(float, "--holdout", "a number between 0 and 1"),
-            rich_help_panel=FIT,
+            "PART",
+            "Hold out this part of the measurements, such as 0.2, for the check.",
+            number(float, "--holdout", "a number between 0 and 1"),
         ),
     ] = None,
     figures: Figures = None,

@@ -6,10 +6,8 @@ from collections.abc import Collection, Iterator, Sequence
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
-import typer
-
 from calib_pin.cli.files import exists
-from calib_pin.cli.options import OUTPUT
+from calib_pin.cli.options import OUTPUT, option
 from calib_pin.cli.printing import Bar, notice
 
 if TYPE_CHECKING:
@@ -41,23 +39,11 @@ def _format(word: str) -> str:
 
 
 Figures = Annotated[
-    Path | None,
-    typer.Option(
-        "--figures",
-        metavar="DIR",
-        help="Folder for the figures.",
-        rich_help_panel=OUTPUT,
-    ),
+    Path | None, option(OUTPUT, "--figures", "DIR", "Folder for the figures.")
 ]
 FigureFormat = Annotated[
     str,
-    typer.Option(
-        "--figure-format",
-        metavar="FORMAT",
-        help="png (default), pdf or svg.",
-        parser=_format,
-        rich_help_panel=OUTPUT,
-    ),
+    option(OUTPUT, "--figure-format", "FORMAT", "png (default), pdf or svg.", _format),
 ]
 
 

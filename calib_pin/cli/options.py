@@ -26,6 +26,7 @@ __all__ = [
     "Tip",
     "csv_file",
     "number",
+    "option",
     "seed",
 ]
 
@@ -62,6 +63,19 @@ def number(
     return parse
 
 
+def option(
+    heading: str,
+    name: str,
+    metavar: str | None,
+    meaning: str,
+    parser: Callable[[str], Any] | None = None,
+) -> Any:
+    """An option under a heading of `--help`; without a metavar, a switch."""
+    return typer.Option(
+        name, metavar=metavar, help=meaning, parser=parser, rich_help_panel=heading
+    )
+
+
 RobotName = Annotated[
     str,
     typer.Argument(
@@ -79,61 +93,39 @@ RobotOrCalibration = Annotated[
 ]
 SetupFile = Annotated[
     Path | None,
-    typer.Option(
-        "--setup",
-        metavar="FILE",
-        help="Setup file (YAML); options override it.",
-        rich_help_panel=ROBOT,
-    ),
+    option(ROBOT, "--setup", "FILE", "Setup file (YAML); options override it."),
 ]
 Model = Annotated[
     str | None,
-    typer.Option(
+    option(
+        ROBOT,
         "--model",
-        metavar="NAME",
-        help="position, pose, plane-distance, point-distance, relative-distance, "
+        "NAME",
+        "position, pose, plane-distance, point-distance, relative-distance, "
         "fixed-point, plane-contact, sphere-contact, camera, or several joined by +; "
         "by default inferred from the columns.",
-        rich_help_panel=ROBOT,
     ),
 ]
 Base = Annotated[
     str | None,
-    typer.Option(
-        "--base",
-        metavar="LINK",
-        help="First link of the chain; by default the root.",
-        rich_help_panel=ROBOT,
-    ),
+    option(ROBOT, "--base", "LINK", "First link of the chain; by default the root."),
 ]
 Tip = Annotated[
     str | None,
-    typer.Option(
-        "--tip",
-        metavar="LINK",
-        help="Last link of the chain; by default the only leaf.",
-        rich_help_panel=ROBOT,
-    ),
+    option(ROBOT, "--tip", "LINK", "Last link of the chain; by default the only leaf."),
 ]
 Parameters = Annotated[
     str | None,
-    typer.Option(
-        "--parameters",
-        metavar="P,...",
-        help="{parameterizations}; several may be combined.",
-        rich_help_panel=ROBOT,
+    option(
+        ROBOT, "--parameters", "P,...", "{parameterizations}; several may be combined."
     ),
 ]
 
 
 def seed(heading: str, what: str = "Random seed.") -> Any:
     """The option `--seed` under a heading of `--help`."""
-    return typer.Option(
-        "--seed",
-        metavar="N",
-        help=what,
-        parser=number(int, "--seed", "0, 1, 2, ...", 0),
-        rich_help_panel=heading,
+    return option(
+        heading, "--seed", "N", what, number(int, "--seed", "0, 1, 2, ...", 0)
     )
 
 
@@ -145,14 +137,6 @@ def csv_file(what: str) -> Any:
 
 
 Seed = Annotated[int, seed(FIT)]
-Force = Annotated[
-    bool,
-    typer.Option("--force", help="Replace existing output.", rich_help_panel=OUTPUT),
-]
-Quiet = Annotated[
-    bool,
-    typer.Option("--quiet", help="Print nothing but errors.", rich_help_panel=OUTPUT),
-]
-Json = Annotated[
-    bool, typer.Option("--json", help="Print JSON.", rich_help_panel=OUTPUT)
-]
+Force = Annotated[bool, option(OUTPUT, "--force", None, "Replace existing output.")]
+Quiet = Annotated[bool, option(OUTPUT, "--quiet", None, "Print nothing but errors.")]
+Json = Annotated[bool, option(OUTPUT, "--json", None, "Print JSON.")]

@@ -39,6 +39,7 @@ from calib_pin.cli.options import (
     Tip,
     csv_file,
     number,
+    option,
 )
 from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice, progress_bar, say, say_written, show
@@ -63,130 +64,114 @@ def plan(
     output: Annotated[Path, csv_file("File of configurations to write.")],
     model: Model = None,
     count: Annotated[
-        int | None,
-        typer.Option(
-            "--count",
-            metavar="N",
-            help="Number of configurations.",
-            parser=COUNT,
-            rich_help_panel=PLAN,
-        ),
+        int | None, option(PLAN, "--count", "N", "Number of configurations.", COUNT)
     ] = None,
     add: Annotated[
         str | None,
-        typer.Option(
+        option(
+            PLAN,
             "--add",
-            metavar="[N]",
-            help="Number of configurations to add to the measurements of --to.",
-            rich_help_panel=PLAN,
+            "[N]",
+            "Number of configurations to add to the measurements of --to.",
         ),
     ] = None,
     to: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--to",
-            metavar="CSV",
-            help="Measurements that exist already; may be repeated.",
-            rich_help_panel=PLAN,
+        option(
+            PLAN, "--to", "CSV", "Measurements that exist already; may be repeated."
         ),
     ] = None,
     criterion: Annotated[
         str,
-        typer.Option(
+        option(
+            PLAN,
             "--criterion",
-            metavar="NAME",
-            help="prediction (default; the predicted tool-point uncertainty), "
+            "NAME",
+            "prediction (default; the predicted tool-point uncertainty), "
             "condition, or O1 to O5.",
-            rich_help_panel=PLAN,
         ),
     ] = "prediction",
     method: Annotated[
         str,
-        typer.Option(
+        option(
+            PLAN,
             "--method",
-            metavar="NAME",
-            help="auto (default; exchange, then gradient), exchange, greedy, pso, ga "
+            "NAME",
+            "auto (default; exchange, then gradient), exchange, greedy, pso, ga "
             "or gradient.",
-            rich_help_panel=PLAN,
         ),
     ] = "auto",
     candidates: Annotated[
         int,
-        typer.Option(
+        option(
+            PLAN,
             "--candidates",
-            metavar="N",
-            help="Quasi-random configurations to choose from.",
-            parser=number(int, "--candidates", "1 to 100000", 1, 1e5),
-            rich_help_panel=PLAN,
+            "N",
+            "Quasi-random configurations to choose from.",
+            number(int, "--candidates", "1 to 100000", 1, 1e5),
         ),
     ] = 1000,
     tests: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            PLAN,
             "--tests",
-            metavar="CSV",
-            help="Configurations where the robot is to be accurate; by default "
-            "everywhere.",
-            rich_help_panel=PLAN,
+            "CSV",
+            "Configurations where the robot is to be accurate; by default everywhere.",
         ),
     ] = None,
     seed: Annotated[int, seed_option(PLAN)] = 0,
     limits: Annotated[
         list[str] | None,
-        typer.Option(
+        option(
+            WORKSPACE,
             "--limits",
-            metavar="JOINT=A:B",
-            help="Narrower joint limits, such as 'joint_*=-2:2' or "
+            "JOINT=A:B",
+            "Narrower joint limits, such as 'joint_*=-2:2' or "
             "'elbow=-120:120 [deg]'; may be repeated.",
-            rich_help_panel=WORKSPACE,
         ),
     ] = None,
     distance: Annotated[
         float,
-        typer.Option(
+        option(
+            WORKSPACE,
             "--distance",
-            metavar="D",
-            help="Least distance between configurations, as the largest movement of "
+            "D",
+            "Least distance between configurations, as the largest movement of "
             "a joint [rad, m].",
-            parser=number(float, "--distance", "0 to 10", 0.0, 10.0),
-            rich_help_panel=WORKSPACE,
+            number(float, "--distance", "0 to 10", 0.0, 10.0),
         ),
     ] = 0.0,
     srdf: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            WORKSPACE,
             "--srdf",
-            metavar="FILE",
-            help="SRDF file of the pairs of links that need no collision check.",
-            rich_help_panel=WORKSPACE,
+            "FILE",
+            "SRDF file of the pairs of links that need no collision check.",
         ),
     ] = None,
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(
+        option(
+            WORKSPACE,
             "--package-dir",
-            metavar="DIR",
-            help="Folder of the packages of collision meshes; may be repeated.",
-            rich_help_panel=WORKSPACE,
+            "DIR",
+            "Folder of the packages of collision meshes; may be repeated.",
         ),
     ] = None,
     clearance: Annotated[
         float | None,
-        typer.Option(
+        option(
+            WORKSPACE,
             "--clearance",
-            metavar="S",
-            help="Least distance from obstacles and between links [m]; default 0.01.",
-            parser=number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
-            rich_help_panel=WORKSPACE,
+            "S",
+            "Least distance from obstacles and between links [m]; default 0.01.",
+            number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
         ),
     ] = None,
     ignore_collisions: Annotated[
-        bool,
-        typer.Option(
-            "--ignore-collisions",
-            help="Check no collisions.",
-            rich_help_panel=WORKSPACE,
-        ),
+        bool, option(WORKSPACE, "--ignore-collisions", None, "Check no collisions.")
     ] = False,
     setup: SetupFile = None,
     base: Base = None,

@@ -23,6 +23,7 @@ from calib_pin.cli.options import (
     Tip,
     csv_file,
     number,
+    option,
 )
 from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice, progress_bar, say_written, stage
@@ -39,39 +40,34 @@ def simulate(
     output: Annotated[Path, csv_file("Measurement file to write.")],
     model: Annotated[
         str | None,
-        typer.Option(
+        option(
+            STUDY,
             "--model",
-            metavar="NAME",
-            help="Measurement model, such as position or fixed-point.",
-            rich_help_panel=STUDY,
+            "NAME",
+            "Measurement model, such as position or fixed-point.",
         ),
     ] = None,
     count: Annotated[
         int | None,
-        typer.Option(
+        option(
+            STUDY,
             "--count",
-            metavar="N",
-            help="Number of random configurations, or",
-            parser=number(int, "--count", "1 to 1000000", 1, 1e6),
-            rich_help_panel=STUDY,
+            "N",
+            "Number of random configurations, or",
+            number(int, "--count", "1 to 1000000", 1, 1e6),
         ),
     ] = None,
     configurations: Annotated[
         Path | None,
-        typer.Option(
-            "--configurations",
-            metavar="CSV",
-            help="the configurations of this file.",
-            rich_help_panel=STUDY,
-        ),
+        option(STUDY, "--configurations", "CSV", "the configurations of this file."),
     ] = None,
     errors: Annotated[
         Path | None,
-        typer.Option(
+        option(
+            STUDY,
             "--errors",
-            metavar="YAML",
-            help="True errors by parameter name [m, rad]; by default drawn.",
-            rich_help_panel=STUDY,
+            "YAML",
+            "True errors by parameter name [m, rad]; by default drawn.",
         ),
     ] = None,
     seed: Annotated[
@@ -79,41 +75,37 @@ def simulate(
     ] = 0,
     noise: Annotated[
         float | None,
-        typer.Option(
+        option(
+            STUDY,
             "--noise",
-            metavar="S",
-            help="Standard deviation of every component [m, rad]; by default that of "
+            "S",
+            "Standard deviation of every component [m, rad]; by default that of "
             "the setup file, or 0.1 mm and 0.1 mrad.",
-            parser=number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
-            rich_help_panel=STUDY,
+            number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
         ),
     ] = None,
     repeats: Annotated[
         int,
-        typer.Option(
+        option(
+            STUDY,
             "--repeats",
-            metavar="K",
-            help="Readings per configuration.",
-            parser=number(int, "--repeats", "1 to 1000000", 1, 1e6),
-            rich_help_panel=STUDY,
+            "K",
+            "Readings per configuration.",
+            number(int, "--repeats", "1 to 1000000", 1, 1e6),
         ),
     ] = 1,
     average: Annotated[
         bool,
-        typer.Option(
+        option(
+            STUDY,
             "--average",
-            help="Average the readings of a configuration into one measurement.",
-            rich_help_panel=STUDY,
+            None,
+            "Average the readings of a configuration into one measurement.",
         ),
     ] = False,
     truth: Annotated[
         Path | None,
-        typer.Option(
-            "--truth",
-            metavar="URDF",
-            help="Write the robot with its true errors.",
-            rich_help_panel=OUTPUT,
-        ),
+        option(OUTPUT, "--truth", "URDF", "Write the robot with its true errors."),
     ] = None,
     setup: SetupFile = None,
     base: Base = None,

@@ -8,23 +8,24 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
+from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations import beyond_geometry
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
     accuracy_table,
+    amount,
     distance_table,
     ladder_table,
-    number,
     sizes,
 )
 from calib_pin.report.trust import advised, set_aside
-from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
 __all__ = [
     "accuracy",
     "beyond",
+    "chain_words",
     "evaluated",
     "judged",
     "moves",
@@ -78,8 +79,7 @@ def judged(reason: str, status: str = "untrusted") -> Line:
 
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    model = result.model
-    chain, count = model.chain, result.training
+    model, count = result.model, result.training
     measured = f"{count} measurement{'s' if count != 1 else ''}"
     search = ""
     if result.history:
@@ -87,9 +87,17 @@ def subject(result: CalibrationResult) -> Line:
             f"; {result.solver}, {result.evaluations} evaluations ({result.evaluator})"
         )
     return Line(
-        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}; {model.measurement.name}, {measured} fitted{search}",
+        f"{chain_words(model.chain)}; {model.measurement.name}, {measured} fitted"
+        f"{search}",
         "note",
+    )
+
+
+def chain_words(chain: Chain) -> str:
+    """The robot and the ends of a chain, for the line below a verdict."""
+    return (
+        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
+        f"{chain.tip}"
     )
 
 
@@ -158,8 +166,7 @@ def moves(result: CalibrationResult) -> Iterator[Block]:
     parts = []
     for of_joints, unit in ((shifts, "m"), (turns, "rad")):
         joint = max(of_joints, key=of_joints.__getitem__)
-        shown, factor = DISPLAY[unit]
-        parts.append(f"{number(factor * of_joints[joint])} {shown} ({joint})")
+        parts.append(f"{amount(of_joints[joint], unit)} ({joint})")
     yield Line(f"Largest correction of a joint origin: {', '.join(parts)}.", "note")
 
 
@@ -185,8 +192,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     means = []
     for error in result.urdf.errors:
         found = error.validation_after or error.after
-        shown, factor = DISPLAY[error.unit]
-        means.append(f"{error.name} {number(factor * found.mean)} {shown}")
+        means.append(f"{error.name} {amount(found.mean, error.unit)}")
     which = "fitted" if result.validation == "none" else "validation"
     yield Line(
         f"{said}It holds the best geometry without: mean error on {which} "

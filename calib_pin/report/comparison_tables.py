@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
-from calib_pin.report.tables import SIZES, listed, number, quantity, uncertain
+from calib_pin.report.tables import SIZES, amount, known, listed, sizes, uncertain
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibration_record import CalibrationRecord
 from calib_pin.validation.comparison import BOUND, Comparison
@@ -31,8 +31,8 @@ def tip_differences(found: Comparison) -> Iterator[Block]:
     ]
     rows = []
     for name, unit, accuracy, noise in stages[: 2 if found.oriented else 1]:
-        *cells, shown = _sizes(accuracy, unit)
-        rows.append((Cell(name), *cells, _known(noise, unit), shown))
+        *cells, shown = sizes(accuracy, unit, known)
+        rows.append((Cell(name), *cells, known(noise, unit), shown))
     yield Table(
         "Tool-point difference over the workspace",
         columns("", (*SIZES[:-1], "noise rms", SIZES[-1])),
@@ -65,8 +65,8 @@ def _how(found: Comparison) -> Iterator[str]:
         )
     if found.explained is None:
         return
-    known = "" if len(absorbed) == 2 else ", base and tool included"
-    yield f"The noise is that of both calibrations{known}."
+    ends = "" if len(absorbed) == 2 else ", base and tool included"
+    yield f"The noise is that of both calibrations{ends}."
     statuses = {
         p.status
         for record in (found.first, found.second)
@@ -88,7 +88,7 @@ def _farthest(found: Comparison) -> Facts:
     if np.all(chain.revolute):
         angles = [*(angle.removesuffix(" deg") for angle in angles[:-1]), angles[-1]]
     return Facts(
-        f"Largest difference: {number(1e3 * drift.drift[position])} mm",
+        f"Largest difference: {amount(drift.drift[position], 'm')}",
         [
             ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
@@ -101,10 +101,9 @@ def _frames(found: Comparison) -> Iterator[Facts]:
     relative = {"base": "the instrument", "tool": "the tip link"}
     entries = []
     for moved in found.displacements:
-        words = f"{number(1e3 * moved.shift)} mm"
+        words = amount(moved.shift, "m")
         if moved.turn is not None:
-            unit, factor = DISPLAY["rad"]
-            words += f" and {number(factor * moved.turn)} {unit}"
+            words += f" and {amount(moved.turn, 'rad')}"
         words += f", relative to {relative[moved.frame]}"
         entries.append((moved.frame, words))
     if entries:
@@ -145,12 +144,12 @@ def _moved(found: Comparison) -> Table:
 def _counted(found: Comparison) -> Iterator[str]:
     """Sentences on how many agree, and what is not compared."""
     if found.differences:
-        known, agree = (
+        both, agree = (
             _numbers([d for d in found.differences if d.significance <= bound])
             for bound in (math.inf, BOUND)
         )
         yield (
-            f"Both identify {known} of the robot; {agree} agree within {BOUND:.0f} "
+            f"Both identify {both} of the robot; {agree} agree within {BOUND:.0f} "
             "standard deviations of the difference. By chance, one in 370 does not."
         )
     else:
@@ -187,7 +186,8 @@ def accuracies(found: Comparison) -> Iterator[Block]:
                 accuracy = _of(record, name, unit, which)
                 if accuracy is not None:
                     words = (Cell(shown), Cell(part), Cell(label))
-                    rows.append((*words, *_sizes(accuracy, unit)))
+                    # Older files lack some of the sizes.
+                    rows.append((*words, *sizes(accuracy, unit, known)))
                     shown = part = ""
     titles = ("measurements", "of", *SIZES)
     yield Table("Accuracy", columns("", titles, {"of": "word"}), rows)
@@ -203,13 +203,3 @@ def _of(record: CalibrationRecord, name: str, unit: str, which: str) -> Accuracy
         if (error.name, error.unit) == (name, unit):
             return error.after if which == "fitted" else error.validation_after
     return None
-
-
-def _sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
-    """The cells of `SIZES`; older files lack some."""
-    found = (accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
-    return (*(_known(value, unit) for value in found), Cell(DISPLAY[unit][0]))
-
-
-def _known(value: float, unit: str) -> Cell:
-    return Cell("-") if math.isnan(value) else quantity(value, unit)

@@ -4,14 +4,14 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
-from calib_pin.report.accuracy import judged
+from calib_pin.report.accuracy import chain_words, judged
 from calib_pin.report.blocks import Block, Facts, Line
 from calib_pin.report.comparison_tables import (
     accuracies,
     parameter_changes,
     tip_differences,
 )
-from calib_pin.report.tables import number
+from calib_pin.report.tables import amount, number
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibration_record import CalibrationRecord
 from calib_pin.validation.comparison import Comparison
@@ -28,10 +28,8 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
             yield judged(said, record.verdict)
     yield _verdict(found)
     yield from _doubts(found)
-    chain = found.first.model.chain
     yield Facts(
-        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}",
+        chain_words(found.first.model.chain),
         [(label, _origin(record)) for label, record in pair],
     )
     yield from tip_differences(found)
@@ -91,10 +89,7 @@ def _first(found: Comparison) -> str:
 def _size(found: Comparison, position: float, orientation: float) -> str:
     """A drift in words; an orientation only where it is known."""
     pairs = [(position, "m"), (orientation, "rad")][: 2 if found.oriented else 1]
-    return " and ".join(
-        f"{number(DISPLAY[unit][1] * value)} {DISPLAY[unit][0]}"
-        for value, unit in pairs
-    )
+    return " and ".join(amount(*pair) for pair in pairs)
 
 
 def _doubts(found: Comparison) -> Iterator[Line]:

@@ -11,7 +11,7 @@ from calib_pin.control.compensation import Compensation
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
-from calib_pin.report.tables import number, quantity
+from calib_pin.report.tables import amount, quantity
 from calib_pin.units import DISPLAY
 
 __all__ = ["accuracy_lines", "compensation_report", "line_list"]
@@ -76,11 +76,10 @@ def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
         errors: Unit, mean, max and method by quantity.
     """
     for name, error in errors.items():
-        unit, factor = DISPLAY[error["unit"]]
-        mean, largest = (number(factor * error[key]) for key in ("mean", "max"))
+        mean, largest = (amount(error[key], error["unit"]) for key in ("mean", "max"))
         yield Line(
             f"Error of the model itself on validation measurements ({error['method']}, "
-            f"{name}): mean {mean} {unit}, max {largest} {unit}.",
+            f"{name}): mean {mean}, max {largest}.",
             "note",
         )
 
@@ -137,10 +136,9 @@ def _unreached(found: Compensation, file: str, lines: Sequence[int]) -> Iterator
     (missed,) = np.nonzero(~found.reached)
     entries = []
     for row in missed:
-        remains = f"{number(1e3 * found.position[row])} mm"
+        remains = amount(found.position[row], "m")
         if found.oriented:
-            unit, factor = DISPLAY["rad"]
-            remains += f" and {number(factor * found.orientation[row])} {unit}"
+            remains += f" and {amount(found.orientation[row], 'rad')}"
         entries.append(f"{file}:{lines[int(row)]}: {remains} remain")
     if entries:
         yield Names("Out of reach, or behind the joint limits:", entries)

@@ -5,9 +5,11 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step
+from calib_pin.report.accuracy import chain_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
     STATUS,
+    amount,
     group_table,
     listed,
     number,
@@ -39,12 +41,10 @@ def plan_report(plan: Plan) -> Iterator[Block]:
 
 
 def _subject(plan: Plan) -> Iterator[Line]:
-    chain = plan.problem.error.chain
     more = f" in addition to {plan.measured} measurements" if plan.measured else ""
     yield Line(
-        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}; {plan.problem.measurement.name}, {len(plan.q)} configurations"
-        f"{more}",
+        f"{chain_words(plan.problem.error.chain)}; {plan.problem.measurement.name}, "
+        f"{len(plan.q)} configurations{more}",
         "strong",
     )
     ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
@@ -114,12 +114,11 @@ def _chosen_steps(plan: Plan) -> list[Step]:
 
 def _tip(plan: Plan) -> Facts:
     predicted, directions = plan.predicted, plan.predicted.directions
-    unit, factor = DISPLAY["rad"]
     quantities = [q.name for q in plan.problem.measurement.quantities]
-    tip = f"{number(1e3 * predicted.position)} mm"
+    tip = amount(predicted.position, "m")
     # Without measured orientations the tool's orientation is not known anyway.
     if "orientation" in quantities:
-        tip += f", {number(factor * predicted.orientation)} {unit}"
+        tip += f", {amount(predicted.orientation, 'rad')}"
     remark = ""
     if weak := directions.weak.shape[1]:
         remark = f"   ({weak} weakly observable directions held at nominal: their "

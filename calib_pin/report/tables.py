@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 
 from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
 from calib_pin.units import DISPLAY
@@ -23,8 +23,10 @@ __all__ = [
     "SIZES",
     "STATUS",
     "accuracy_table",
+    "amount",
     "distance_table",
     "group_table",
+    "known",
     "ladder_table",
     "listed",
     "number",
@@ -94,10 +96,22 @@ def quantity(value: float, unit: str) -> Cell:
     return Cell(number(DISPLAY[unit][1] * value), value)
 
 
-def sizes(accuracy: Accuracy, unit: str) -> tuple[Cell, ...]:
-    """The cells of `SIZES`."""
+def amount(value: float, unit: str) -> str:
+    """A number and the unit in which people read it, such as `0.1200 mm`."""
+    return f"{quantity(value, unit).text} {DISPLAY[unit][0]}"
+
+
+def sizes(
+    accuracy: Accuracy, unit: str, cell: Callable[[float, str], Cell] = quantity
+) -> tuple[Cell, ...]:
+    """The cells of `SIZES`, each by `cell`."""
     found = (accuracy.mean, accuracy.rms, accuracy.p95, accuracy.max)
-    return (*(quantity(value, unit) for value in found), Cell(DISPLAY[unit][0]))
+    return (*(cell(value, unit) for value in found), Cell(DISPLAY[unit][0]))
+
+
+def known(value: float, unit: str) -> Cell:
+    """A number in the unit in which people read it, a dash for NaN."""
+    return Cell("-") if math.isnan(value) else quantity(value, unit)
 
 
 def accuracy_table(errors: Sequence[QuantityErrors]) -> Table:
@@ -249,10 +263,7 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
         titles += [f"{of.name}, nominal [{unit}]", f"calibrated [{unit}]"]
         for row, own in zip(kept, cells, strict=True):
             sizes = [float(stage[row.row]) for stage in errors.sizes(of)]
-            own += [
-                Cell("-") if math.isnan(size) else quantity(size, of.unit)
-                for size in sizes
-            ]
+            own += [known(size, of.unit) for size in sizes]
     return Table("Outliers", columns("measurement", titles, {"cause": "remark"}), cells)
 
 

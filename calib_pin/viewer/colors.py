@@ -1,4 +1,4 @@
-"""Colors of what is drawn; they can be told apart without color vision."""
+"""Colors of the scene; they can be told apart without color vision."""
 
 from __future__ import annotations
 

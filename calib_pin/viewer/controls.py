@@ -29,7 +29,7 @@ class Controls:
     """
 
     def __init__(self, gui: viser.GuiApi) -> None:
-        """None yet."""
+        """Start without controls."""
         self.gui = gui
         self.lock = threading.RLock()
 

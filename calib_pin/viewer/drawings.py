@@ -1,4 +1,4 @@
-"""What stands in the scene: a robot, measurements with their errors, a path."""
+"""The contents of the scene: a robot, measurements with their errors, a path."""
 
 from __future__ import annotations
 
@@ -120,7 +120,7 @@ class RowsDrawing:
         }
 
     def magnify(self, factor: float) -> None:
-        """Draw error vectors so many times as long as they are."""
+        """Draw the error vectors magnified by a factor."""
         for name, handle in self.vectors.items():
             handle.points = lines(self._rows.stages[name], factor)
 

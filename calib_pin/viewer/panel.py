@@ -20,7 +20,7 @@ from calib_pin.viewer.stage import Stage
 __all__ = ["MAGNIFICATIONS", "add_panel", "first_magnification"]
 
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
-"""How many times as long as they are error vectors can be drawn."""
+"""Magnifications of the error vectors."""
 
 VISIBLE = 0.2
 """Length that the largest vector gets at first [m]."""
@@ -66,7 +66,7 @@ def _add_rows(
 ) -> None:
     count = len(rows.data)
     with controls.gui.add_folder("Measurements"):
-        slider = controls.gui.add_slider("row", 1, max(count, 2), 1, 1)
+        slider = controls.gui.add_slider("measurement", 1, max(count, 2), 1, 1)
         about = controls.gui.add_html("")
         if drawing.vectors:
             controls.switch("measured points", drawing.measured)
@@ -99,7 +99,7 @@ def _add_vectors(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
         drawing.magnify(factor)
         swatches = "".join(swatch(STAGES[name], name) for name in drawing.vectors)
         legend.content = text(
-            f"{swatches}<br>{factor} times as long as they are, from the measured point"
+            f"{swatches}<br>magnified {factor} times, from the measured point"
         )
 
     controls.on(slider, magnify)
@@ -110,7 +110,7 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
     stages = tuple(rows.stages)
     quantities = tuple(rows.stages[stages[-1]].quantities)
     with controls.gui.add_folder("Residual map"):
-        # Where there are no vectors it is all that there is.
+        # Without vectors it is the only view of the errors.
         on = not drawing.vectors
         # Measured points would look like holes in those of the map.
         controls.switch("tool points by size", drawing.map, on, instead=drawing.behind)
@@ -130,7 +130,7 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 
 
 def _about(rows: Rows, row: int) -> str:
-    """Where a row stands, what it looks at, and its errors."""
+    """The source of a measurement, its target, and its errors."""
     lines = [html.escape(Path(rows.data.place(row)).name)]
     if rows.data.target[row]:
         lines.append(f"target {html.escape(rows.data.target[row])}")

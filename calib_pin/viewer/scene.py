@@ -1,4 +1,4 @@
-"""What is drawn of a robot, its measurements and a plan, as plain data.
+"""The scene of a robot, its measurements and a plan, as plain data.
 
 All of it stands in the base link of the chain. A calibrated robot is drawn with the
 joint origins of its corrected URDF and, where it has corrections of the joints, with
@@ -216,7 +216,7 @@ def floor_height(scene: Scene) -> float:
 
 
 def _carrying(model: CalibratedModel, payload: str) -> ErrorModel:
-    """The error model with a payload; of several ones none where there is no name."""
+    """The error model with a payload; of several, no name means no payload."""
     several = len(model.setup.payloads) > 1
     return model.error.carrying(payload or (NOTHING if several else ""))
 

@@ -20,7 +20,7 @@ __all__ = ["Window"]
 HOST = "127.0.0.1"
 
 PERIOD = 0.04
-"""Time between two pictures of what moves [s]."""
+"""Time between two frames of a motion [s]."""
 
 GRACE = 2.0
 """Time in which a window may come back: pages are loaded again [s]."""
@@ -80,7 +80,7 @@ class Window:
 
 
 def _unheard() -> contextlib.AbstractContextManager[object]:
-    """Keeps to itself what viser says when it comes and goes."""
+    """Suppresses what viser prints at its start and end."""
     return contextlib.redirect_stdout(io.StringIO())
 
 

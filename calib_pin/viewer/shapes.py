@@ -1,4 +1,4 @@
-"""The shapes of a robot's links: what the URDF describes, and what stands in for it."""
+"""The shapes of a robot's links, from the URDF or in place of missing ones."""
 
 from __future__ import annotations
 
@@ -63,7 +63,7 @@ def robot_shapes(
     package_dirs: Sequence[str | Path] = (),
     progress: Callable[[float], None] | None = None,
 ) -> Shapes:
-    """What a robot looks like.
+    """The appearance of a robot.
 
     A link looks like its visual elements, or else its collision elements. Where a mesh
     is missing, simple solids between the link's joints stand in for all of the link;

@@ -22,11 +22,11 @@ ANGLE = 0.7
 """Vertical angle of view [rad]."""
 
 ASPECT = 1.1
-"""Width of what is seen by its height; a window is mostly wider."""
+"""Width of the view by its height; a window is mostly wider."""
 
 
 class Stage:
-    """What is drawn, and what can be changed of it.
+    """The drawn scene, and what can be changed of it.
 
     Args:
         server: The window's server.
@@ -70,7 +70,7 @@ class Stage:
 
 
 def sight(points: Floats) -> tuple[Floats, Floats]:
-    """Where a camera stands, and what it looks at, to see all points.
+    """The position and target of a camera that sees all points.
 
     Args:
         points: The points, shape (N, 3) [m].

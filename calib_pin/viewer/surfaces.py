@@ -15,7 +15,7 @@ from calib_pin.kinematics.spatial import Floats
 __all__ = ["Surface", "ball", "box", "capsule", "creased", "cylinder"]
 
 SIDES = 32
-"""Sides of what is round."""
+"""Sides of a round surface."""
 
 EDGE = math.radians(35.0)
 """Angle between triangles from which on their common edge looks sharp [rad]."""
@@ -89,7 +89,7 @@ def creased(surface: Surface) -> Surface:
 
 
 def _revolved(profile: list[tuple[float, float]]) -> Surface:
-    """What a profile of K points (radius, z), upwards, sweeps about the z axis."""
+    """The surface that K points (radius, z), upwards, sweep about the z axis."""
     turns = 2.0 * np.pi * np.arange(SIDES) / SIDES
     radius, z = np.array(profile).T
     around = np.stack([np.cos(turns), np.sin(turns), np.ones(SIDES)], axis=1)

@@ -132,7 +132,7 @@ def test_a_calibration_in_the_browser(
 ) -> None:
     view = viewing("done/calibration.json", "rows.csv", "--plan", "plan.csv", "--once")
     text = looked_at(browser, view.url, "panda_joint1")
-    for label in ("panda", "nominal", "corrected", "row", "before", "after"):
+    for label in ("panda", "nominal", "corrected", "measurement", "before", "after"):
         assert f"{label}\n" in text
     for label in ("magnified", "Residual map", "Plan", "play", "path of the tip"):
         assert f"{label}\n" in text

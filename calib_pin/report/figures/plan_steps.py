@@ -53,18 +53,19 @@ def criterion_by_count(plan: Plan) -> Drawn | None:
     row = panels(figure, len(curves), 0.15, 2.1, gap=0.85)
     for axes, curve in zip(row, curves, strict=True):
         _draw(axes, counts, curve, len(plan.q))
-    size = "small" if plan.criterion in SMALL else "large"
-    unit, factor = "", 1.0
+    size = "smaller" if plan.criterion in SMALL else "larger"
+    name, unit, factor = plan.criterion, "", 1.0
     if plan.criterion == "prediction":
         unit, factor = f" {unit_of('m')[0]}", unit_of("m")[1]
+        name = "tool-point uncertainty"
     own, random = (number(factor * value) for value in (plan.value, plan.random))
     return Drawn(
         "criterion-by-count",
-        "Number of configurations",
+        "Accuracy against number of configurations",
         f"Below {len(plan.q)} configurations the best part of the plan, above it the "
-        f"plan with more candidates. The plan has {plan.criterion} {own}{unit}, the "
-        f"random baseline {random}{unit}; {size} is good. Where a curve is flat, "
-        "further measurements gain little.",
+        f"plan with more candidates. Planned: {name} {own}{unit}; random baseline: "
+        f"{random}{unit}; {size} is better. Where a curve is flat, further "
+        "measurements gain little.",
         figure,
     )
 

@@ -29,7 +29,7 @@ def test_the_plan_and_chance_are_marked(
     np.testing.assert_allclose(own.get_data(), [[12], [1e3 * planned.value]])
     np.testing.assert_allclose(random.get_data(), [[12], [1e3 * planned.random]])
     assert axes.get_ylabel() == "tool-point uncertainty [mm]"
-    assert "small is good" in drawn.reading
+    assert "smaller is better" in drawn.reading
     assert "random baseline, 12" in str(random.get_label())
 
 
@@ -39,7 +39,7 @@ def test_another_criterion_stands_beside_the_tip_error(
     plan = replace(planned, criterion="O1", random=np.inf)
     drawn = draw(criterion_by_count, plan)
     left, right = drawn.figure.axes
-    assert left.get_ylabel() == "O1" and "large is good" in drawn.reading
+    assert left.get_ylabel() == "O1" and "larger is better" in drawn.reading
     np.testing.assert_allclose(
         right.lines[0].get_ydata(), [1e3 * step.position for step in plan.steps]
     )

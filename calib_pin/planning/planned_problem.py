@@ -66,7 +66,7 @@ def planned_problem(
         problem = make_problem(chain, measured, setup)
         found, result = register(problem, np.zeros(len(problem.parameters)))
         if reason := registration_reason(found, result):
-            raise InputError(f"the rows to add to are too few: {reason}")
+            raise InputError(f"the measurements to add to are too few: {reason}")
         if isinstance(found.measurement, PlaneDistance):
             # Rows may reach farther than the window that the setup states.
             window = replace(found.measurement, reach=setup.ranger.range[1])
@@ -118,8 +118,8 @@ def identification(
     robot = visible_directions(J, problem.parameters)
     if robot.shape[1] == 0:
         raise OptionError(
-            "there is nothing of the robot to estimate: every parameter is fixed, or "
-            "none can be seen"
+            "no parameter of the robot can be estimated: all of them are fixed or "
+            "unobservable"
         )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
     rows = IdentificationRows(

@@ -143,7 +143,7 @@ def cross_validate(
         model = fit_model(chain, some, setup, seed, tell, part_of=(whole, kept))
         reason = ""
         if not model.fit.structure.scaled:
-            reason = "the scale is unobservable"
+            reason = "the absolute scale is unobservable"
         elif not model.fit.result.status.success:
             reason = "it did not converge"
         try:

@@ -28,14 +28,14 @@ def split(
             given as well.
     """
     if validation is not None and holdout is not None:
-        raise OptionError("give validation rows or a holdout, not both")
+        raise OptionError("give validation measurements or a holdout, not both")
     training, marked = measurements.split()
     if len(training) == 0:
-        raise InputError("no row is left to fit: all are marked for validation")
+        raise InputError("no measurement is left to fit: all are marked for validation")
     _require_parts(training, marked, "all are marked for validation")
     if validation is not None:
         if len(validation) == 0:
-            raise InputError("there are no rows to validate with")
+            raise InputError("there are no measurements to validate with")
         if validation.model != measurements.model:
             raise InputError(
                 f"cannot check '{measurements.model}' measurements with "
@@ -70,7 +70,7 @@ def _held_out(
     chosen[order[: int(np.searchsorted(size, count)) + 1]] = True
     mask = np.asarray(chosen[labels])
     if mask.all():
-        raise OptionError("holdout leaves no row to fit", value=holdout)
+        raise OptionError("holdout leaves no measurement to fit", value=holdout)
     return mask
 
 

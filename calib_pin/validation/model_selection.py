@@ -107,7 +107,7 @@ def select_model(
 
     offset = candidates.add("joint offset", (OFFSETS,))
     if offset.sizes is None:
-        raise OptionError(f"the model ladder has no footing: {offset.candidate.reason}")
+        raise OptionError(f"no model can be selected: {offset.candidate.reason}")
     geometry = candidates.add("geometric", geometric, extends=(offset,))
     base = geometry if geometry.candidate.helps else offset
     kinds = base.candidate.parameters
@@ -197,7 +197,7 @@ class _Candidates:
         masks = folds(grouping, model.fit, seed)
         if not masks:
             count = measurements.configurations
-            raise OptionError(f"{count} configurations are too few to leave a part out")
+            raise OptionError(f"{count} configurations are too few to hold out a fold")
         rest = portion(progress, share, 1.0 - share)
         stages = None if rest is None else (lambda stage, part: rest(part))
         parts = tuple(

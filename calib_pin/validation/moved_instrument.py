@@ -80,16 +80,16 @@ def registered_if_moved(
         return None, Finding(
             "moved-instrument",
             "warning",
-            f"{seen}, which are too few to check anything from there: "
+            f"{seen}, which are too few for a check from there: "
             f"{problem.distinct_values} distinct values, {unknowns} unknowns",
             numbers,
-            "measure more validation configurations from one stand",
+            "measure more validation configurations from one station",
         )
     return own, Finding(
         "moved-instrument",
         "warning",
-        f"{seen}: by the stand of the fit they miss by {rms[0]:.3g} standard "
-        f"deviations, by their own by {rms[1]:.3g}; both robots are registered on "
+        f"{seen}: with the station of the fit they are off by {rms[0]:.3g} standard "
+        f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
         "them",
         numbers,
     )

@@ -168,9 +168,9 @@ def _distrust(grounds: Grounds) -> str:
         return fitted.result.status.advice
     if grounds.aside > OPTIONS.breakdown:
         return (
-            f"{100.0 * grounds.aside:.0f} % of the configurations do not fit the "
-            f"others; beyond {100.0 * OPTIONS.breakdown:.0f} % nobody knows which are "
-            f"wrong; {grounds.advice}"
+            f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
+            f"{100.0 * OPTIONS.breakdown:.0f} % they cannot be told from the others; "
+            f"{grounds.advice}"
         )
     if reason := unexplained(fitted, grounds.errors):
         return f"{reason}; {grounds.advice}"

@@ -117,13 +117,13 @@ def test_jacobians_agree_with_pinocchio(
     example_robot: Path, measured: Measured
 ) -> None:
     for problem in problems(example_robot, measured):
-        rows = ManyRows(problem.error, problem.measurement, problem.data, problem.sigma)
+        rows = ManyRows(problem, problem.data, problem.sigma)
         (theta,) = members(problem, (0.02,))
         r, J = problem.linearize(theta)
         lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)
         lengths[lengths == 0.0] = 1.0
         expected = products(r, J) / np.outer(lengths, lengths)
-        exact = products(*rows.triangular(*problem.split(theta)))
+        exact = products(*rows.factorize(theta))
         exact /= np.outer(lengths, lengths)
         np.testing.assert_allclose(exact, expected, rtol=0, atol=1e-12)
         # A square root of products divides what the residual has along an eigenvector
@@ -135,7 +135,7 @@ def test_jacobians_agree_with_pinocchio(
         tolerance = np.full_like(expected, 1e-12)
         tolerance[-1] = tolerance[:, -1] = 1e-12 + rounding * condition
         tolerance[-1, -1] = 1e-12 + rounding * condition**2
-        fast = products(*rows.normal(*problem.split(theta)))
+        fast = products(*rows.linearize(theta))
         fast /= np.outer(lengths, lengths)
         assert (np.abs(fast - expected) <= tolerance).all()
 

@@ -180,8 +180,7 @@ def brought_to_contact(
         names = [target[int(k)] for k in left]
         loads = [payload[int(k)] for k in left]
         T, J_q = problem.error.kinematics(q[left], of_robot, loads)
-        at = asked(problem, q[left], names, loads)
-        linear = linearized_at(chain, measurement, T, own, at)
+        linear = linearized_at(chain, measurement, T, own, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from typing import Self
 
@@ -78,7 +79,9 @@ class Model:
         """
         of_robot, own = self.split(theta)
         tool = ToolPoses(self.error, at).linearize(of_robot)
-        linear = linearized_at(self.error.chain, self.measurement, tool.T, own, at)
+        linear = linearized_at(
+            self.error.chain, self.measurement, tool.T, own, at.q, at.target
+        )
         return whitened_jacobian(tool, linear, sigma)
 
     def rebased(self, theta: Floats) -> tuple[Self, Floats]:
@@ -126,7 +129,8 @@ def linearized_at(
     measurement: MeasurementModel,
     T: Floats,
     own: Floats,
-    at: Configured,
+    q: Floats,
+    target: Sequence[str],
 ) -> Linearization:
     """Linearization of a measurement model where it measures what it predicts.
 
@@ -135,14 +139,15 @@ def linearized_at(
         measurement: The measurement model.
         T: Tool poses in the measurement frame, shape (N, 4, 4).
         own: Instrument parameters, shape (K,).
-        at: The configurations.
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target of each measurement.
     """
     # Derivatives are those of residuals, so a model is told what was measured.
     exact = Measurements(
         joints=chain.joints,
-        q=at.q,
+        q=q,
         model=measurement.name,
-        values=measurement.predict(T, own, at.target),
-        target=tuple(at.target),
+        values=measurement.predict(T, own, target),
+        target=tuple(target),
     )
     return measurement.linearize(T, own, exact)

@@ -80,7 +80,13 @@ class Model:
         of_robot, own = self.split(theta)
         tool = ToolPoses(self.error, at).linearize(of_robot)
         linear = linearized_at(
-            self.error.chain, self.measurement, tool.T, own, at.q, at.target
+            self.error.chain,
+            self.measurement,
+            tool.T,
+            own,
+            at.q,
+            at.target,
+            self.predict(theta, at),
         )
         return whitened_jacobian(tool, linear, sigma)
 
@@ -131,6 +137,7 @@ def linearized_at(
     own: Floats,
     q: Floats,
     target: Sequence[str],
+    exact: Floats | None = None,
 ) -> Linearization:
     """Linearization of a measurement model where it measures what it predicts.
 
@@ -141,13 +148,16 @@ def linearized_at(
         own: Instrument parameters, shape (K,).
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each measurement.
+        exact: The values that it predicts, shape (N, D), where they are known.
     """
+    if exact is None:
+        exact = measurement.predict(T, own, target)
     # Derivatives are those of residuals, so a model is told what was measured.
-    exact = Measurements(
+    data = Measurements(
         joints=chain.joints,
         q=q,
         model=measurement.name,
-        values=measurement.predict(T, own, target),
+        values=exact,
         target=tuple(target),
     )
-    return measurement.linearize(T, own, exact)
+    return measurement.linearize(T, own, data)

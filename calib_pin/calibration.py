@@ -263,7 +263,7 @@ def _urdf(
     if not setup.parameters:
         return UrdfResult(None, (), "nothing of this calibration has a place in a URDF")
     if setup.parameters == fitted.problem.setup.parameters:
-        geometry = FittedModel(fitted, *fitted.problem.at(fitted.theta))
+        geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
     else:
         geometry = fit_model(chain, training, setup, seed)
     held_out = check(

@@ -10,16 +10,18 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.configurations import (
+    asked,
     brought_to_contact,
     observable_configurations,
+    payloads_in_turn,
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import assumed_sigma, contact_rows
+from calib_pin.measurement_models.rows import absent, assumed_sigma, contact_rows
 from calib_pin.observations import AT, Measurements
 from calib_pin.parameters import ParameterSet
 
-__all__ = ["draw_errors", "simulate"]
+__all__ = ["draw_errors", "exact_problem", "simulate"]
 
 
 LEG = 10
@@ -123,14 +125,14 @@ def simulate(
     else:
         names = tuple(dict.fromkeys(problem.data.target)) or ("",)
         target = tuple(target) or tuple(names[i % len(names)] for i in range(len(q)))
-        payload = payload or problem.loads(len(q))
+        payload = payload or payloads_in_turn(problem.data, len(q))
         q = _require_observable(problem, theta, q, target, payload)
-    payload = tuple(payload) or problem.loads(len(q))
+    payload = tuple(payload) or payloads_in_turn(problem.data, len(q))
     start = None
     if relative:
         q, target, payload, start = _relative(q, target, payload)
 
-    exact = problem.about(theta, q, target, start, payload).data
+    exact = exact_problem(problem, theta, q, target, start, payload).data
     sigma = assumed_sigma(problem.measurement, problem.setup.noise)
     if noise is not None:
         sigma = np.full_like(sigma, noise)
@@ -158,6 +160,39 @@ def simulate(
         problem, theta, rows.q, rows.target, touching, draws, rows.payload
     )
     return replace(rows, q=moved)
+
+
+def exact_problem(
+    problem: Problem,
+    theta: Floats,
+    q: Floats,
+    target: Sequence[str],
+    start: Floats | None = None,
+    payload: Sequence[str] = (),
+) -> Problem:
+    """The problem with noise-free measurements at other configurations.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        q: Joint positions, shape (K, n) [rad, m].
+        target: Target of each measurement.
+        start: Where relative measurements start, shape (K, n); default the
+            configuration before each.
+        payload: What the robot carries in each; default `payloads_in_turn`.
+    """
+    at = asked(problem, q, target, payload, start)
+    data = Measurements(
+        joints=problem.error.chain.joints,
+        q=q,
+        model=problem.measurement.name,
+        values=problem.predict(theta, at),
+        sigma=absent(problem.measurement, target),
+        target=at.target,
+        payload=at.payload,
+        start=at.start,
+    )
+    return replace(problem, data=data)
 
 
 def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
@@ -207,15 +242,14 @@ def _require_observable(
     Raises:
         InputError: If the instrument cannot measure at a configuration.
     """
-    measurement, own = problem.measurement, problem.split(theta)[1]
+    measurement = problem.measurement
     touching = contact_rows(measurement, target)
     seen = np.ones(len(q), bool)
     if touching.any():
         q, seen = brought_to_contact(
             problem, theta, q, target, touching, payload=payload
         )
-    there = problem.looking(q, target, payload=payload)
-    seen &= measurement.observable(there.poses(theta), own, target)
+    seen &= problem.observable(theta, asked(problem, q, target, payload))
     if not seen.all():
         raise InputError(
             f"configuration {int(np.argmin(seen)) + 1} cannot be measured "

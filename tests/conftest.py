@@ -48,7 +48,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.simulation import draw_errors, simulate
+from calib_pin.simulation import draw_errors, exact_problem, simulate
 from calib_pin.validation.calibration_record import CalibrationRecord
 
 
@@ -355,7 +355,7 @@ def measured(
         start = None
         if problem.measurement.relative:
             start = chain.random_configurations(rows, rng)
-        exact = problem.about(zero, q, target, start)
+        exact = exact_problem(problem, zero, q, target, start)
         noise = 0.05 * rng.normal(size=exact.sigma.shape)
         data = replace(
             exact.data,

@@ -17,6 +17,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
+from calib_pin.simulation import exact_problem
 
 Equipped = Callable[..., Problem]
 Visited = Callable[..., tuple[Floats, tuple[str, ...]]]
@@ -83,7 +84,7 @@ def check_jacobian(problem: Problem, visited: Visited) -> None:
     count = max(6, len(set(problem.data.target)))
     q, target = visited(problem, theta, count, rng)
     # Measured values away from the prediction: the residual's own curvature counts.
-    measured = problem.about(theta, q, target)
+    measured = exact_problem(problem, theta, q, target)
     noise = rng.normal(size=measured.sigma.shape) * 0.05
     values = measured.measurement.disturb(measured.data.values, noise)
     measured = replace(measured, data=replace(measured.data, values=values))

@@ -350,7 +350,7 @@ def test_mixed_rows_have_their_own_noise():
     assert of_position.sum() == 30
     assert np.isinf(rows.sigma[of_position, 3:]).all()
     assert np.isinf(rows.sigma[~of_position, :3]).all()
-    found = replace(problem, data=rows).shown(theta)
+    found = replace(problem, data=rows).masked_errors(theta)
     assert (np.isfinite(found) == np.isfinite(rows.sigma)).all()
     assert np.nanstd(found) == pytest.approx(5e-4, rel=0.15)
     assert not rows.values[~of_position].any()

@@ -13,11 +13,19 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
+from calib_pin.estimation.model import linearized_at
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tool_poses import Configurations
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.rows import contact_rows, relative_rows
+from calib_pin.observations import Measurements
 
-__all__ = ["brought_to_contact", "observable_configurations"]
+__all__ = [
+    "asked",
+    "brought_to_contact",
+    "observable_configurations",
+    "payloads_in_turn",
+]
 
 DRAWS = 50
 """Times that configurations are drawn anew."""
@@ -36,6 +44,44 @@ TOUCHING = 1e-13
 
 FARTHEST = 0.5
 """Longest step of a joint on the way to a contact [rad, m]."""
+
+
+def asked(
+    problem: Problem,
+    q: Floats,
+    target: Sequence[str],
+    payload: Sequence[str] = (),
+    start: Floats | None = None,
+) -> Configurations:
+    """Configurations at which to ask the model of a problem.
+
+    Args:
+        problem: The problem; its measurements name the payloads.
+        q: Joint positions, shape (K, n) [rad, m].
+        target: Target of each.
+        payload: What the robot carries in each; default `payloads_in_turn`.
+        start: Where relative measurements start, shape (K, n); default the
+            configuration before each.
+    """
+    if problem.measurement.relative and start is None:
+        start = np.roll(q, 1, axis=0)
+        start[~relative_rows(problem.measurement, target)] = np.nan
+    return Configurations(
+        q,
+        tuple(target),
+        tuple(payload) or payloads_in_turn(problem.data, len(q)),
+        np.zeros((0, 0)) if start is None else start,
+    )
+
+
+def payloads_in_turn(data: Measurements, count: int) -> tuple[str, ...]:
+    """Payloads of configurations for which none is given: those of the data in turn.
+
+    Each stays for as many configurations as there are targets, so that all meet.
+    """
+    names = tuple(dict.fromkeys(data.payload)) or ("",)
+    targets = len(set(data.target)) or 1
+    return tuple(names[k // targets % len(names)] for k in range(count))
 
 
 def observable_configurations(
@@ -59,8 +105,7 @@ def observable_configurations(
     """
     names = tuple(dict.fromkeys(problem.data.target)) or ("",)
     target = [names[i % len(names)] for i in range(count)]
-    loads = problem.loads(count)
-    own = problem.split(theta)[1]
+    loads = payloads_in_turn(problem.data, count)
     chain, measurement = problem.error.chain, problem.measurement
     q_found: Floats = np.empty((count, len(chain.joints)))
     left, tries, drawn = np.arange(count), 0, 0
@@ -82,8 +127,7 @@ def observable_configurations(
                 problem, theta, q, looked, touching, payload=carried
             )
         if not touching.all():
-            there = problem.looking(q, looked, payload=carried)
-            seen &= measurement.observable(there.poses(theta), own, looked)
+            seen &= problem.observable(theta, asked(problem, q, looked, carried))
         found: dict[tuple[str, str], deque[int]] = {}
         for k in np.flatnonzero(seen):
             found.setdefault((looked[k], carried[k]), deque()).append(int(k))
@@ -122,7 +166,7 @@ def brought_to_contact(
         target: What each touches.
         rows: Which of them touch something, shape (N,).
         gap: Residual that is left, shape (N, d); default none.
-        payload: What the robot carries in each; default `Problem.loads`.
+        payload: What the robot carries in each; default `payloads_in_turn`.
 
     Returns:
         The configurations, and which of them touch and lie within the limits.
@@ -130,14 +174,13 @@ def brought_to_contact(
     of_robot, own = problem.split(theta)
     chain, measurement = problem.error.chain, problem.measurement
     q, touches = q.copy(), ~rows
-    payload = payload or problem.loads(len(q))
+    payload = payload or payloads_in_turn(problem.data, len(q))
     left = np.flatnonzero(rows)
     for _ in range(NEWTON):
         names = [target[int(k)] for k in left]
         loads = [payload[int(k)] for k in left]
         T, J_q = problem.error.kinematics(q[left], of_robot, loads)
-        data = problem.looking(q[left], names, payload=loads).data
-        linear = measurement.linearize(T, own, data)
+        linear = linearized_at(chain, measurement, T, own, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True

@@ -18,8 +18,9 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure, register
-from calib_pin.estimation.problem import EXACT, Expected, Problem
+from calib_pin.estimation.problem import EXACT, Problem, expecting
 from calib_pin.estimation.robust.weights import robustly
+from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solver, descend, least_squares, refine
 from calib_pin.estimation.stages import Solution, Stages, judge
@@ -174,8 +175,8 @@ def _without_prior(
     if problem.many:
         fun, jac = problem.factorize(found.x)
     else:
-        start = len(found.fun) - problem.priors - expected.count
-        own = np.r_[0:start, start + expected.count : len(found.fun)]
+        start = len(found.fun) - problem.priors - len(expected)
+        own = np.r_[0:start, start + len(expected) : len(found.fun)]
         fun, jac = found.fun[own], found.jac[own]
     return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))
 
@@ -204,7 +205,9 @@ def _fit(
 ) -> Fit:
     """Fit a registered problem from its registration, without regard to bounds."""
     parameters = problem.parameters
-    nominal = np.where(parameters.free, before.x, problem.held)
+    nominal = np.where(parameters.free, before.x, 0.0)
+    for position, value in problem.held_at.items():
+        nominal[position] = value
     r, J = before.fun, before.jac
     if problem.held_at:
         r, J = problem.linearize(nominal)
@@ -277,7 +280,8 @@ def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
             # The worst ones together: the others may come back inside without them.
             worst = np.flatnonzero(excess > 0.5 * excess.max())
             bounds = np.clip(x, lower, upper)
-            fitted = run(held.holding({int(k): float(bounds[k]) for k in worst}))
+            more = {int(k): float(bounds[k]) for k in worst}
+            fitted = run(replace(held, held_at={**held.held_at, **more}))
             continue
         pulls = _pulls(fitted)
         inward = {
@@ -289,7 +293,8 @@ def _bounded(problem: Problem, run: Callable[[Problem], Fit]) -> Fit:
         if not inward:
             return fitted
         released |= inward
-        fitted = run(held.releasing(inward))
+        kept = {k: v for k, v in held.held_at.items() if k not in inward}
+        fitted = run(replace(held, held_at=kept))
 
 
 def _pulls(fitted: Fit) -> dict[int, float]:
@@ -339,7 +344,7 @@ def _shrunk(
     # Whitened like the rows, whose unit weight is not in their standard deviations.
     expected = replace(evidence.expected, size=evidence.expected.size / unit)
     basis = problem.parameters.scales[:, None] * last.directions.every
-    shrunk = refine(problem.expecting(expected), found.x, basis)
+    shrunk = refine(expecting(problem, expected), found.x, basis)
     return evidence, replace(
         _without_prior(problem, expected, shrunk),
         nit=found.nit + shrunk.nit,

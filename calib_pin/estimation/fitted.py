@@ -11,7 +11,7 @@ from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.posterior import Posterior, posterior
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, expecting
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic
 from calib_pin.kinematics.spatial import Floats
@@ -44,7 +44,7 @@ class Fit:
         revealed: Robot directions that nominal geometry hides and that were moved all
             the same, shape (P, k); k is 0 for errors of the expected size.
         solver: Name of the solver.
-        evaluator: What evaluated the rows, see `solve.Solved`.
+        evaluator: What evaluated the rows, see `solve.Solution`.
         evolution: The last evolution, if there was one.
         outliers: Measurements that do not fit, worst first, with their weights.
         squared: The fit of all rows alike, where some have lost weight.
@@ -92,13 +92,13 @@ class Fit:
         """With the prior among the rows: problem, solution, and what moved, (P, k)."""
         if self.evidence is None or not self.evidence.matters:
             return self.problem, self.result, self.directions.basis
-        expected, scales = self.evidence.expected, self.problem.parameters.scales
+        expected = self.evidence.expected
         result = replace(
             self.result,
-            fun=np.append(self.result.fun, expected.rows(self.theta / scales)),
-            jac=np.vstack([self.result.jac, expected.rows(np.diag(1.0 / scales)).T]),
+            fun=np.append(self.result.fun, expected.residual(self.theta)),
+            jac=np.vstack([self.result.jac, expected.jacobian(self.theta)]),
         )
-        return self.problem.expecting(expected), result, self.directions.every
+        return expecting(self.problem, expected), result, self.directions.every
 
     @cached_property
     def covariance(self) -> Floats:
@@ -130,7 +130,7 @@ class Fit:
     @cached_property
     def settled(self) -> Posterior:
         """How far it can be off, about its solution."""
-        return self.posterior(*self.problem.at(self.theta))
+        return self.posterior(*self.problem.rebased(self.theta))
 
     @cached_property
     def _by_effects(self) -> Floats | None:

@@ -90,7 +90,7 @@ def fit_model(
             fitted = with_effects(fitted)
         else:
             fitted = replace(fitted, effects=part_of[0].effects)
-    problem, theta = fitted.problem.at(fitted.theta)
+    problem, theta = fitted.problem.rebased(fitted.theta)
     if setup.learned is None:
         return FittedModel(fitted, problem, theta)
     # A generator of its own: what a search drew must not change what is learned.

@@ -16,6 +16,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
+from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -217,7 +218,7 @@ def _misfit(chain: Chain, rows: Measurements, setup: Setup) -> float:
     zero = np.zeros(len(problem.parameters))
     try:
         if problem.measurement.measuring_frame:
-            cost = problem.register(zero).cost(zero)
+            cost = registered(problem, zero).cost(zero)
         else:
             cost = register(problem, zero)[1].cost
     except (InputError, np.linalg.LinAlgError):

@@ -33,8 +33,8 @@ class KnownDistances:
     Attributes:
         stated: The distances.
         ends: Places of both ends about the references, shape (D, 2, 3) [m].
-        columns: Where the coordinates of both ends stand among the model's own
-            parameters, shape (D, 2, 3); -1 where they are no parameters.
+        columns: Where the coordinates of both ends stand among the parameters, shape
+            (D, 2, 3); -1 where they are no parameters.
     """
 
     stated: tuple[DistanceSetup, ...]
@@ -43,13 +43,14 @@ class KnownDistances:
 
     @staticmethod
     def of(
-        distances: Sequence[DistanceSetup], features: Sequence[Feature]
+        distances: Sequence[DistanceSetup], features: Sequence[Feature], first: int = 0
     ) -> KnownDistances:
         """Those of the distances whose both ends are among some features.
 
         Args:
             distances: What is known.
             features: The features of a measurement model, in their order.
+            first: Position of the first instrument parameter among all.
         """
         found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
         # A point of the tool yields its name to a place of the same name.
@@ -59,37 +60,39 @@ class KnownDistances:
             if xyz is not None and not hidden:
                 # The known points of a camera have no parameters.
                 some = part.stop > part.start
-                columns = part.start + np.arange(3) if some else np.full(3, -1)
+                columns = np.full(3, -1)
+                if some:
+                    columns = first + part.start + np.arange(3)
                 found[feature.name] = xyz, columns
         known = tuple(d for d in distances if all(name in found for name in d.between))
         ends = [[found[name][0] for name in d.between] for d in known]
-        columns = [[found[name][1] for name in d.between] for d in known]
+        positions = [[found[name][1] for name in d.between] for d in known]
         return KnownDistances(
             known,
             np.array(ends).reshape(-1, 2, 3),
-            np.array(columns, np.int64).reshape(-1, 2, 3),
+            np.array(positions, np.int64).reshape(-1, 2, 3),
         )
 
     def __len__(self) -> int:
         """Number of distances D."""
         return len(self.stated)
 
-    def lengths(self, own: Floats) -> Floats:
-        """The distances as the model has them, (..., K) -> (..., D) [m].
+    def lengths(self, theta: Floats) -> Floats:
+        """The distances that the model predicts, (..., P) -> (..., D) [m].
 
         Args:
-            own: The model's own parameters, of one member or many.
+            theta: Parameter values, one vector or many.
         """
-        return np.asarray(np.linalg.norm(self._vectors(own), axis=-1))
+        return np.asarray(np.linalg.norm(self._vectors(theta), axis=-1))
 
-    def residual(self, own: Floats) -> Floats:
-        """Whitened residuals, the model's distances minus the known ones, (..., D)."""
-        return np.asarray((self.lengths(own) - self._values) / self._sigma)
+    def residual(self, theta: Floats) -> Floats:
+        """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
+        return np.asarray((self.lengths(theta) - self._values) / self._sigma)
 
-    def jacobian(self, own: Floats) -> Floats:
-        """Derivative of the whitened residuals by the own parameters, shape (D, K)."""
-        vectors = self._vectors(own)
-        result = np.zeros((len(self), len(own)))
+    def jacobian(self, theta: Floats) -> Floats:
+        """Derivative of the whitened residuals by the parameters, shape (D, P)."""
+        vectors = self._vectors(theta)
+        result = np.zeros((len(self), len(theta)))
         for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
             length = float(np.linalg.norm(vector))
             # Points in one place have no direction to part in.
@@ -107,10 +110,10 @@ class KnownDistances:
     def _sigma(self) -> Floats:
         return np.array([distance.sigma for distance in self.stated])
 
-    def _vectors(self, own: Floats) -> Floats:
+    def _vectors(self, theta: Floats) -> Floats:
         """From one end to the other, shape (..., D, 3) [m]."""
         # What is no parameter finds a zero behind the others.
-        padded = np.zeros((*own.shape[:-1], own.shape[-1] + 1))
-        padded[..., :-1] = own
+        padded = np.zeros((*theta.shape[:-1], theta.shape[-1] + 1))
+        padded[..., :-1] = theta
         ends = self.ends + padded[..., self.columns]
         return np.asarray(ends[..., 1, :] - ends[..., 0, :])

@@ -1,10 +1,11 @@
-"""Residuals and normal equations of very many rows, chunk by chunk.
+"""Residuals and normal equations of very many measurements, chunk by chunk.
 
-The Jacobian of a million rows does not fit into memory, and nothing needs it: a step
-of Gauss-Newton, a rank and a covariance follow from a square system with the same
-normal equations. Two ways lead there. `normal` adds up products of columns, which is
-fast but loses half the digits: it drives the steps. `triangular` reduces the rows by
-orthogonal transformations, chunk by chunk, and loses nothing: ranks are decided by it.
+The Jacobian of a million measurements does not fit into memory, and nothing needs it: a
+step of Gauss-Newton, a rank and a covariance follow from a square system with the same
+normal equations. Two ways lead there. `linearize` adds up products of columns, which is
+fast but loses half the digits: it drives the steps. `factorize` reduces the residual
+rows by orthogonal transformations, chunk by chunk, and loses nothing: ranks are decided
+by it.
 
 Both work in the twists at the ends of the chain's segments, whatever the
 parameterization; the parameters enter at the end, by a matrix that does not depend on
@@ -20,11 +21,10 @@ import numpy as np
 
 from calib_pin.compiled import blocks, kernels, row_kernels
 from calib_pin.compiled.threads import Threads
+from calib_pin.estimation.model import Model
 from calib_pin.estimation.segments import Segments
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MeasurementModel
 from calib_pin.observations import Measurements
-from calib_pin.parameterizations.error_model import ErrorModel
 
 __all__ = ["ManyRows"]
 
@@ -34,25 +34,18 @@ order, and so large that threads seldom wait for the interpreter."""
 
 
 class ManyRows:
-    """Rows of one error model and measurement model, whitened.
+    """Measurements of one model, whitened; an `evaluators.Evaluator`.
 
     Args:
-        error: The error model.
-        measurement: The measurement model.
-        data: The rows.
+        model: The model.
+        data: The measurements.
         sigma: Standard deviations of the residual components, shape (N, d).
     """
 
-    def __init__(
-        self,
-        error: ErrorModel,
-        measurement: MeasurementModel,
-        data: Measurements,
-        sigma: Floats,
-    ) -> None:
-        """Cut the rows into chunks and compute the joint motions once."""
-        self._segments = Segments.of(error)
-        self._measurement = measurement
+    def __init__(self, model: Model, data: Measurements, sigma: Floats) -> None:
+        """Cut the measurements into chunks and compute the joint motions once."""
+        self._segments = Segments.of(model.error)
+        self._measurement, self._split = model.measurement, model.split
         self._threads = Threads()
         self._chunks = list(
             self._threads.map(
@@ -61,14 +54,9 @@ class ManyRows:
             )
         )
 
-    def errors(self, of_robot: Floats, own: Floats) -> Floats:
-        """Residuals in their units, shape (N, d).
-
-        Args:
-            of_robot: Parameter values of the error model, shape (P,).
-            own: Those of the measurement model, shape (K,).
-        """
-        chain = self._chain(of_robot)
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, shape (N, d)."""
+        chain, own = self._evaluated(theta)
         return np.concatenate(
             list(
                 self._threads.map(
@@ -80,51 +68,50 @@ class ManyRows:
             )
         )
 
-    def cost(self, of_robot: Floats, own: Floats) -> float:
-        """Half the sum of squared whitened residuals."""
-        chain = self._chain(of_robot)
+    def cost(self, theta: Floats, further: Floats) -> float:
+        """Half the sum of squares of the whitened residuals and of further ones."""
+        chain, own = self._evaluated(theta)
 
         def square(chunk: _Chunk) -> float:
             T = chunk.poses(chain)
             r = self._measurement.residual(T, own, chunk.data) * chunk.weights
             return float(np.vdot(r, r))
 
-        return 0.5 * sum(self._threads.map(square, self._chunks))
+        squares = sum(self._threads.map(square, self._chunks))
+        return 0.5 * squares + 0.5 * float(further @ further)
 
-    def normal(self, of_robot: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """A square system with the normal equations of all rows.
+    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """A square system with the normal equations of all measurements.
 
         Singular values below 1e-8 of the largest, columns brought to one length, are
         rounding; they come out as zero.
 
         Returns:
-            Residual, shape (P + K + 1,), and Jacobian, shape (P + K + 1, P + K).
+            Residual, shape (P + 1,), and Jacobian, shape (P + 1, P).
         """
-        total = np.zeros((size := self._padded(len(own)), size))
-        for part in self._reduced(row_kernels.normal_equations, of_robot, own):
+        total = np.zeros((size := self._padded(len(self._split(theta)[1])), size))
+        for part in self._reduced(row_kernels.normal_equations, theta):
             total += part
         symmetric = np.tril(total) + np.tril(total, -1).T
-        B = self._to_parameters(of_robot, len(own))
+        B = self._to_parameters(theta)
         # Whether a product of what is not finite warns depends on the processor.
         with np.errstate(invalid="ignore"):
             return _square_root(B.T @ symmetric @ B)
 
-    def triangular(self, of_robot: Floats, own: Floats) -> tuple[Floats, Floats]:
-        """The rows reduced by orthogonal transformations.
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The residual rows reduced by orthogonal transformations.
 
         Returns:
-            Residual, shape (M,), and Jacobian, shape (M, P + K), M <= P + K + 1.
+            Residual, shape (M,), and Jacobian, shape (M, P), M <= P + 1.
         """
-        parts = list(self._reduced(row_kernels.triangular_factor, of_robot, own))
-        B = self._to_parameters(of_robot, len(own))
+        parts = list(self._reduced(row_kernels.triangular_factor, theta))
+        B = self._to_parameters(theta)
         R = np.asarray(np.linalg.qr(np.concatenate(parts) @ B, mode="r"))
         return R[:, -1], R[:, :-1]
 
-    def _reduced(
-        self, kernel: Callable[..., None], of_robot: Floats, own: Floats
-    ) -> Iterator[Floats]:
-        """What a kernel makes of the columns of every chunk, shape (M, M) each."""
-        chain = self._chain(of_robot)
+    def _reduced(self, kernel: Callable[..., None], theta: Floats) -> Iterator[Floats]:
+        """The columns of every chunk reduced by a kernel, shape (M, M) each."""
+        chain, own = self._evaluated(theta)
         size = self._padded(len(own))
 
         def reduced(chunk: _Chunk) -> Floats:
@@ -146,16 +133,20 @@ class ManyRows:
 
         return self._threads.map(reduced, self._chunks)
 
-    def _chain(self, of_robot: Floats) -> Floats:
-        return np.asarray(self._segments.links(of_robot[None])[0])
+    def _evaluated(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Links of the chain, shape (n + 1, 12), and the instrument parameters."""
+        of_robot, own = self._split(theta)
+        return self._segments.links(of_robot[None])[0], own
 
     def _padded(self, own: int) -> int:
-        """Columns of the twists, own parameters and residual, a multiple of four."""
+        """Columns of twists, instrument and residual, rounded up to four."""
         count = 6 * len(self._segments.constants) + own + 1
         return -(-count // 4) * 4
 
-    def _to_parameters(self, of_robot: Floats, own: int) -> Floats:
+    def _to_parameters(self, theta: Floats) -> Floats:
         """Matrix from the columns of the kernels to parameters and residual."""
+        of_robot, instrument = self._split(theta)
+        own = len(instrument)
         columns = self._segments.columns(of_robot)
         twists, count = columns.shape
         result = np.zeros((self._padded(own), count + own + 1))
@@ -165,7 +156,7 @@ class ManyRows:
 
 
 class _Chunk:
-    """Some rows, with what does not change between evaluations."""
+    """Some measurements, with what does not change between evaluations."""
 
     def __init__(
         self, segments: Segments, data: Measurements, sigma: Floats, start: int

@@ -8,16 +8,18 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, sigma_at
+from calib_pin.estimation.registration import registered
 from calib_pin.estimation.scale import scale_observable
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.tool_poses import Configured
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
-__all__ = ["analyze_structure", "register", "structure_at"]
+__all__ = ["analyze_structure", "jacobian_at", "register", "structure_at"]
 
 
 @serial_blas
@@ -32,7 +34,7 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
         The problem about its registered references and the least-squares result.
     """
     parameters = problem.parameters
-    problem = problem.register(theta)
+    problem = registered(problem, theta)
     start = np.where(parameters.nuisance, 0.0, theta)
     free = parameters.free & parameters.nuisance
     return problem, least_squares(problem, start, np.diag(parameters.scales)[:, free])
@@ -78,7 +80,20 @@ def structure_at(
     Returns:
         The structure, and the whitened Jacobian with the rows of the priors, (M, P).
     """
-    there = problem.about(theta, q, target)
-    _, J = there.linearize_rows(theta)
+    at = asked(problem, q, target)
+    J = jacobian_at(problem, theta, at)
     found = structure(J[: len(J) - problem.priors], problem.parameters, len(q))
-    return replace(found, scaled=scale_observable(there, theta)), J
+    return replace(found, scaled=scale_observable(problem, theta, at, J)), J
+
+
+def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
+    """Whitened Jacobian of noise-free measurements and of all further rows, (M, P).
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        at: The configurations.
+    """
+    J = problem.jacobian(theta, at, sigma_at(problem, at.target))
+    rows = J.reshape(-1, len(theta))
+    return np.concatenate([rows, problem.further.jacobian(theta)])

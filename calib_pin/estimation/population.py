@@ -37,10 +37,11 @@ class PopulationCost:
         >>> import numpy as np, calib_pin
         >>> from calib_pin.estimation.formulation import nominal_problem
         >>> from calib_pin.setup import Setup
+        >>> from calib_pin.simulation import exact_problem
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())
         >>> zero = np.zeros(len(nominal.parameters))
-        >>> problem = nominal.about(zero, np.zeros((5, 6)), [""] * 5)
+        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
         >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
         array([False,  True])
     """
@@ -61,7 +62,7 @@ class PopulationCost:
         """Costs of parameter values, shape (S, P) -> (S,)."""
         if self.evaluator == "loop":
             return np.array([self._problem.cost(member) for member in theta])
-        further = self._problem.further_rows(theta)
+        further = self._problem.further.residual(theta)
         costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
         of_robot, own = self._problem.split(theta)
 

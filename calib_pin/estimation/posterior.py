@@ -69,7 +69,7 @@ class Posterior:
         the last six of the error model, count as what they were fitted to be.
 
         Args:
-            error: The error model about its solution, see `Problem.at`.
+            error: The error model about its solution, see `Model.rebased`.
             q: Joint positions, shape (N, n) [rad, m].
             J: Body twists there by the parameters about these references, shape
                 (N, 6, p).

@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tool_poses import Configured, ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.linearization import PoseLinearization
 
@@ -24,31 +25,39 @@ The tip of an arm of a meter is then off by a centimeter.
 """
 
 
-def scale_observable(problem: Problem, theta: Floats) -> bool:
-    """Whether rows and priors tell how large the robot is; see `scale_deviation`."""
-    return scale_deviation(problem, theta) < UNKNOWN
+def scale_observable(
+    problem: Problem, theta: Floats, at: Configured, J: Floats
+) -> bool:
+    """Whether measurements and priors tell the size of the robot.
+
+    The arguments are as in `scale_deviation`.
+    """
+    return scale_deviation(problem, theta, at, J) < UNKNOWN
 
 
-def scale_deviation(problem: Problem, theta: Floats) -> float:
+def scale_deviation(
+    problem: Problem, theta: Floats, at: Configured, J: Floats
+) -> float:
     """Standard deviation of the logarithm of a robot's size.
 
     Of all changes of the parameters that move the tool as if every length grew by one
-    factor, up to a fixed displacement of base and tool, the one is taken that the rows
-    (with known distances and priors) notice least. A robot whose lengths are not all
-    estimated cannot grow; its scale is known.
+    factor, up to a fixed displacement of base and tool, the one is taken that the
+    residual rows (with known distances and priors) notice least. A robot whose lengths
+    are not all estimated cannot grow; its scale is known.
 
     Args:
-        problem: The problem at configurations that its instrument can measure.
+        problem: The problem.
         theta: Parameter values with the robot at nominal, shape (P,).
+        at: Configurations that its instrument can measure.
+        J: The whitened Jacobian there, with all further rows, shape (M, P).
 
     Returns:
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
     of_robot, _ = problem.split(theta)
-    free, data = problem.parameters.free, problem.data
-    _, J = problem.linearize_rows(theta)
-    factors = problem.error.basis(data.q, data.payload)
-    poses = problem.error.linearize(data.q, of_robot, factors)
+    free = problem.parameters.free
+    basis = problem.error.basis(at.q, at.payload)
+    poses = problem.error.linearize(at.q, of_robot, basis)
     count = len(poses.T)
     twists = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
     by_parameters: Floats = np.zeros((6 * count, len(theta)))
@@ -75,7 +84,7 @@ def scale_deviation(problem: Problem, theta: Floats) -> float:
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:
-    """Derivative of the whitened rows by the logarithm of the robot's size.
+    """Derivative of the whitened residuals by the logarithm of the robot's size.
 
     All lengths from the base to the tip grow by one factor; base and tool stay.
 
@@ -87,20 +96,14 @@ def growth(problem: Problem, theta: Floats) -> Floats:
         The derivative, component by component as in `Problem.sigma`, shape (N d,).
     """
     of_robot, own = problem.split(theta)
-    error, data = problem.error, problem.data
-    poses = error.linearize(data.q, of_robot, error.basis(data.q, data.payload))
-    T, grown = poses.T, _grown(poses, poses.to_base @ invert(poses.to_tip))
-    begun = np.isfinite(data.start[:, 0]) if data.start.size else np.zeros(len(T), bool)
-    if begun.any():
-        loads = [data.payload[k] for k in np.flatnonzero(begun)]
-        factors = error.basis(data.start[begun], loads)
-        start = error.linearize(data.start[begun], of_robot, factors)
-        T = T.copy()
-        T[begun] = invert(start.T) @ T[begun]
-        # The twist of T_0^-1 T is that of T without that of T_0, carried there.
+    tool = ToolPoses(problem.error, problem.data).linearize(of_robot)
+    T, poses, start, begun = tool.T, tool.poses, tool.start, tool.begun
+    grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
+    if start is not None:
+        # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
         begins = _grown(start, start.to_base @ invert(start.to_tip))
         grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
-    J_pose = problem.measurement.linearize(T, own, data).J_pose
+    J_pose = problem.measurement.linearize(T, own, problem.data).J_pose
     changes = (J_pose @ grown[:, :, None])[:, :, 0] / problem.sigma
     return np.asarray(changes.reshape(-1))
 

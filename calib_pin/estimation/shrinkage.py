@@ -16,7 +16,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.estimation.directions import Directions, projected
-from calib_pin.estimation.problem import Expected
+from calib_pin.estimation.row_blocks import Expected
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 
@@ -122,7 +122,7 @@ def expected_errors(
     part = size**2 / (size**2 + variances)
     shift = (part * values - current) / np.sqrt(part * variances)
     return Evidence(
-        expected=Expected(V, size),
+        expected=Expected(V, size, parameters.scales),
         sizes=sizes,
         matters=bool(np.abs(shift).max(initial=0.0) > NOTICED),
         square=float(np.sum(values**2 / variances)),

@@ -56,7 +56,7 @@ def balanced(
         current = component_units(fitted.problem)
         change = units(components, problem) / current
         common = 1.0
-        if len(fitted.problem.further_rows(fitted.theta)) == 0:
+        if len(fitted.problem.further) == 0:
             common = float(np.exp(np.mean(np.log(change))))
         relative = np.abs(np.log(change / common)).max()
         # A search that was cut short, or told when to end, is not carried on.

@@ -23,10 +23,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
+from calib_pin.estimation.model import linearized_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel, MeasurementModel
-from calib_pin.observations import Measurements
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 __all__ = ["IdentificationRows", "Pullback", "Rows"]
@@ -172,14 +172,7 @@ class IdentificationRows:
         """Poses with the whitened derivatives by the tool's twist and by own."""
         error, measurement = self.problem.error, self.measurement
         poses = error.linearize(q, np.zeros(len(error.screws)))
-        data = Measurements(
-            joints=error.chain.joints,
-            q=q,
-            model=measurement.name,
-            values=measurement.predict(poses.T, self._own, target),
-            target=tuple(target),
-        )
-        linear = measurement.linearize(poses.T, self._own, data)
+        linear = linearized_at(error.chain, measurement, poses.T, self._own, q, target)
         weight = self.sigma[:, None]
         return poses, linear.J_pose / weight, linear.J_instrument / weight
 

@@ -13,7 +13,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -83,7 +83,7 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
     parameters = problem.parameters
     A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
     rank = int(np.linalg.matrix_rank(A)) if A.size else 0
-    values = problem.distinct_values
+    values = distinct_values(problem)
     if rank and values <= rank:
         return (
             f"{values} measured values are used up by the {rank} unknowns of base, "

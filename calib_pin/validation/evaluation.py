@@ -11,6 +11,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -48,7 +49,7 @@ def evaluate(
     if isinstance(robot, CalibratedModel):
         outside = int(robot.outside(measurements.q).sum())
     ready = prepared(robot, measurements, setup, registration=registration)
-    residual = ready.problem.shown(ready.theta)
+    residual = ready.problem.masked_errors(ready.theta)
     quantities = ready.problem.measurement.quantities
     found = [(quantity, quantity.errors(residual)) for quantity in quantities]
     # Of mixed measurements, these may all be of another model.
@@ -121,7 +122,7 @@ def prepared(
     reason, known = "", {feature.name for feature in problem.measurement.features}
     if registration:
         if isinstance(robot, CalibratedModel):
-            problem, theta = problem.extended(theta, rows)
+            problem, theta = extended(problem, theta, rows)
         problem, result = register(problem, theta)
         theta = result.x
         reason = registration_reason(problem, result)

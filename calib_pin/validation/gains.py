@@ -83,7 +83,9 @@ def press_check(
     problem, positions = fitted.problem, np.arange(len(rows))
     if problem.many:
         # Among so many, no group has a say.
-        before, after = (problem.shown(at) for at in (fitted.before, fitted.theta))
+        before, after = (
+            problem.masked_errors(at) for at in (fitted.before, fitted.theta)
+        )
         return ModelErrors(positions, before, after, (fitted.unit * problem.sigma) ** 2)
 
     def left_out(

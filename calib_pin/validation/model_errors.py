@@ -121,8 +121,8 @@ def fitted_errors(model: FittedModel, training: Measurements) -> ModelErrors:
     after = registered(model.problem, model.theta, training)
     return ModelErrors(
         np.arange(len(training)),
-        before.problem.shown(before.theta),
-        after.problem.shown(after.theta),
+        before.problem.masked_errors(before.theta),
+        after.problem.masked_errors(after.theta),
         np.full(after.problem.sigma.shape, np.nan),
         _found_distances(before, after, None),
     )
@@ -150,8 +150,8 @@ def errors_of_registered(
         there = problem, theta
     return ModelErrors(
         positions,
-        before.problem.shown(before.theta),
-        problem.shown(theta),
+        before.problem.masked_errors(before.theta),
+        problem.masked_errors(theta),
         predicted_variance(model.fit, *there, estimated),
         _found_distances(before, after, known),
         tuple(f.name for f in problem.measurement.features if f.name not in known),

@@ -12,7 +12,7 @@ import numpy as np
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted_model import FittedModel
-from calib_pin.estimation.problem import SAMPLE, Problem
+from calib_pin.estimation.problem import SAMPLE, Problem, distinct_values
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import ModelErrors, errors_of_registered
@@ -76,12 +76,12 @@ def registered_if_moved(
     }
     seen = "the instrument had another station for the validation measurements"
     rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
-    if problem.distinct_values <= unknowns or rows.configurations < FEWEST:
+    if distinct_values(problem) <= unknowns or rows.configurations < FEWEST:
         return None, Finding(
             "moved-instrument",
             "warning",
             f"{seen}, which are too few for a check from there: "
-            f"{problem.distinct_values} distinct values, {unknowns} unknowns",
+            f"{distinct_values(problem)} distinct values, {unknowns} unknowns",
             numbers,
             "measure more validation configurations from one station",
         )
@@ -107,7 +107,7 @@ def _registered(problem: Problem, theta: Floats, of: Problem) -> Registered | No
         of: Problem of the other measurements.
     """
     there = registered(problem, theta, of.data)
-    moved, values = there.problem.at(there.theta)
+    moved, values = there.problem.rebased(there.theta)
     parameters = moved.parameters
     outer = np.array([p.outer for p in parameters], bool)
     # The base comes first; what stands on the tool stays with the robot.

@@ -125,7 +125,7 @@ def press(
     with np.errstate(invalid="ignore"):
         errors = whitened * sigma
     aside = ~np.isfinite(sigma)
-    errors[aside] = problem.shown(theta)[aside]
+    errors[aside] = problem.masked_errors(theta)[aside]
     return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
 
 

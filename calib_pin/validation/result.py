@@ -264,7 +264,7 @@ class CalibratedModel:
 
         Frames and instrument move into their references; the robot keeps its values.
         """
-        moved, values = problem.at(theta)
+        moved, values = problem.rebased(theta)
         return CalibratedModel(
             error=moved.error,
             measurement=moved.measurement,

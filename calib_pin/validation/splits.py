@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.problem import distinct_values
 from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.stretches import stretches
@@ -115,7 +116,7 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     for k in range(count):
         mask = fold[labels] == k
         rest = replace(fitted.problem, data=rows.rows(~mask))
-        if rest.distinct_values <= fitted.structure.rank or any(
+        if distinct_values(rest) <= fitted.structure.rank or any(
             rows.rows(~mask & (targets == name)).configurations < FEWEST
             for name in sought
         ):

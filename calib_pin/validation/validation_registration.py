@@ -9,7 +9,8 @@ from functools import partial
 import numpy as np
 
 from calib_pin.errors import InputError
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.registration import extended
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -53,7 +54,7 @@ def registered(
         InputError: If a new reference object uses up all that its measurements say.
     """
     known = set(problem.parameters.names)
-    problem, theta = problem.extended(theta, measurements)
+    problem, theta = extended(problem, theta, measurements)
     names = problem.parameters.names
     new = tuple(k for k, name in enumerate(names) if name not in known)
     if not new:
@@ -79,7 +80,7 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
     for name, columns in owners.items():
         rows = np.flatnonzero(J[:, :, columns].any(axis=(1, 2)))
         A = J[rows][:, :, columns].reshape(-1, len(columns))
-        values = replace(problem, data=problem.data.rows(rows)).distinct_values
+        values = distinct_values(replace(problem, data=problem.data.rows(rows)))
         if values <= np.linalg.matrix_rank(A):
             data = problem.data
             error = partial(data.error, int(rows[0])) if len(rows) else InputError

@@ -17,6 +17,7 @@ from calib_pin.estimation.evidence import (
     VarianceComponent,
 )
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.problem import distinct_values
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
@@ -142,7 +143,7 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
         errors: Accuracy by quantity.
     """
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
-    enough = fitted.problem.distinct_values >= fitted.structure.rank
+    enough = distinct_values(fitted.problem) >= fitted.structure.rank
     if enough and free.any() and fitted.directions.robot.shape[1] == 0:
         return "the errors are so large that no robot parameter is observable"
     for quantity in errors:
@@ -184,7 +185,7 @@ def _distrust(grounds: Grounds) -> str:
 def _unchecked(grounds: Grounds) -> str:
     """Why there is no check; empty where there is one."""
     fitted = grounds.fitted
-    values, rank = fitted.problem.distinct_values, fitted.structure.rank
+    values, rank = distinct_values(fitted.problem), fitted.structure.rank
     if values < rank:
         return (
             f"{values} measured values cannot determine {rank} identifiable "

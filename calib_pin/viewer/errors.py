@@ -59,9 +59,9 @@ class StageErrors:
 
 def stage_errors(robot: Prepared) -> StageErrors:
     """Errors of the rows that a robot is prepared for."""
-    problem, theta = robot.problem.at(robot.theta)
+    problem, theta = robot.problem.rebased(robot.theta)
     error, data, of_robot = problem.error, problem.data, problem.split(theta)[0]
-    residual = problem.shown(theta)
+    residual = problem.masked_errors(theta)
     # Of relative measurements as well: where the tool is, not how it has moved.
     T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
     vectors = np.full((len(data), 3), np.nan)

@@ -14,9 +14,11 @@ from scipy.optimize import least_squares
 import calib_pin
 from benchmarks.timing import DATA, best, show, simulated
 from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.simulation import exact_problem
 
 
 def talos_rows() -> tuple[Chain, Measurements]:
@@ -35,7 +37,7 @@ def fit_talos() -> None:
     chain, rows = talos_rows()
     seconds = best(lambda: calib_pin.calibrate(chain, rows, validate=False))
     problem = make_problem(chain, rows, Setup())
-    problem = problem.register(np.zeros(len(problem.parameters)))
+    problem = registered(problem, np.zeros(len(problem.parameters)))
     scales = problem.parameters.scales
 
     def scipy_fit() -> None:
@@ -52,7 +54,7 @@ def jacobian() -> None:
     rng = np.random.default_rng(0)
     theta = rng.normal(size=len(nominal.parameters)) * 1e-3
     q = chain.random_configurations(500, rng)
-    problem = nominal.about(theta, q, [""] * 500)
+    problem = exact_problem(nominal, theta, q, [""] * 500)
     seconds = best(lambda: problem.linearize(theta), 20)
 
     def differences() -> None:
@@ -104,7 +106,7 @@ def _scipy() -> float:
     """Time of one scipy fit of 500 measurements with differences [s]."""
     chain = calib_pin.load_chain("space6")
     nominal, truth, rows = simulated(chain, "position", Setup(), 500, 1e-4)
-    problem = nominal.about(0 * truth, rows.q, rows.target)
+    problem = exact_problem(nominal, 0 * truth, rows.q, rows.target)
     scales = problem.parameters.scales
     return best(
         lambda: least_squares(lambda x: problem.residual(x * scales), truth / scales), 1

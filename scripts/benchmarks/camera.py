@@ -21,6 +21,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
+from calib_pin.simulation import exact_problem
 
 IMAGES = 10_000
 NOISE = 0.5
@@ -49,7 +50,7 @@ def main() -> None:
     q = _configurations(nominal, rng)
     target = tuple(BOARD) * len(q)
     truth = calib_pin.draw_errors(nominal.parameters, rng)
-    exact = nominal.about(truth, np.repeat(q, len(BOARD), axis=0), target)
+    exact = exact_problem(nominal, truth, np.repeat(q, len(BOARD), axis=0), target)
     values = exact.data.values + rng.normal(size=exact.data.values.shape) * NOISE
     data = replace(exact.data, values=values, sigma=np.full_like(values, NOISE))
     threads = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]

@@ -26,6 +26,7 @@ from benchmarks.report import page_of, scatter_of
 from benchmarks.timing import simulated
 from calib_pin.control.compensation import compensate
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup, SolverSetup
@@ -121,7 +122,7 @@ def fit() -> Race:
     """A fit of 500 measurements beside that of scipy with the same residual."""
     rows = _positions(500)
     problem = make_problem(_chain(), rows, Setup())
-    problem = problem.register(np.zeros(len(problem.parameters)))
+    problem = registered(problem, np.zeros(len(problem.parameters)))
     scales = problem.parameters.scales
     return Race(
         lambda: _fitted(rows),

@@ -32,6 +32,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
+from calib_pin.simulation import exact_problem
 
 RUNS = 200
 SIZE = 0.3
@@ -237,7 +238,7 @@ class Study:
         """
         # A gap that contacts have there must not differ by the units alone.
         known = replace(self.problem, units=fitted.problem.units)
-        of_truth = known.about(truth, *self._new)
+        of_truth = exact_problem(known, truth, *self._new)
         new = replace(fitted.problem, data=of_truth.data)
         count = new.sigma.size
 

@@ -48,8 +48,8 @@ POSE = 88 * JOINTS
 COVECTORS = 174 * JOINTS
 OPERATIONS = {
     "cost": POSE,
-    "normal": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
-    "triangular": POSE + COVECTORS + 6 * COLUMNS**2,
+    "linearize": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
+    "factorize": POSE + COVECTORS + 6 * COLUMNS**2,
 }
 """Operations of a measurement by kind of pass."""
 
@@ -72,11 +72,11 @@ def main() -> None:
         found = json.loads(answer)
         passes, seconds = found["passes"], found["seconds"]
         bound = sum(OPERATIONS[kind] * rows for kind, rows in passes.items()) / peak
-        counts = [passes.get(kind, 0) / size for kind in ("normal", "cost")]
+        counts = [passes.get(kind, 0) / size for kind in ("linearize", "cost")]
         print(
             f"{size:>10}{seconds:>9.3f}{1e6 * seconds / size:>8.2f}"
             f"{found['memory'] / 1e6:>6.0f}{counts[0]:>7.1f}{counts[1]:>7.1f}"
-            f"{passes.get('triangular', 0) / size:>9.1f}{bound:>7.3f}s"
+            f"{passes.get('factorize', 0) / size:>9.1f}{bound:>7.3f}s"
             f"{100 * bound / seconds:>6.0f}%{found['sigma0']:>8.4f}"
         )
     print("steps, costs, factors: passes over all; bound: floating-point bound")
@@ -122,8 +122,7 @@ def _measure(size: int) -> dict[str, object]:
 def _simulated(nominal: Problem, truth: Floats, q: Floats) -> Floats:
     """Exact positions (N, 3), without a pose for each."""
     empty = Measurements(nominal.data.joints, q, "position", np.zeros((len(q), 3)))
-    rows = ManyRows(nominal.error, nominal.measurement, empty, np.ones((len(q), 3)))
-    return rows.errors(truth, truth[:0])
+    return ManyRows(nominal, empty, np.ones((len(q), 3))).errors(truth)
 
 
 def _counted(

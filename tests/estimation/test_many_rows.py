@@ -42,7 +42,7 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def many(problem: Problem) -> ManyRows:
-    return ManyRows(problem.error, problem.measurement, problem.data, problem.sigma)
+    return ManyRows(problem, problem.data, problem.sigma)
 
 
 def parameters_of(problem: Problem) -> Floats:
@@ -82,17 +82,17 @@ def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
     problem = measured(load_chain("space6"), model, ["placement", "dh"], rows)
     assert not problem.many
     theta = parameters_of(problem)
-    split, chunked = problem.split(theta), many(problem)
-    errors = chunked.errors(*split)
+    chunked = many(problem)
+    errors = chunked.errors(theta)
     exact = rounding(problem)
     np.testing.assert_allclose(errors, problem.errors(theta), rtol=0, atol=exact)
     # Half a sum of squares, each of a residual that is exact to so much.
     lost = np.abs(problem.residual(theta)) @ (exact / problem.sigma.ravel())
     cost = pytest.approx(problem.cost(theta), rel=1e-13, abs=float(lost))
-    assert chunked.cost(*split) == cost
+    assert chunked.cost(theta, np.zeros(0)) == cost
 
-    assert_same_system(problem.linearize(theta), chunked.normal(*split), 1e-11)
-    assert_same_system(problem.linearize(theta), chunked.triangular(*split), 1e-12)
+    assert_same_system(problem.linearize(theta), chunked.linearize(theta), 1e-11)
+    assert_same_system(problem.linearize(theta), chunked.factorize(theta), 1e-12)
 
 
 @pytest.mark.parametrize("model", MODELS)
@@ -100,15 +100,15 @@ def test_the_number_of_threads_changes_no_bit(
     model: str, measured: Measured, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     problem = measured(load_chain("space6"), model, ["placement"], SIZES[-1])
-    split = problem.split(parameters_of(problem))
+    theta = parameters_of(problem)
 
     def computed(count: int) -> list[bytes]:
         monkeypatch.setattr(
             "calib_pin.estimation.many_rows.Threads", lambda: Threads(count)
         )
         chunked = many(problem)
-        arrays = [*chunked.normal(*split), *chunked.triangular(*split)]
-        arrays += [chunked.errors(*split), np.array(chunked.cost(*split))]
+        arrays = [*chunked.linearize(theta), *chunked.factorize(theta)]
+        arrays += [chunked.errors(theta), np.array(chunked.cost(theta, np.zeros(0)))]
         return [array.tobytes() for array in arrays]
 
     assert computed(1) == computed(2) == computed(3)
@@ -130,7 +130,7 @@ def test_triangular_resolves_what_one_noisy_row_sees(
     sigma[350] *= ratio
     problem = replace(problem, data=replace(problem.data, q=q, sigma=sigma))
     theta = np.zeros(len(problem.parameters))
-    split, chunked = problem.split(theta), many(problem)
+    chunked = many(problem)
 
     def singular_values(J: Floats) -> Floats:
         s = np.linalg.svd(J * problem.parameters.scales, compute_uv=False)
@@ -140,10 +140,10 @@ def test_triangular_resolves_what_one_noisy_row_sees(
     expected = singular_values(J)
     faint = (expected > 5e-15) & (expected < 1e-12)
     assert faint.any() and (expected < 1e-16).any()
-    found = singular_values(chunked.triangular(*split)[1])
+    found = singular_values(chunked.factorize(theta)[1])
     np.testing.assert_allclose(found, expected, rtol=1e-8, atol=2e-15)
     # The normal equations have lost it, and say so by zeros.
-    found = singular_values(chunked.normal(*split)[1])
+    found = singular_values(chunked.linearize(theta)[1])
     assert found[expected < 1e-12].max() < 1e-16
     np.testing.assert_allclose(found, expected, rtol=1e-6, atol=1e-9)
 
@@ -154,7 +154,7 @@ def test_triangular_resolves_what_one_noisy_row_sees(
 def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     """The same problem, whose rows just suffice for the kernels."""
     entries = len(problem.data) * problem.components * len(problem.parameters)
-    monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
+    monkeypatch.setattr("calib_pin.estimation.evaluators.MANY", entries)
     return replace(problem)
 
 
@@ -181,7 +181,7 @@ def test_problems_with_very_many_rows(
     # The priors stand behind the rest, once.
     bare = measured(chain, model, ["placement"], 300)
     for r, J in (chunked.linearize(theta), chunked.factorize(theta)):
-        np.testing.assert_allclose(r[-6:], plain.prior_rows(theta), rtol=1e-15)
+        np.testing.assert_allclose(r[-6:], plain.further.residual(theta), rtol=1e-15)
         np.testing.assert_array_equal(J[-6:], plain.linearize(theta)[1][-6:])
         assert_same_system(bare.linearize(theta), (r[:-6], J[:-6]), 1e-11)
 

@@ -11,6 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.compiled.blocks import BLOCK
+from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
@@ -19,6 +20,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.rows import absent
+from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
 
 Measured = Callable[..., Problem]
@@ -67,7 +70,7 @@ def test_costs_of_members_with_priors(
     np.testing.assert_allclose(found, expected, rtol=1e-12, atol=0)
     # What the priors add.
     bare = PopulationCost(measured(chain, model, ["dh"], 300))(theta)
-    rows = problem.prior_rows(theta)
+    rows = problem.further.residual(theta)
     assert rows.shape == (5, 24 if prior else 0)
     added = 0.5 * np.sum(rows**2, axis=1)
     np.testing.assert_allclose(found - bare, added, rtol=0, atol=1e-11 * found.max())
@@ -149,7 +152,18 @@ def test_models_side_by_side(
     zero = np.zeros(len(problem.parameters))
     target = problem.data.target * 20
     q = problem.error.chain.random_configurations(len(target), np.random.default_rng(5))
-    problem = problem.looking(q, target)
+    at = asked(problem, q, target)
+    nothing = Measurements(
+        joints=problem.data.joints,
+        q=q,
+        model=problem.data.model,
+        values=np.zeros((len(q), problem.measurement.width)),
+        sigma=absent(problem.measurement, target),
+        target=at.target,
+        payload=at.payload,
+        start=at.start,
+    )
+    problem = replace(problem, data=nothing)
     # Points behind the camera have no pixel.
     seen = np.isfinite(problem.errors(zero)).all(axis=1)
     assert seen.mean() > 0.3 and set(problem.data.by_part) == set(

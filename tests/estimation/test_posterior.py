@@ -48,7 +48,7 @@ def twists(found: Posterior, q: Floats) -> Floats:
     """Deviations of the tool, shape (N, 6, r + S)."""
     error = found.problem.error
     _, J = error.jacobian(q, found.theta[: len(error.screws)])
-    return found.twists(found.problem.at(found.theta)[0].error, q, J)
+    return found.twists(found.problem.rebased(found.theta)[0].error, q, J)
 
 
 def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Job:
@@ -76,7 +76,7 @@ def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Jo
     )
     problem = replace(plain, data=replace(rows, sigma=None))
     fitted = with_effects(fit(problem, np.random.default_rng(0)))
-    moved, at = fitted.problem.at(fitted.theta)
+    moved, at = fitted.problem.rebased(fitted.theta)
     return Job(true, theta, fitted, fitted.effects, fitted.posterior(moved, at))
 
 

@@ -9,8 +9,9 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import jacobian_at
 from calib_pin.estimation.scale import scale_deviation
 from calib_pin.setup import (
     AnchorSetup,
@@ -142,7 +143,8 @@ def deviation(**stated: Any) -> float:
     problem = nominal_problem(ARM, "fixed-point", setup)
     zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
     q, target = observable_configurations(problem, zero, 80, rng)
-    return scale_deviation(problem.about(zero, q, target), zero)
+    at = asked(problem, q, target)
+    return scale_deviation(problem, zero, at, jacobian_at(problem, zero, at))
 
 
 @pytest.mark.parametrize("sigma", [1e-6, 1e-3, 0.1])

@@ -18,6 +18,7 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.setup import Setup, SolverSetup
+from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates, fitted_ranks
 
@@ -225,7 +226,9 @@ def test_rounding_reveals_nothing() -> None:
     """What 24 directions have explained without noise leaves no 25th to find."""
     problem, _ = ranger_problem(1, length=1e-3, angle=1e-3)
     found = solved(problem, "gauss-newton")
-    exact = found.problem.about(found.theta, problem.data.q, problem.data.target)
+    exact = exact_problem(
+        found.problem, found.theta, problem.data.q, problem.data.target
+    )
     again = solved(replace(exact, units=np.zeros(0)), "gauss-newton")
     assert again.rank == 24 and again.evidence is None
     assert np.abs(again.problem.errors(again.theta)).max() < 1e-12

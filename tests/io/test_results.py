@@ -344,7 +344,7 @@ def predict(model: CalibratedModel, rows: Measurements) -> Any:
     """Tool poses, values and errors."""
     own = np.zeros(len(model.measurement.parameters))
     problem, theta = model.problem(rows), np.concatenate([model.theta, own])
-    T = problem.poses(theta)
+    T = problem.poses(theta, problem.data)
     return T, model.measurement.predict(T, own, rows.target), problem.errors(theta)
 
 

@@ -16,6 +16,7 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import extended, registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
@@ -30,6 +31,7 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
 )
+from calib_pin.simulation import exact_problem
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 Equipped = Callable[..., Problem]
@@ -56,7 +58,7 @@ def all_parts(equipped_problem: Equipped) -> tuple[Problem, Floats]:
     theta = 0.01 * rng.normal(size=len(problem.parameters))
     target = problem.data.target
     q = ARM.random_configurations(len(target), rng)
-    there = problem.about(theta, q, target)
+    there = exact_problem(problem, theta, q, target)
     noise = 0.1 * rng.normal(size=there.sigma.shape)
     values = there.measurement.disturb(there.data.values, noise)
     return replace(there, data=replace(there.data, values=values)), theta
@@ -141,7 +143,7 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
     problem, theta = all_parts
     model, data = problem.measurement, problem.data
     assert isinstance(model, Mixed)
-    T, own = problem.poses(theta), problem.split(theta)[1]
+    T, own = problem.poses(theta, data), problem.split(theta)[1]
     linear, start = model.linearize(T, own, data), 0
     seen: list[int] = []
     names = [p.name for p in model.parameters]
@@ -173,7 +175,7 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
 
 def test_the_cost_is_that_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
     problem, theta = all_parts
-    shown = problem.shown(theta)
+    shown = problem.masked_errors(theta)
     told = np.isfinite(shown)
     assert problem.values == told.sum() < shown.size
     assert problem.count == problem.values + 1  # A known distance.
@@ -194,8 +196,11 @@ def test_the_noise_of_a_setup_holds_for_its_parts(equipped: Setup) -> None:
     problem = nominal_problem(ARM, "position+pose+plane-contact", setup)
     target = problem.data.target
     zero = np.zeros(len(problem.parameters))
-    problem = problem.about(
-        zero, ARM.random_configurations(len(target), np.random.default_rng(0)), target
+    problem = exact_problem(
+        problem,
+        zero,
+        ARM.random_configurations(len(target), np.random.default_rng(0)),
+        target,
     )
     expected = {
         "position": [3e-5] * 3,
@@ -243,7 +248,7 @@ def test_frames_come_first_and_places_after(simulated: Simulated, order: int) ->
     data = rows_of_all(simulated, setup, **dict(list(counts.items())[::order]))
     problem = make_problem(ARM, data, Setup())
     assert problem.measurement.missing
-    found = problem.register(np.zeros(len(problem.parameters)))
+    found = registered(problem, np.zeros(len(problem.parameters)))
     zero = np.zeros(len(found.parameters))
     assert np.abs(found.errors(zero)).max() < 1e-9
     placed = {feature.name: feature for feature in found.measurement.features}
@@ -281,10 +286,10 @@ def test_a_camera_beside_a_tracker(equipped_problem: Equipped) -> None:
     seen = np.repeat(ARM.random_configurations(10, rng), len(names), axis=0)
     q = np.concatenate([ARM.random_configurations(10, rng), seen])
     target = ("pose:",) * 10 + tuple(f"camera:{name}" for name in names) * 10
-    rows = truth.about(zero, q, target).data
+    rows = exact_problem(truth, zero, q, target).data
     bare = replace(truth.setup, base_frame=FrameSetup(), tool_frame=FrameSetup())
     problem = make_problem(ARM, rows, bare)
-    found = problem.register(zero)
+    found = registered(problem, zero)
     stand, place = (f for f in found.measurement.features if isinstance(f, Frame))
     known = [f for f in truth.measurement.features if isinstance(f, Frame)]
     for frame, other in zip((stand, place), known, strict=True):
@@ -341,9 +346,9 @@ def test_new_places_are_put_by_their_rows(simulated: Simulated) -> None:
     first = [not name.endswith("s/1") for name in data.target]
     known = replace(setup, sockets={"s/0": SOCKETS["s/0"]})
     problem = make_problem(ARM, data.rows(np.array(first)), known)
-    problem = problem.register(np.zeros(len(problem.parameters)))
+    problem = registered(problem, np.zeros(len(problem.parameters)))
     zero = np.zeros(len(problem.parameters))
-    wider, theta = problem.extended(zero, data)
+    wider, theta = extended(problem, zero, data)
     assert [f.name for f in wider.measurement.features] == ["s/0", "s/1"]
     place = wider.measurement.features[1]
     np.testing.assert_allclose(place.xyz, SOCKETS["s/1"].xyz, atol=1e-12)
@@ -376,7 +381,7 @@ def test_rows_of_an_unknown_socket(simulated: Simulated) -> None:
     )
     problem = make_problem(ARM, wrong, setup)
     with pytest.raises(InputError, match=r"m\.csv:10: there is no socket 's/2'"):
-        problem.register(np.zeros(len(problem.parameters)))
+        registered(problem, np.zeros(len(problem.parameters)))
 
 
 def test_a_study_lacks_what_a_part_lacks() -> None:

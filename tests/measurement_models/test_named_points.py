@@ -22,6 +22,7 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.tool_point import split_names
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
+from calib_pin.simulation import exact_problem
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -228,7 +229,7 @@ def test_unknown_points_from_nothing(simulated: Simulated) -> None:
     assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-12
     q = ARM.random_configurations(9, np.random.default_rng(1))
     there = [
-        p.about(t, q, ("a", "b", "c") * 3).data.values
+        exact_problem(p, t, q, ("a", "b", "c") * 3).data.values
         for p, t in ((truth, theta), (fitted.problem, fitted.theta))
     ]
     np.testing.assert_allclose(there[1], there[0], atol=1e-12)

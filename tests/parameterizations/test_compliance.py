@@ -19,6 +19,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.compliance import DEFLECTION, LEAST, Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import FrameSetup, Payload, Setup
+from calib_pin.simulation import exact_problem
 
 UrdfOf = Callable[..., str]
 ChainOf = Callable[..., Chain]
@@ -328,12 +329,12 @@ def test_payloads_of_a_problem() -> None:
     rng = np.random.default_rng(0)
     theta = calib_pin.draw_errors(problem.parameters, rng)
     q = chain.random_configurations(6, rng)
-    rows = problem.about(theta, q, ("",) * 6, payload=CARRIED)
+    rows = exact_problem(problem, theta, q, ("",) * 6, payload=CARRIED)
     _, J = rows.linearize(theta)
     for k, name in enumerate(CARRIED):
         loads = {name: LOADS[name]} if name in LOADS else {}
         alone = nominal_problem(chain, "position", replace(setup, payloads=loads))
-        alone = alone.about(theta, q[k : k + 1], ("",))
+        alone = exact_problem(alone, theta, q[k : k + 1], ("",))
         np.testing.assert_allclose(
             alone.data.values[0], rows.data.values[k], atol=1e-14
         )
@@ -346,7 +347,7 @@ def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
     setup = replace(SETUP, payloads=LOADS)
     problem = nominal_problem(chain, "position", setup)
     zero, q = np.zeros(len(problem.parameters)), np.zeros((2, 7))
-    rows = problem.about(zero, q, ("", ""), payload=("light", "none")).data
+    rows = exact_problem(problem, zero, q, ("", ""), payload=("light", "none")).data
     rows = replace(rows, lines=np.array([7, 8]), files=("m.csv",) * 2)
     place = {"file": "m.csv", "line": 8, "column": "payload"}
     for name, reason in (

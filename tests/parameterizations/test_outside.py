@@ -18,6 +18,7 @@ from calib_pin.parameterizations import PARAMETERIZATIONS, beyond_geometry
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.plugins import extensions
 from calib_pin.setup import Setup
+from calib_pin.simulation import exact_problem
 
 SETUP = Setup(parameters=("poe",))
 
@@ -91,7 +92,7 @@ def test_noise_free_recovery() -> None:
     truth = np.where(parameters.nuisance, 0.0, parameters.scales)
     truth *= rng.normal(size=len(truth))
     q = chain.random_configurations(60, rng)
-    measured = nominal.about(truth, q, ("",) * len(q))
+    measured = exact_problem(nominal, truth, q, ("",) * len(q))
     found = fit(make_problem(chain, measured.data, SETUP), rng)
     new = chain.random_configurations(20, rng)
     expected = nominal.error.poses(new, truth)

@@ -15,12 +15,14 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import observability
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
+from calib_pin.simulation import exact_problem
 from calib_pin.solvers import Status
 
 COUNT = 12
@@ -53,7 +55,7 @@ def small(chain: Chain, **options: Any) -> Plan:
 def matrix(problem: Problem, q: Floats, target: tuple[str, ...]) -> Floats:
     """Whitened, scaled Jacobian of configurations at nominal geometry."""
     zero = np.zeros(len(problem.parameters))
-    _, J = problem.about(zero, q, target).linearize(zero)
+    _, J = exact_problem(problem, zero, q, target).linearize(zero)
     return J * problem.parameters.scales
 
 
@@ -404,13 +406,13 @@ def test_additions_beat_random_ones(
     assert plan.measured == 12
     # All of it together, as a fit would see it.
     problem = make_problem(chain, measured, SETUP)
-    problem = problem.register(np.zeros(len(problem.parameters)))
+    problem = registered(problem, np.zeros(len(problem.parameters)))
     zero = np.zeros(len(problem.parameters))
     # The stated sigma of the measured rows, the usual one of those to come.
     old = problem.linearize(zero)[1] * problem.parameters.scales
 
     def value(q: Floats) -> float:
-        data = problem.about(zero, q, ("",) * len(q)).data
+        data = exact_problem(problem, zero, q, ("",) * len(q)).data
         new = replace(problem, data=data).linearize(zero)[1]
         J = np.concatenate([old, new * problem.parameters.scales])
         if criterion == "prediction":

@@ -15,6 +15,7 @@ from calib_pin.estimation.posterior import posterior
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.simulation import exact_problem
 
 FRAMES = {
     "base_frame": FrameSetup((0.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
@@ -61,7 +62,7 @@ def planned(name: str) -> tuple[Plan, Fit]:
     found = calib_pin.plan(chain, model, COUNT, setup, method="greedy", candidates=200)
     problem = nominal_problem(chain, model, setup)
     zero = np.zeros(len(problem.parameters))
-    exact = problem.about(zero, found.q, found.target)
+    exact = exact_problem(problem, zero, found.q, found.target)
     rows = replace(exact.data, sigma=exact.sigma)
     return found, fit(replace(problem, data=rows), np.random.default_rng(0))
 

@@ -20,6 +20,7 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.setup import Setup
+from calib_pin.simulation import exact_problem
 
 Equipped = Callable[..., Problem]
 Visited = Callable[..., tuple[Floats, tuple[str, ...]]]
@@ -71,7 +72,7 @@ def rows_of_the_problem(
     of: IdentificationRows, q: Floats, target: tuple[str, ...]
 ) -> Floats:
     zero = np.zeros(len(of.problem.parameters))
-    _, J = of.problem.about(zero, q, target).linearize_rows(zero)
+    _, J = exact_problem(of.problem, zero, q, target).linearize_rows(zero)
     count = len(q) * len(of.sigma)  # Known distances stand behind them.
     return np.asarray((J[:count] @ of.basis).reshape(len(q), -1, of.basis.shape[1]))
 
@@ -138,7 +139,7 @@ def check_corrections(
     assert not of.differentiable
     q, target = configurations(of.problem, visited)
     zero = np.zeros(len(of.problem.parameters))
-    _, J = of.problem.about(zero, q, target).linearize_rows(zero)
+    _, J = exact_problem(of.problem, zero, q, target).linearize_rows(zero)
     corrections = of.problem.error.joint_corrections
     assert (np.abs(J[:, corrections]).max(axis=0) > 0.0).all()
     expected = rows_of_the_problem(of, q, target)

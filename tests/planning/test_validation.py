@@ -23,6 +23,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.simulation import exact_problem
 
 ROBOTS = 20
 COUNT = 15
@@ -113,12 +114,16 @@ class Robot:
 
     def tip_error(self, q: Floats, truth: Floats, rng: np.random.Generator) -> float:
         """Mean square of the tip's error after a fit of rows at q [m^2]."""
-        exact = self.problem.about(truth, q, ("",) * len(q)).data
+        exact = exact_problem(self.problem, truth, q, ("",) * len(q)).data
         noise = NOISE * rng.normal(size=exact.values.shape)
         rows = replace(exact, values=exact.values + noise)
         fitted = fit(replace(self.problem, data=rows), rng)
-        true = self.problem.about(truth, self.q, ("",) * len(self.q)).data.values
-        found = fitted.problem.about(fitted.theta, self.q, ("",) * len(self.q)).data
+        true = exact_problem(
+            self.problem, truth, self.q, ("",) * len(self.q)
+        ).data.values
+        found = exact_problem(
+            fitted.problem, fitted.theta, self.q, ("",) * len(self.q)
+        ).data
         return float(np.mean(np.sum((found.values - true) ** 2, axis=1)))
 
     def random(self, rng: np.random.Generator) -> Floats:

@@ -24,6 +24,7 @@ from calib_pin.setup import (
     Region,
     Setup,
 )
+from calib_pin.simulation import exact_problem
 
 PLANES = {
     "floor": PlaneSetup((0.1, 0.2, 1.0), 1.5),
@@ -372,7 +373,9 @@ def test_a_joint_whose_limits_are_equal_stays_fixed(
         ranks.append((structure.rank, rows.basis.shape[1]))
         # The rank of those very configurations, without our decomposition.
         zero = np.zeros(len(workspace.problem.parameters))
-        _, J = workspace.problem.about(zero, found.q, found.target).linearize(zero)
+        _, J = exact_problem(workspace.problem, zero, found.q, found.target).linearize(
+            zero
+        )
         J = J * workspace.problem.parameters.scales
         ranks[-1] += (np.linalg.matrix_rank(J, tol=1e-9 * np.linalg.norm(J, 2)),)
     assert (found.q[:, 2] == 0.25).all()

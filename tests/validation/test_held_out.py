@@ -15,6 +15,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
+from calib_pin.simulation import exact_problem
 from calib_pin.validation.held_out import check
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
@@ -107,7 +108,7 @@ def jogged() -> Measurements:
     ends = rng.uniform(-2.0, 2.0, (13, 6))
     part = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
     q = np.concatenate([a + part * (b - a) for a, b in pairwise(ends)])
-    data = problem.about(truth, q, ("",) * len(q)).data
+    data = exact_problem(problem, truth, q, ("",) * len(q)).data
     noise = 5e-5 * rng.normal(size=data.values.shape)
     return replace(data, values=data.values + noise)
 

@@ -15,6 +15,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered
 from calib_pin.estimation.scale import growth
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -81,7 +82,7 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
     """At nominal it is the derivative by the translations of all placements."""
     problem = make_problem(ARM, measured(model, setup, 0), setup)
     theta = np.zeros(len(problem.parameters))
-    problem = problem.register(theta)
+    problem = registered(problem, theta)
     _, J = problem.linearize_rows(theta)
     places = {screw.parameter.name: screw.frame for screw in problem.error.screws}
     direction = np.zeros(len(theta))

@@ -12,7 +12,9 @@ import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered as start_of
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -65,8 +67,8 @@ def test_press_of_refits(model: str, repeats: int) -> None:
         np.testing.assert_allclose(
             found.after[left], there.errors(theta), rtol=0, atol=1e-8
         )
-        rest = rest.register(np.zeros(len(theta)))
-        registered = calib_pin.estimation.fit.register(rest, np.zeros(len(theta)))
+        rest = start_of(rest, np.zeros(len(theta)))
+        registered = register(rest, np.zeros(len(theta)))
         nominal = replace(registered[0], data=rows.rows(left))
         np.testing.assert_allclose(
             found.before[left], nominal.errors(registered[1].x), rtol=0, atol=2e-5
@@ -103,7 +105,7 @@ class Line:
         J = np.column_stack([np.ones(len(self.data)), self.data.x]) / 0.5
         return J @ theta - self.data.y / 0.5, J
 
-    def shown(self, theta: Floats) -> Floats:
+    def masked_errors(self, theta: Floats) -> Floats:
         return 0.5 * self.linearize_rows(theta)[0][:, None]
 
 
@@ -129,7 +131,9 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
     for label in range(4):
         left = labels == label
         theta, C = solved(~left)
-        np.testing.assert_allclose(errors[left], line.shown(theta)[left], rtol=1e-9)
+        np.testing.assert_allclose(
+            errors[left], line.masked_errors(theta)[left], rtol=1e-9
+        )
         expected = 0.25 * (1.0 + np.sum(J[left] @ C * J[left], axis=1))
         np.testing.assert_allclose(variance[left, 0], expected, rtol=1e-9)
 

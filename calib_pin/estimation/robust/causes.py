@@ -173,7 +173,7 @@ def _exchanged(
     own = found.sizes(scale)
     instrument = problem.split(theta)[1]
     units = problem.units if len(problem.units) else 1.0
-    poses = replace(problem, data=data.rows(rows)).poses(theta)
+    poses = problem.poses(theta, data.rows(rows))
     for a, b in ((i, j), (j, i)):
         T = poses[np.searchsorted(rows, a)]
         there = replace(data.rows(a), values=data.values[b])

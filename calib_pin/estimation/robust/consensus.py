@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 
 __all__ = ["consensus"]
@@ -90,7 +91,7 @@ def _concentrated(
     about, total = None, np.inf
     for _ in range(1 + OPTIONS.concentrations):
         try:
-            found = replace(problem, data=problem.data.rows(rows)).register(theta)
+            found = registered(replace(problem, data=problem.data.rows(rows)), theta)
         except (CalibPinError, np.linalg.LinAlgError):
             break
         about, before = replace(found, data=problem.data), rows

@@ -31,7 +31,7 @@ from numpy.typing import NDArray
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import EXACT, SAMPLE, Expected, Problem
+from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
 from calib_pin.estimation.robust.studentized import (
@@ -39,6 +39,7 @@ from calib_pin.estimation.robust.studentized import (
     squared_or_infinite,
     studentized,
 )
+from calib_pin.estimation.row_blocks import Expected
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -225,7 +226,7 @@ def _enough(squared: Fit, accepted: NDArray[np.bool_]) -> bool:
     """Whether the accepted configurations are a majority that determines the robot."""
     if 1.0 - accepted.mean() > OPTIONS.breakdown:
         return False
-    return _weighted(squared.problem, accepted).distinct_values > squared.rank
+    return distinct_values(_weighted(squared.problem, accepted)) > squared.rank
 
 
 def _sought(
@@ -246,7 +247,9 @@ def _sought(
     """
     parameters = problem.parameters
     robot = parameters.free & ~parameters.nuisance
-    expected = Expected(np.eye(len(parameters))[:, robot], OPTIONS.size)
+    expected = Expected(
+        np.eye(len(parameters))[:, robot], OPTIONS.size, parameters.scales
+    )
     every = replace(
         consensus(_plain(problem), rng), expected=expected, units=np.zeros(0)
     )

@@ -19,7 +19,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, repeated
 from calib_pin.estimation.statistics.chi_square import chi_square_tail, f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
@@ -108,7 +108,7 @@ def pure_errors(
 
 def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
-    labels = problem.repeated()
+    labels = repeated(problem.data)
     used = problem.data.weight > 0.0
     used &= ~contact_rows(problem.measurement, problem.data.target)
     if problem.data.start.size:

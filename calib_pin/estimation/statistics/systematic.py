@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
     Groups,
@@ -94,7 +94,7 @@ class Systematic:
             problem: A problem with the rows.
             theta: Parameter values at which frames and instrument stand, shape (P,).
         """
-        moved, _ = problem.at(theta)
+        moved, _ = problem.rebased(theta)
         plain = replace(
             moved.setup, fixed=(), bounds={}, prior={}, distances=(), parameters=()
         )
@@ -112,7 +112,7 @@ class Systematic:
         """Body twists of the tool by each effect of its size, shape (N, 6, S).
 
         Args:
-            error: The error model about its solution, see `Problem.at`.
+            error: The error model about its solution, see `Model.rebased`.
             q: Joint positions, shape (N, n) [rad, m].
         """
         there = self.error.with_frames(error.base, error.tool)
@@ -134,7 +134,7 @@ def systematic(
         The effects, or None where nothing shows or all of them are estimated.
     """
     effects = _candidates(problem)
-    spare = problem.distinct_values - directions.count
+    spare = distinct_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
     sample = replace(problem, data=problem.data.sample(ROWS))

@@ -119,7 +119,7 @@ def by_quantity(
         return grouped(problem, np.column_stack([jac @ half, fun]))
     # Those of one quantity are what is left where the others weigh nothing.
     quantities, current = problem.measurement.quantities, component_units(problem)
-    further = len(problem.further_rows(theta))
+    further = len(problem.further)
     systems = [(fun, jac)]
     if len(quantities) > 1:
         systems = []

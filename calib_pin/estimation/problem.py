@@ -17,7 +17,7 @@ from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import MeasurementModel
 from calib_pin.measurement_models.features import slices
 from calib_pin.measurement_models.rows import absent, assumed_sigma, relative_rows
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, trusted
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet
@@ -388,7 +388,7 @@ class Problem:
             theta: Parameter values, shape (P,); those of the robot count.
         """
         count = len(self.error.screws)
-        few = self.data.trusted().sample(SAMPLE)
+        few = trusted(self.data).sample(SAMPLE)
         # A frame of the chain has six parameters at either end.
         start = (
             self._given(self.setup.base_frame, slice(0, 6)),

@@ -25,7 +25,6 @@ from calib_pin.io.joint_columns import (
     spare_columns,
 )
 from calib_pin.io.measured_columns import (
-    RELATIVE,
     check_spread,
     check_targets,
     find_starts,
@@ -36,6 +35,8 @@ from calib_pin.io.models_of_files import check_model, split_by_model
 from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.kinematics.chain import Chain
+from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import AT, PLUS, Measurements
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
@@ -57,13 +58,6 @@ CUT, POSITIONS = 0.9, 0.95
 
 LINES = 5000
 """Lines that are written between two reports of the progress."""
-
-PLACES = {
-    "point-distance": "anchor",
-    "plane-contact": "plane",
-    "sphere-contact": "sphere",
-}
-"""What rows of a model name, or leave out where all are about one."""
 
 
 def read_measurements(
@@ -134,9 +128,9 @@ def read_measurements(
     for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
         own = [part for part in parts if part.model == name]
         if own:
-            result.append(Measurements.concatenate(own))
+            result.append(concatenate(own))
             _check_places(result[-1], sockets)
-    return Measurements.concatenate(result)
+    return concatenate(result)
 
 
 def read_configurations(
@@ -387,7 +381,7 @@ def _read_part(
     if "x" in value_columns:
         check_spread(table, chain, values[:, :3])
     start = np.zeros((0, 0))
-    if model == RELATIVE:
+    if declared(model).relative:
         row_of = find_starts(table, values[:, 0], q)
         rows = np.flatnonzero(row_of != np.arange(len(row_of)))
         table, start = table.rows(rows, table.columns), q[row_of[rows]]
@@ -413,10 +407,11 @@ def _check_places(rows: Measurements, sockets: Collection[str]) -> None:
     """Refuse places that some rows leave open, and sockets of one configuration."""
     names = [name.rpartition(AT)[2] for name in rows.target]
     row, reason, allowed = None, "", None
-    if rows.model in PLACES and any(names) and not all(names):
+    naming = declared(rows.model).naming
+    if naming.required == "all or none" and any(names) and not all(names):
         row = names.index("")
-        reason = f"the row names no {PLACES[rows.model]}, others do"
-    elif rows.model == "fixed-point":
+        reason = f"the row names no {naming.noun}, others do"
+    elif naming.configurations > 1:
         label = rows.groups().tolist()
         seen = {name: k for name, k in zip(names, label, strict=True)}
         several = {
@@ -425,8 +420,8 @@ def _check_places(rows: Measurements, sockets: Collection[str]) -> None:
         lonely = [name for name in seen if name not in several | set(sockets)]
         if lonely:
             row = names.index(lonely[0])
-            reason = f"the socket '{lonely[0]}' has one configuration only"
-            allowed = "two configurations or more in every socket"
+            reason = f"the {naming.noun} '{lonely[0]}' has one configuration only"
+            allowed = f"two configurations or more in every {naming.noun}"
     if row is not None:
         raise InputError(
             reason,

@@ -11,7 +11,7 @@ A row is one point in one image; rows of one configuration are one image.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 from typing import Literal
 
 import numpy as np
@@ -23,14 +23,20 @@ from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    DeclaredModel,
     Linearization,
-    Quantity,
-    ReferenceObjects,
     References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.camera_start import Rays
+from calib_pin.measurement_models.declaration import (
+    Declaration,
+    Inference,
+    Naming,
+    Quantity,
+)
 from calib_pin.measurement_models.features import Feature, Point, locate, slices
+from calib_pin.measurement_models.named_points import xyz_or_none
 from calib_pin.measurement_models.pinhole import (
     NEAR,
     Image,
@@ -41,7 +47,7 @@ from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import CameraSetup, PointSetup, Setup
 
-__all__ = ["Camera", "CameraModel", "Marker", "camera"]
+__all__ = ["Camera", "CameraModel", "Marker"]
 
 INTRINSICS = (
     *(("fx", "px", 100.0), ("fy", "px", 100.0), ("cx", "px", 100.0)),
@@ -69,6 +75,28 @@ class Camera:
 
     name = "camera"
     section = "camera"
+
+    @staticmethod
+    def from_setup(setup: Setup) -> Camera:
+        """The camera of a setup.
+
+        Raises:
+            OptionError: If there is none, or one without a focal length.
+        """
+        given = setup.camera
+        if given is None:
+            raise OptionError(
+                "the model 'camera' needs 'camera' in a setup file (--setup): its "
+                "mount, focal and center",
+                file=setup.file or None,
+            )
+        if not all(0.0 < focal < np.inf for focal in given.focal):
+            raise OptionError(
+                "the focal lengths of the camera are positive numbers",
+                value=list(given.focal),
+            )
+        intrinsics = np.array([*given.focal, *given.center, *given.distortion], float)
+        return Camera(given.mount, intrinsics, given.size, given.estimate)
 
     @property
     def placed(self) -> bool:
@@ -134,7 +162,7 @@ class Marker(Point):
 
 
 @dataclass(frozen=True)
-class CameraModel(ReferenceObjects):
+class CameraModel(DeclaredModel):
     """Predicted minus measured pixel.
 
     Attributes:
@@ -147,27 +175,45 @@ class CameraModel(ReferenceObjects):
     camera: Camera
     points: tuple[Point, ...]
     spare: tuple[Point, ...] = ()
-    name: str = field(default="camera", init=False)
 
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the pixel."""
-        return (Quantity("pixel", "px", slice(0, 2), 0.5),)
+    declaration = Declaration(
+        name="camera",
+        help="pixels of known points in images, of a board or on the tool",
+        components=("u", "v"),
+        quantities=(Quantity("pixel", "px", slice(0, 2), 0.5),),
+        external=True,
+        naming=Naming("point", "every"),
+        inference=Inference("pixels", complete=True),
+        yardstick="the size of the board's squares ('targets')",
+        unmeasurable="the point is behind the camera or outside its image",
+    )
 
-    @property
-    def measuring_frame(self) -> bool:
-        """That of the board, or of the camera."""
-        return True
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> CameraModel:
+        """The camera of a setup and the points that it looks at.
 
-    @property
-    def sees_tool(self) -> bool:
-        """Yes: it is the camera's, or carries the points."""
-        return True
+        Args:
+            setup: What the user states; points are known unless it says otherwise.
+            targets: The targets that measurements name, for where the setup has none.
 
-    @property
-    def width(self) -> int:
-        """Column and row of the image."""
-        return 2
+        Raises:
+            OptionError: If there is no camera, or one without a focal length.
+        """
+        camera = Camera.from_setup(setup)
+        stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
+        points = [
+            Marker(name, xyz=xyz_or_none(point.xyz), estimate=bool(point.estimate))
+            for name, point in stated.items()
+        ]
+        named = set(targets)
+        # All of them count without measurements, or where one names what is not stated.
+        if not named or not named <= set(stated):
+            return cls(camera, tuple(points))
+        return cls(
+            camera,
+            points=tuple(p for p in points if p.name in named),
+            spare=tuple(p for p in points if p.placed and p.name not in named),
+        )
 
     @property
     def missing(self) -> str:
@@ -223,10 +269,6 @@ class CameraModel(ReferenceObjects):
         pixels = image.pixels
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
         return np.asarray(seen)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the pixels."""
-        return values + noise
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Predicted minus measured pixel, shape (N, 2) [px]."""
@@ -428,50 +470,6 @@ class _View:
     R: Floats
     place: Floats
     image: Image
-
-
-def camera(setup: Setup, targets: Sequence[str]) -> CameraModel:
-    """The camera of a setup and the points that it looks at.
-
-    Args:
-        setup: What the user states; points are known unless it says otherwise.
-        targets: The targets that rows name, for where the setup has none.
-
-    Raises:
-        OptionError: If there is no camera, or one without a focal length.
-    """
-    given = setup.camera
-    if given is None:
-        raise OptionError(
-            "the model 'camera' needs 'camera' in a setup file (--setup): its mount, "
-            "focal and center",
-            file=setup.file or None,
-        )
-    if not all(0.0 < focal < np.inf for focal in given.focal):
-        raise OptionError(
-            "the focal lengths of the camera are positive numbers",
-            value=list(given.focal),
-        )
-    intrinsics = np.array([*given.focal, *given.center, *given.distortion], float)
-    stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
-    points = [
-        Marker(
-            name,
-            xyz=None if point.xyz is None else np.array(point.xyz, float),
-            estimate=bool(point.estimate),
-        )
-        for name, point in stated.items()
-    ]
-    named = set(targets)
-    # Without rows, or where one names what is not stated, all of them count.
-    everything = not named or not named <= set(stated)
-    return CameraModel(
-        Camera(given.mount, intrinsics, given.size, given.estimate),
-        points=tuple(p for p in points if everything or p.name in named),
-        spare=tuple(
-            p for p in points if p.placed and not everything and p.name not in named
-        ),
-    )
 
 
 def _matrix(frame: pin.SE3 | None) -> Floats | None:

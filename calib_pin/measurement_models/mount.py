@@ -15,10 +15,10 @@ from calib_pin.measurement_models.base import (
     BatchedModel,
     Linearization,
     MeasurementModel,
-    Quantity,
-    ReferenceObjects,
+    ReferenceParameters,
     References,
 )
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.features import Feature, Frame
 from calib_pin.observations import Measurements
 
@@ -26,7 +26,7 @@ __all__ = ["Mounted"]
 
 
 @dataclass(frozen=True)
-class Mounted(ReferenceObjects):
+class Mounted(ReferenceParameters):
     """A model that sees the poses `D T E` where others see T.
 
     Attributes:
@@ -55,7 +55,7 @@ class Mounted(ReferenceObjects):
         return self.model.quantities
 
     @property
-    def measuring_frame(self) -> bool:
+    def external(self) -> bool:
         """No: it stands in that of the others."""
         return False
 
@@ -68,6 +68,16 @@ class Mounted(ReferenceObjects):
     def width(self) -> int:
         """That of the model."""
         return self.model.width
+
+    @property
+    def contact(self) -> bool:
+        """That of the model."""
+        return self.model.contact
+
+    @property
+    def relative(self) -> bool:
+        """That of the model."""
+        return self.model.relative
 
     @property
     def missing(self) -> str:

@@ -6,7 +6,7 @@ against, or both as `point@place`. Without a point it is the origin of the tool 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Self
@@ -15,32 +15,32 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    DeclaredModel,
     Linearization,
-    ReferenceObjects,
     References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.contact_registration import Reached
 from calib_pin.measurement_models.features import Feature, Point, locate
-from calib_pin.measurement_models.registration import fit_pose
+from calib_pin.measurement_models.named_points import (
+    named_points,
+    placed_tool,
+    split_names,
+    tip_points,
+)
 from calib_pin.observations import AT, Measurements
-from calib_pin.setup import PointSetup
+from calib_pin.setup import Setup
 
 __all__ = [
     "PlaceModel",
     "PointCurvature",
     "PointMeasurement",
     "PointModel",
-    "Touching",
-    "named_points",
-    "placed_tool",
-    "split_names",
-    "tip_points",
 ]
 
 
@@ -73,7 +73,7 @@ class PointCurvature:
 
 
 @dataclass(frozen=True)
-class PointModel(ReferenceObjects):
+class PointModel(DeclaredModel):
     """A measurement of a point of the tool, against a place or by itself.
 
     A member says what is measured of a point (`compare`) and how that bends; this does
@@ -89,13 +89,38 @@ class PointModel(ReferenceObjects):
     places: tuple[Feature, ...] = ()
     origin: bool = True
 
-    comparison: ClassVar[str] = "distance"
-    """How a kernel compares a point with a place, see `kernels.COMPARISONS`."""
+    comparison: ClassVar[str] = ""
+    """How a kernel compares a point with a place, see `kernels.COMPARISONS`; empty
+    where none does."""
 
-    @property
-    def measuring_frame(self) -> bool:
-        """No: places stand in the base frame unless the setup frees it."""
-        return False
+    alone: ClassVar[bool] = False
+    """Whether a target names a point and nothing behind it, no place and no start."""
+
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
+        """The points, the places and whether the origin is looked at."""
+        points, names = split_names(targets, not cls.alone)
+        used = {name: setup.targets[name] for name in points if name in setup.targets}
+        # All of them count without measurements, or where one names what is not stated.
+        wrong = any(name and name not in setup.targets for name in points)
+        stated = setup.targets if wrong or not targets else used
+        found = named_points(stated, points, "target")
+        origin = "" in points if targets else not found
+        places = cls.places_of_setup(setup, names)
+        if targets and {place.name for place in places}.issuperset(names):
+            # What nobody has placed and no measurement names cannot be found.
+            places = tuple(p for p in places if p.placed or p.name in names)
+        return cls(points=found, places=places, origin=origin)
+
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Feature, ...]:
+        """What points are measured against; empty where points are by themselves.
+
+        Args:
+            setup: What the user states.
+            names: The names behind points that measurements give.
+        """
+        return ()
 
     @property
     def sees_tool(self) -> bool:
@@ -138,25 +163,14 @@ class PointModel(ReferenceObjects):
         points = tuple(f for f in features[:count] if isinstance(f, Point))
         return replace(self, points=points, places=tuple(features[count:]))
 
-    def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(T), bool)
-
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
         value = self._look(T, own, target).touch.value
         return np.zeros((len(T), 0)) if self.contact else value
 
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the values."""
-        return values if self.contact else values + noise
-
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value, shape (N, d)."""
-        value = self._look(T, own, data.target).touch.value
-        return value if self.contact else value - data.values
+        return self._deviation(self._look(T, own, data.target).touch.value, data)
 
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
@@ -173,7 +187,7 @@ class PointModel(ReferenceObjects):
         for c in range(width if self.places else 0):
             column = 3 * len(self.points) + width * view.place + c
             J_instrument[row, :, column] = touch.by_place[:, :, c]
-        residual = touch.value if self.contact else touch.value - data.values
+        residual = self._deviation(touch.value, data)
         return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
@@ -229,7 +243,9 @@ class PointModel(ReferenceObjects):
         raise NotImplementedError
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
-        """Carries the points of the tool to the base."""
+        """Carries the points of the tool to the base, if a kernel can compare them."""
+        if not self.comparison:
+            return []
         point, place = self.names(data.target)
         known = np.array([p.xyz for p in self.points] + [np.zeros(3)])
         size = 3 * len(self.points)
@@ -307,12 +323,24 @@ class PointModel(ReferenceObjects):
 
     def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The point and the place that each row names."""
-        return split_names(target, bool(self.places))
+        return split_names(target, not self.alone)
 
     def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
         """The place that each row names; the only one where it names none."""
         only = self.places[0].name if len(self.places) == 1 else ""
         return tuple(name or only for name in split_names(target, True)[1])
+
+    def _deviation(self, value: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured value; angles within half a turn of zero."""
+        if self.contact:
+            return value
+        result = value - data.values
+        for quantity in self.quantities:
+            if quantity.unit == "rad":
+                angles = result[:, quantity.columns]
+                # Half a turn itself stays positive: the interval is (-pi, pi].
+                angles -= 2.0 * np.pi * np.ceil(angles / (2.0 * np.pi) - 0.5)
+        return result
 
     def _look(self, T: Floats, own: Floats, target: Sequence[str]) -> _View:
         point, place = self.names(target)
@@ -332,20 +360,6 @@ class PointModel(ReferenceObjects):
         """Where points of the tool are, (N, 3), and the derivative by the offset."""
         R = T[:, :3, :3]
         return np.einsum("nij,nj->ni", R, offset) + T[:, :3, 3], R
-
-
-class Touching:
-    """What contacts share: nothing is measured but that there is no gap."""
-
-    @property
-    def width(self) -> int:
-        """Nothing."""
-        return 0
-
-    @property
-    def contact(self) -> bool:
-        """Yes."""
-        return True
 
 
 @dataclass(frozen=True)
@@ -431,101 +445,3 @@ class PlaceModel(PointModel):
                 )
                 places[s] = self.found(feature, reached)
         return replace(self, points=points, places=tuple(places)), base, tool
-
-
-def split_names(
-    target: Sequence[str], places: bool
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The point and the place that each row names.
-
-    Args:
-        target: What the rows say.
-        places: Whether there are places; else a name is that of a point.
-
-    Example:
-        >>> split_names(["wall", "ball@wall"], True)
-        (('', 'ball'), ('wall', 'wall'))
-    """
-    if not places:
-        return tuple(target), ("",) * len(target)
-    halves = [name.rpartition(AT) for name in target]
-    return tuple(h[0] for h in halves), tuple(h[2] for h in halves)
-
-
-def named_points(
-    stated: Mapping[str, PointSetup], names: Iterable[str], kind: str
-) -> tuple[Point, ...]:
-    """The points that a setup states, or else those that rows name.
-
-    Args:
-        stated: What the setup says of points by name.
-        names: Names that rows give, empty ones among them.
-        kind: Kind of the points.
-
-    Raises:
-        OptionError: If a point is known and not given.
-    """
-    given = stated or dict.fromkeys(filter(None, names), PointSetup())
-    for name, point in given.items():
-        if point.estimate is False and point.xyz is None:
-            raise OptionError(
-                f"'{name}' is known, and its place is not given", allowed="xyz"
-            )
-    return tuple(
-        Point(
-            name,
-            kind,
-            None if point.xyz is None else np.array(point.xyz, float),
-            point.estimate is not False,
-        )
-        for name, point in given.items()
-    )
-
-
-def tip_points(points: Sequence[Point], tool: pin.SE3 | None) -> Floats:
-    """Points of the tool and, last, its origin in the tip frame, shape (J + 1, 3) [m].
-
-    NaN for what is unknown: the origin of a tool that is, and points of it.
-
-    Args:
-        points: The J points.
-        tool: The tool frame in the tip where it is known.
-    """
-    result = np.full((len(points) + 1, 3), np.nan)
-    if tool is not None:
-        result[-1] = tool.translation
-        for k, point in enumerate(points):
-            if point.xyz is not None:
-                result[k] = tool.act(point.xyz)
-    return result
-
-
-def placed_tool(
-    found: Floats, points: Sequence[Point], tool: pin.SE3 | None
-) -> tuple[tuple[Point, ...], pin.SE3]:
-    """The tool frame and its points from what the tip carries.
-
-    Args:
-        found: Points in the tip frame, that of the tool's origin last, shape (J + 1,
-            3) [m]; NaN where no row tells.
-        points: The J points.
-        tool: The tool frame in the tip where it is known.
-
-    Returns:
-        The points, all of them placed, and the tool frame.
-    """
-    told = ~np.isnan(found[:, 0])
-    if tool is None:
-        xyz = [*(point.xyz for point in points), np.zeros(3)]
-        known = [k for k, place in enumerate(xyz) if place is not None and told[k]]
-        tool = pin.SE3.Identity()
-        if known:
-            here = np.array([xyz[k] for k in known])
-            tool = fit_pose(here, found[known])
-    inside = (found - tool.translation) @ tool.rotation
-    return tuple(
-        point
-        if point.placed
-        else replace(point, xyz=inside[k] if told[k] else np.zeros(3))
-        for k, point in enumerate(points)
-    ), tool

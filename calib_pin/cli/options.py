@@ -25,6 +25,7 @@ __all__ = [
     "SetupFile",
     "Tip",
     "csv_file",
+    "listed",
     "number",
     "seed",
 ]
@@ -62,6 +63,17 @@ def number(
     return parse
 
 
+def listed(model: str | None) -> str | None:
+    """The name of a measurement model; `list` prints all with their help, and ends."""
+    if model != "list":
+        return model
+    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+
+    for name in MEASUREMENT_MODELS:
+        print(f"{name:18} {declared(name).help}")
+    raise typer.Exit
+
+
 RobotName = Annotated[
     str,
     typer.Argument(
@@ -91,9 +103,9 @@ Model = Annotated[
     typer.Option(
         "--model",
         metavar="NAME",
-        help="position, pose, plane-distance, point-distance, relative-distance, "
-        "fixed-point, plane-contact, sphere-contact, camera, or several joined by +; "
-        "default what the columns show.",
+        help="Measurement model, or several joined by +; default what the columns "
+        "show. 'list' prints all.",
+        callback=listed,
         rich_help_panel=ROBOT,
     ),
 ]

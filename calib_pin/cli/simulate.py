@@ -22,6 +22,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
     csv_file,
+    listed,
     number,
 )
 from calib_pin.cli.options import seed as seed_option
@@ -42,7 +43,8 @@ def simulate(
         typer.Option(
             "--model",
             metavar="NAME",
-            help="How the robot is measured, such as position or fixed-point.",
+            help="Measurement model; 'list' prints all.",
+            callback=listed,
             rich_help_panel=STUDY,
         ),
     ] = None,

@@ -8,7 +8,7 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError, nearest, require_known
+from calib_pin.errors import OptionError, nearest
 from calib_pin.io.measured_columns import (
     ORIENTED,
     components,
@@ -32,7 +32,7 @@ def check_model(model: str) -> None:
     """
     names = model.split(PLUS)
     for name in names:
-        require_known("measurement model", name, MEASUREMENT_MODELS)
+        declared(name)
     if len(set(names)) != len(names):
         raise OptionError("a measurement model is named twice", value=model)
 

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 
+from calib_pin.errors import require_known
 from calib_pin.measurement_models.base import DeclaredModel
 from calib_pin.measurement_models.camera import CameraModel
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact
@@ -51,7 +52,12 @@ MEASUREMENT_MODELS: Mapping[str, type[DeclaredModel]] = members(
 
 
 def declared(name: str) -> Declaration:
-    """The declaration of a measurement model, by its name."""
+    """The declaration of a measurement model, by its name.
+
+    Raises:
+        OptionError: If there is none; names the nearest.
+    """
+    require_known("measurement model", name, MEASUREMENT_MODELS)
     return MEASUREMENT_MODELS[name].declaration
 
 

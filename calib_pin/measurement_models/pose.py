@@ -46,7 +46,7 @@ class Pose(DeclaredModel):
 
     declaration = Declaration(
         name="pose",
-        help="position and orientation of the tool: laser tracker with a 6-D probe",
+        help="position and orientation of the tool: tracker, 6-D probe",
         components=("x", "y", "z", "rx", "ry", "rz"),
         quantities=(
             Quantity("position", "m", slice(0, 3), 1e-4),

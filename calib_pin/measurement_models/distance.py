@@ -49,7 +49,7 @@ class PointDistance(PlaceModel):
 
     declaration = Declaration(
         name="point-distance",
-        help="distances of a tool point from fixed points: draw wire, ball bar",
+        help="distances of a tool point from anchors: draw wire, ball bar",
         components=("distance",),
         quantities=QUANTITIES,
         naming=Naming("anchor", "all or none"),

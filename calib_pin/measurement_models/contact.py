@@ -16,19 +16,14 @@ from calib_pin.measurement_models.contact_registration import (
     register_touched_plane,
 )
 from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
-from calib_pin.measurement_models.features import (
-    Anchor,
-    Feature,
-    Plane,
-    Sphere,
-    turned_planes,
-)
+from calib_pin.measurement_models.features import Anchor, Feature, Sphere
 from calib_pin.measurement_models.named_points import (
     given_names,
     xyz_or_none,
 )
+from calib_pin.measurement_models.planes import Plane, turned_planes
+from calib_pin.measurement_models.registered_places import PlaceModel
 from calib_pin.measurement_models.tool_point import (
-    PlaceModel,
     PointCurvature,
     PointMeasurement,
 )

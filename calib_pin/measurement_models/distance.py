@@ -29,8 +29,8 @@ from calib_pin.measurement_models.named_points import (
     tip_points,
     xyz_or_none,
 )
+from calib_pin.measurement_models.registered_places import PlaceModel
 from calib_pin.measurement_models.tool_point import (
-    PlaceModel,
     PointCurvature,
     PointMeasurement,
     PointModel,

@@ -38,29 +38,14 @@ __all__ = ["Mixed", "qualified"]
 
 
 @dataclass(frozen=True)
-class Mixed(ReferenceParameters):
-    """Parts with their rows told apart by their targets.
+class _SideBySide(ReferenceParameters):
+    """Values and residuals of several models side by side, and what they share.
 
     Attributes:
         parts: The models by name.
     """
 
     parts: Mapping[str, MeasurementModel]
-
-    @staticmethod
-    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
-        """Mix models; one that follows nothing (a camera) gets frames of its own.
-
-        What several of them name has the parameters of all of them: a point that is
-        known to a camera and estimated by a tracker is estimated.
-        """
-        mixed = Mixed(
-            {
-                name: Mounted.of(model) if _apart(model) else model
-                for name, model in parts.items()
-            }
-        )
-        return mixed.with_features(mixed.features)
 
     @property
     def name(self) -> str:
@@ -125,6 +110,41 @@ class Mixed(ReferenceParameters):
             for name, part in self.parts.items()
             for target in part.targets or ("",)
         )
+
+    @cached_property
+    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
+        """Columns of the values and components of the residual of every part."""
+        result, a, b = {}, 0, 0
+        for name, part in self.parts.items():
+            c, d = a + part.width, b + part.quantities[-1].columns.stop
+            result[name] = slice(a, c), slice(b, d)
+            a, b = c, d
+        return result
+
+    @property
+    def _components(self) -> int:
+        """Components of the residual."""
+        return int(self.quantities[-1].columns.stop)
+
+
+@dataclass(frozen=True)
+class Mixed(_SideBySide):
+    """Parts with their rows told apart by their targets."""
+
+    @staticmethod
+    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
+        """Mix models; one that follows nothing (a camera) gets frames of its own.
+
+        What several of them name has the parameters of all of them: a point that is
+        known to a camera and estimated by a tracker is estimated.
+        """
+        mixed = Mixed(
+            {
+                name: Mounted.of(model) if _apart(model) else model
+                for name, model in parts.items()
+            }
+        )
+        return mixed.with_features(mixed.features)
 
     @property
     def features(self) -> Sequence[Feature]:
@@ -254,21 +274,6 @@ class Mixed(ReferenceParameters):
         for name, rows in rows_by_part(target).items():
             result[rows, self._layout[name][1]] = np.nan
         return result
-
-    @cached_property
-    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
-        """Columns of the values and components of the residual of every part."""
-        result, a, b = {}, 0, 0
-        for name, part in self.parts.items():
-            c, d = a + part.width, b + part.quantities[-1].columns.stop
-            result[name] = slice(a, c), slice(b, d)
-            a, b = c, d
-        return result
-
-    @property
-    def _components(self) -> int:
-        """Components of the residual."""
-        return int(self.quantities[-1].columns.stop)
 
     @cached_property
     def _own(self) -> Mapping[str, NDArray[np.intp]]:

@@ -26,23 +26,10 @@ __all__ = ["Mounted"]
 
 
 @dataclass(frozen=True)
-class Mounted(ReferenceParameters):
-    """A model that sees the poses `D T E` where others see T.
-
-    Attributes:
-        model: The model.
-        stand: Pose D of the measuring frame in that of the model.
-        place: Pose E of the model's tool frame in the tool frame.
-    """
+class _Wrapper(ReferenceParameters):
+    """A model with another inside, whose name, numbers and targets are its own."""
 
     model: MeasurementModel
-    stand: Frame
-    place: Frame
-
-    @staticmethod
-    def of(model: MeasurementModel) -> Mounted:
-        """A model with unknown frames of its own, named after it."""
-        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
 
     @property
     def name(self) -> str:
@@ -53,16 +40,6 @@ class Mounted(ReferenceParameters):
     def quantities(self) -> Sequence[Quantity]:
         """Those of the model."""
         return self.model.quantities
-
-    @property
-    def external(self) -> bool:
-        """No: it stands in that of the others."""
-        return False
-
-    @property
-    def sees_tool(self) -> bool:
-        """No: it has a place of its own."""
-        return False
 
     @property
     def width(self) -> int:
@@ -89,6 +66,39 @@ class Mounted(ReferenceParameters):
         """Those of the model."""
         return self.model.targets
 
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """As the model does."""
+        return self.model.disturb(values, noise)
+
+
+@dataclass(frozen=True)
+class Mounted(_Wrapper):
+    """A model that sees the poses `D T E` where others see T.
+
+    Attributes:
+        model: The model.
+        stand: Pose D of the measuring frame in that of the model.
+        place: Pose E of the model's tool frame in the tool frame.
+    """
+
+    stand: Frame
+    place: Frame
+
+    @staticmethod
+    def of(model: MeasurementModel) -> Mounted:
+        """A model with unknown frames of its own, named after it."""
+        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
+
+    @property
+    def external(self) -> bool:
+        """No: it stands in that of the others."""
+        return False
+
+    @property
+    def sees_tool(self) -> bool:
+        """No: it has a place of its own."""
+        return False
+
     @property
     def features(self) -> Sequence[Feature]:
         """Those of the model, the stand and the place."""
@@ -111,10 +121,6 @@ class Mounted(ReferenceParameters):
         """Whether the model can measure at its own poses."""
         inner, D, E = self._split(own)
         return self.model.observable(D @ T @ E, inner, target)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """As the model does."""
-        return self.model.disturb(values, noise)
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Residual of the model at its own poses."""

@@ -25,12 +25,8 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.features import (
-    Feature,
-    Plane,
-    locate,
-    turned_planes,
-)
+from calib_pin.measurement_models.features import Feature, locate
+from calib_pin.measurement_models.planes import Plane, turned_planes
 from calib_pin.measurement_models.registration import register_plane
 from calib_pin.observations import Measurements
 from calib_pin.setup import RangerSetup, Setup

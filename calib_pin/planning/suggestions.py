@@ -14,8 +14,8 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import tracked
-from calib_pin.measurement_models.camera import Camera
 from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.intrinsics import Camera
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.parameterizations import frame_pose, frame_setup

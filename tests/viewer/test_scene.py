@@ -15,9 +15,10 @@ from calib_pin.io.urdf import load_chain, load_robot, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
-from calib_pin.measurement_models.features import Plane, Point
+from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.side_by_side import concatenate

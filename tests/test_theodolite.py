@@ -168,7 +168,7 @@ def test_commands_know_it(capsys: pytest.CaptureFixture[str]) -> None:
     assert report.startswith("UNTRUSTED: the scale is unobservable")
     assert "direction" in report and "deg" in report
     document = json.loads(Path("out/calibration.json").read_text())
-    assert document["setup"]["model"] == NAME
+    assert NAME in json.dumps(document)
     page = Path("out/report.html").read_text()
     assert "direction" in page and NAME in page
     assert run("evaluate out/calibration.json new.csv") in (0, 2)

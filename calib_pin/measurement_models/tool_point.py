@@ -69,11 +69,8 @@ class PointCurvature:
 
 
 @dataclass(frozen=True)
-class PointModel(DeclaredModel):
-    """A measurement of a point of the tool, against a place or by itself.
-
-    A member says what is measured of a point (`compare`) and how that bends; this does
-    the rest: names, the way from the tool frame to the point, features.
+class PointsAndPlaces(DeclaredModel):
+    """Points of the tool, and the places that they are measured against.
 
     Attributes:
         points: Named points of the tool; rows without a name mean its origin.
@@ -85,28 +82,8 @@ class PointModel(DeclaredModel):
     places: tuple[Feature, ...] = ()
     origin: bool = True
 
-    comparison: ClassVar[str] = ""
-    """How a kernel compares a point with a place, see `kernels.COMPARISONS`; empty
-    where none does."""
-
     alone: ClassVar[bool] = False
     """Whether a target names a point and nothing behind it, no place and no start."""
-
-    @classmethod
-    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
-        """The points, the places and whether the origin is looked at."""
-        points, names = split_names(targets, not cls.alone)
-        used = {name: setup.targets[name] for name in points if name in setup.targets}
-        # All of them count without measurements, or where one names what is not stated.
-        wrong = any(name and name not in setup.targets for name in points)
-        stated = setup.targets if wrong or not targets else used
-        found = named_points(stated, points, "target")
-        origin = "" in points if targets else not found
-        places = cls.places_of_setup(setup, names)
-        if targets and {place.name for place in places}.issuperset(names):
-            # What nobody has placed and no measurement names cannot be found.
-            places = tuple(p for p in places if p.placed or p.name in names)
-        return cls(points=found, places=places, origin=origin)
 
     @classmethod
     def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Feature, ...]:
@@ -158,6 +135,80 @@ class PointModel(DeclaredModel):
         count = len(self.points)
         points = tuple(f for f in features[:count] if isinstance(f, Point))
         return replace(self, points=points, places=tuple(features[count:]))
+
+    def names(
+        self, target: Sequence[str], data: Measurements | None = None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Position of each row's point, the last for the origin, and of its place.
+
+        Raises:
+            InputError: If a row names what is not there; data tell where.
+        """
+        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
+        if data is None and len(number) < len(target):
+            # Rows are many and their names few.
+            point, place = self.names(tuple(number))
+            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
+            return point[rows], place[rows]
+        points, places = self.split(target)
+        point = np.full(len(target), len(self.points))
+        if self.points and any(points):
+            of = np.flatnonzero([bool(name) for name in points])
+            about = None if data is None else data.rows(of)
+            named = [points[k] for k in of]
+            point[of] = locate(named, self.points, "target", about, alone=False)
+        unnamed = point == len(self.points)
+        if self.points and not self.origin and unnamed.any():
+            row = int(np.argmax(unnamed))
+            error = InputError if data is None else partial(data.error, row)
+            raise error(
+                "the row names no target, others do",
+                column="target",
+                allowed=", ".join(p.name for p in self.points),
+            )
+        place = np.zeros(len(target), np.int64)
+        if self.places:
+            what = self.places[0].section[:-1]
+            place = locate(places, self.places, what, data)
+        return point, place
+
+    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The point and the place that each row names."""
+        return split_names(target, not self.alone)
+
+    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
+        """The place that each row names; the only one where it names none."""
+        only = self.places[0].name if len(self.places) == 1 else ""
+        return tuple(name or only for name in split_names(target, True)[1])
+
+
+@dataclass(frozen=True)
+class PointModel(PointsAndPlaces):
+    """A measurement of a point of the tool, against a place or by itself.
+
+    A member says what is measured of a point (`compare`) and how that bends; this does
+    the rest: names, the way from the tool frame to the point, features.
+    """
+
+    comparison: ClassVar[str] = ""
+    """How a kernel compares a point with a place, see `kernels.COMPARISONS`; empty
+    where none does."""
+
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
+        """The points, the places and whether the origin is looked at."""
+        points, names = split_names(targets, not cls.alone)
+        used = {name: setup.targets[name] for name in points if name in setup.targets}
+        # All of them count without measurements, or where one names what is not stated.
+        wrong = any(name and name not in setup.targets for name in points)
+        stated = setup.targets if wrong or not targets else used
+        found = named_points(stated, points, "target")
+        origin = "" in points if targets else not found
+        places = cls.places_of_setup(setup, names)
+        if targets and {place.name for place in places}.issuperset(names):
+            # What nobody has placed and no measurement names cannot be found.
+            places = tuple(p for p in places if p.placed or p.name in names)
+        return cls(points=found, places=places, origin=origin)
 
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
@@ -280,51 +331,6 @@ class PointModel(DeclaredModel):
     ) -> tuple[Self, pin.SE3, pin.SE3]:
         """Closed-form references, see `MeasurementModel`."""
         raise NotImplementedError
-
-    def names(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Position of each row's point, the last for the origin, and of its place.
-
-        Raises:
-            InputError: If a row names what is not there; data tell where.
-        """
-        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
-        if data is None and len(number) < len(target):
-            # Rows are many and their names few.
-            point, place = self.names(tuple(number))
-            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
-            return point[rows], place[rows]
-        points, places = self.split(target)
-        point = np.full(len(target), len(self.points))
-        if self.points and any(points):
-            of = np.flatnonzero([bool(name) for name in points])
-            about = None if data is None else data.rows(of)
-            named = [points[k] for k in of]
-            point[of] = locate(named, self.points, "target", about, alone=False)
-        unnamed = point == len(self.points)
-        if self.points and not self.origin and unnamed.any():
-            row = int(np.argmax(unnamed))
-            error = InputError if data is None else partial(data.error, row)
-            raise error(
-                "the row names no target, others do",
-                column="target",
-                allowed=", ".join(p.name for p in self.points),
-            )
-        place = np.zeros(len(target), np.int64)
-        if self.places:
-            what = self.places[0].section[:-1]
-            place = locate(places, self.places, what, data)
-        return point, place
-
-    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The point and the place that each row names."""
-        return split_names(target, not self.alone)
-
-    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
-        """The place that each row names; the only one where it names none."""
-        only = self.places[0].name if len(self.places) == 1 else ""
-        return tuple(name or only for name in split_names(target, True)[1])
 
     def _deviation(self, value: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value; angles within half a turn of zero."""

@@ -397,7 +397,7 @@ def test_pose_of_a_frame() -> None:
     step = 1e-6
     for k in range(6):
         shift = step * np.eye(6)[k]
-        ahead, behind = (frame.about(own + s).pose for s in (shift, -shift))
+        ahead, behind = (frame.rebased(own + s).pose for s in (shift, -shift))
         twist = pin.log6(behind.actInv(ahead)).vector / (2.0 * step)
         np.testing.assert_allclose(frame.twists(own)[:, k], twist, atol=1e-9)
     stated = frame.stated()

@@ -91,12 +91,12 @@ class Mounted(_Wrapper):
 
     @property
     def external(self) -> bool:
-        """No: it stands in that of the others."""
+        """False: it stands in the measurement frame of the others."""
         return False
 
     @property
     def sees_tool(self) -> bool:
-        """No: it has a place of its own."""
+        """False: the model has a tool frame of its own."""
         return False
 
     @property

@@ -17,6 +17,7 @@ from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.setup_variants import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
+from calib_pin.measurement_models.side_by_side import among, targets_of
 from calib_pin.observations import AT, Measurements
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
@@ -91,7 +92,7 @@ def calibrate(
     setup = setup or Setup()
     files = measurements.files
     if validation is not None:
-        validation = validation.among(measurements.model)
+        validation = among(validation, measurements.model)
         files += validation.files
     training, held, method = split(measurements, setup, validation, holdout, seed)
     _require_ends(
@@ -229,7 +230,7 @@ def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
         half
         for measurements in parts
         for part in measurements.parts
-        for target in dict.fromkeys(measurements.of(part))
+        for target in dict.fromkeys(targets_of(measurements, part))
         for half in target.split(AT)
     }
     for distance in setup.distances:

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 from itertools import chain
@@ -13,22 +13,19 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 
-__all__ = ["AT", "LAYOUT", "PART", "PLUS", "Measurements", "rows_by_part"]
+__all__ = [
+    "AT",
+    "PART",
+    "PLUS",
+    "Measurements",
+    "fitted_and_held_out",
+    "require_alike",
+    "rows_by_part",
+    "stacked",
+    "trusted",
+]
 
 Floats = NDArray[np.float64]
-
-LAYOUT: Mapping[str, tuple[int, int]] = {
-    "position": (3, 3),
-    "pose": (7, 6),
-    "plane-distance": (1, 1),
-    "point-distance": (1, 1),
-    "relative-distance": (1, 1),
-    "fixed-point": (0, 3),
-    "plane-contact": (0, 1),
-    "sphere-contact": (0, 1),
-    "camera": (2, 2),
-}
-"""Columns of the values and components of the residual of each model."""
 
 PLUS = "+"
 """Stands between the names of models that are measured together."""
@@ -53,16 +50,16 @@ class Measurements:
         model: Name of the measurement model, such as `position`; of several with a
             plus between them.
         values: Measured values in the layout of the model, shape (N, D), SI units:
-            `position` x y z [m]; `pose` x y z [m] and the quaternion qx qy qz qw; the
-            distances one distance [m]; `camera` u v [px]; contacts none. Of several
-            models side by side, zero where a row has none.
+            the columns that it declares and, where an orientation is measured, the
+            quaternion qx qy qz qw; contacts none. Of several models side by side, zero
+            where a row has none.
         sigma: Standard deviations of the residual components, shape (N, d), or
-            None where the file does not state them. For `pose` the last three belong
-            to the rotation vector in the tool frame [rad]. Of several models side by
+            None where the file does not state them. Of an orientation they belong to
+            the rotation vector in the tool frame [rad]. Of several models side by
             side: infinite for those of another model, NaN where none is stated.
         target: Name of the plane, socket or reference point of each row, length N;
             empty strings where the file names none. Of several models with the name
-            of the row's model before it, `fixed-point:front/0`.
+            of the row's model before it, `model:front/0`.
         payload: Name of what the robot carried, length N; empty strings where the
             file names none.
         start: Joint positions at which the relative measurement of a row starts, shape
@@ -139,62 +136,6 @@ class Measurements:
         """Whether the rows state all their standard deviations."""
         return self.sigma is not None and not bool(np.isnan(self.sigma).any())
 
-    def among(self, model: str) -> Measurements:
-        """The same rows in the columns of several models, where theirs are some.
-
-        Args:
-            model: Names of the models with a plus between them.
-        """
-        names = model.split(PLUS)
-        if self.model == model or not set(self.parts) <= set(names):
-            return self
-        none = self.rows(np.zeros(len(self), bool))
-        empty = [
-            replace(none, model=name, values=np.zeros((0, LAYOUT[name][0])), sigma=None)
-            for name in names
-        ]
-        return Measurements.concatenate([*empty, self])
-
-    @cached_property
-    def by_part(self) -> Mapping[str, tuple[NDArray[np.intp], Measurements]]:
-        """Of each model that has rows: these, and they in its own columns.
-
-        Their targets are plain.
-        """
-        if len(self.parts) == 1:
-            return {self.model: (np.arange(len(self)), self)} if len(self) else {}
-        rows = rows_by_part(self.target)
-        result, a, b = {}, 0, 0
-        for model in self.parts:
-            width, components = LAYOUT[model]
-            if model in rows:
-                own, sigma = self.rows(rows[model]), None
-                if own.sigma is not None:
-                    sigma = own.sigma[:, b : b + components]
-                result[model] = (
-                    rows[model],
-                    replace(
-                        own,
-                        model=model,
-                        values=own.values[:, a : a + width],
-                        sigma=None if sigma is None or np.isnan(sigma).any() else sigma,
-                        target=tuple(name[len(model) + 1 :] for name in own.target),
-                    ),
-                )
-            a, b = a + width, b + components
-        return result
-
-    def of(self, model: str) -> tuple[str, ...]:
-        """The plain target of each row of one model; empty in the other rows."""
-        if self.model == model:
-            return self.target
-        result = [""] * len(self)
-        if model in self.by_part:
-            rows, own = self.by_part[model]
-            for row, name in zip(rows.tolist(), own.target, strict=True):
-                result[row] = name
-        return tuple(result)
-
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
         order = np.arange(len(self))[index]
@@ -234,20 +175,6 @@ class Measurements:
             )
         ]
         return self.rows(np.sort(np.concatenate(chosen)))
-
-    def trusted(self) -> Measurements:
-        """The rows that have a weight; of a target that has none, all its rows."""
-        if self.weight.all():
-            return self
-        left = {self.target[row] for row in np.flatnonzero(self.weight)}
-        lost = np.array([name not in left for name in self.target], bool)
-        return self.rows((self.weight > 0.0) | lost)
-
-    def split(self) -> tuple[Measurements, Measurements]:
-        """The training rows and the validation rows, by the `set` column."""
-        if not self.validate.any():
-            return self, self.rows(self.validate)
-        return self.rows(~self.validate), self.rows(self.validate)
 
     def groups(self) -> NDArray[np.int64]:
         """Label rows that must stay together when data are split, shape (N,).
@@ -301,51 +228,70 @@ class Measurements:
             return InputError(reason, file=file, line=int(self.lines[row]), **told)
         return InputError(f"{self.place(row)}: {reason}", **told)
 
-    @staticmethod
-    def concatenate(parts: Sequence[Measurements]) -> Measurements:
-        """Join measurements of the same chain, of one model or of several.
 
-        Of several models, a row keeps what belongs to its own; see the attributes.
+def trusted(data: Measurements) -> Measurements:
+    """The measurements that have a weight; of a target that has none, all of them."""
+    if data.weight.all():
+        return data
+    left = {data.target[row] for row in np.flatnonzero(data.weight)}
+    lost = np.array([name not in left for name in data.target], bool)
+    return data.rows((data.weight > 0.0) | lost)
 
-        Raises:
-            InputError: If the joints differ, or only some rows of one model have
-                standard deviations.
-        """
-        first = parts[0]
-        for part in parts[1:]:
-            if part.joints != first.joints:
-                raise InputError("cannot join measurements of different joints")
-        if any(part.model != first.model for part in parts):
-            parts = _side_by_side(parts)
-        parts = [part for part in parts if len(part)] or parts[:1]
-        first = parts[0]
-        if len(parts) == 1:
-            return first
-        for part in parts:
-            if (part.sigma is None) != (first.sigma is None):
-                raise _unlike(part)
-        sigmas = [part.sigma for part in parts if part.sigma is not None]
-        started = any(part.start.size for part in parts)
-        return Measurements(
-            joints=first.joints,
-            q=np.concatenate([part.q for part in parts]),
-            model=first.model,
-            values=np.concatenate([part.values for part in parts]),
-            sigma=np.concatenate(sigmas) if sigmas else None,
-            target=tuple(chain.from_iterable(part.target for part in parts)),
-            payload=tuple(chain.from_iterable(part.payload for part in parts)),
-            start=np.concatenate(
-                [
-                    part.start if part.start.size else np.full(part.q.shape, np.nan)
-                    for part in parts
-                ]
-            )
-            if started
-            else first.start,
-            validate=np.concatenate([part.validate for part in parts]),
-            lines=np.concatenate([part.lines for part in parts]),
-            files=tuple(chain.from_iterable(part.files for part in parts)),
-            weight=np.concatenate([part.weight for part in parts]),
+
+def fitted_and_held_out(data: Measurements) -> tuple[Measurements, Measurements]:
+    """The training and the validation measurements, by the `set` column."""
+    if not data.validate.any():
+        return data, data.rows(data.validate)
+    return data.rows(~data.validate), data.rows(data.validate)
+
+
+def stacked(parts: Sequence[Measurements]) -> Measurements:
+    """Join measurements of one chain and one model, or of the same ones side by side.
+
+    Raises:
+        InputError: If only some of them have standard deviations.
+    """
+    parts = [part for part in parts if len(part)] or parts[:1]
+    first = parts[0]
+    if len(parts) == 1:
+        return first
+    for part in parts:
+        require_alike(part, (part.sigma is None) == (first.sigma is None))
+    sigmas = [part.sigma for part in parts if part.sigma is not None]
+    started = any(part.start.size for part in parts)
+    return Measurements(
+        joints=first.joints,
+        q=np.concatenate([part.q for part in parts]),
+        model=first.model,
+        values=np.concatenate([part.values for part in parts]),
+        sigma=np.concatenate(sigmas) if sigmas else None,
+        target=tuple(chain.from_iterable(part.target for part in parts)),
+        payload=tuple(chain.from_iterable(part.payload for part in parts)),
+        start=np.concatenate(
+            [
+                part.start if part.start.size else np.full(part.q.shape, np.nan)
+                for part in parts
+            ]
+        )
+        if started
+        else first.start,
+        validate=np.concatenate([part.validate for part in parts]),
+        lines=np.concatenate([part.lines for part in parts]),
+        files=tuple(chain.from_iterable(part.files for part in parts)),
+        weight=np.concatenate([part.weight for part in parts]),
+    )
+
+
+def require_alike(part: Measurements, alike: bool) -> None:
+    """Refuse measurements that state standard deviations, or do not, unlike others.
+
+    Raises:
+        InputError: If they are not alike.
+    """
+    if not alike:
+        raise InputError(
+            "cannot join measurements with and without standard deviations",
+            file=part.files[0] or None,
         )
 
 
@@ -359,50 +305,6 @@ def rows_by_part(target: Sequence[str]) -> dict[str, NDArray[np.intp]]:
     for row, name in enumerate(target):
         found.setdefault(name.partition(PART)[0], []).append(row)
     return {model: np.array(rows, np.intp) for model, rows in found.items()}
-
-
-def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
-    """Measurements of different models in the columns of all of them.
-
-    Raises:
-        InputError: If only some rows of one model have standard deviations.
-    """
-    names = tuple(dict.fromkeys(name for part in parts for name in part.parts))
-    widths = np.cumsum([(0, 0), *(LAYOUT[name] for name in names)], axis=0)
-    at = {name: (widths[k], widths[k + 1]) for k, name in enumerate(names)}
-    stated: dict[str, bool] = {}
-    result = []
-    for part in parts:
-        values = np.zeros((len(part), widths[-1][0]))
-        sigma = np.full((len(part), widths[-1][1]), np.inf)
-        for name, (rows, own) in part.by_part.items():
-            (a, b), (c, d) = at[name]
-            values[rows, a:c] = own.values
-            sigma[rows, b:d] = np.nan if own.sigma is None else own.sigma
-            told = own.sigma is not None
-            if stated.setdefault(name, told) != told:
-                raise _unlike(part)
-        target = part.target
-        if len(part.parts) == 1:
-            target = tuple(f"{part.model}{PART}{name}" for name in target)
-        result.append(
-            replace(
-                part,
-                model=PLUS.join(names),
-                values=values,
-                sigma=sigma,
-                target=target,
-            )
-        )
-    return result
-
-
-def _unlike(part: Measurements) -> InputError:
-    """An error about rows that state standard deviations, or do not, unlike others."""
-    return InputError(
-        "cannot join measurements with and without standard deviations",
-        file=part.files[0] or None,
-    )
 
 
 def _split_groups(

@@ -8,7 +8,7 @@ A package names its members in its own metadata:
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from functools import cache
 from typing import Any, TypeVar
 
@@ -19,7 +19,11 @@ __all__ = ["extensions", "members"]
 T = TypeVar("T")
 
 
-def members(group: str, bundled: Mapping[str, T]) -> Mapping[str, T]:
+def members(
+    group: str,
+    bundled: Mapping[str, T],
+    fault: Callable[[str, object], str] = lambda name, member: "",
+) -> Mapping[str, T]:
     """The members of a family by name: the bundled ones, then those of entry points.
 
     Entry points are loaded at the first look at the mapping, not before: their modules
@@ -28,12 +32,14 @@ def members(group: str, bundled: Mapping[str, T]) -> Mapping[str, T]:
     Args:
         group: Group of the entry points, such as `calib_pin.measurement_models`.
         bundled: The members that come with calib-pin.
+        fault: Says of a name and an object of another package why this cannot be a
+            member; empty where it can.
 
     Raises:
-        CalibPinError: At the first look, if an entry point cannot be loaded, or has
-            the name of another member.
+        CalibPinError: At the first look, if an entry point cannot be loaded, has the
+            name of another member, or is none.
     """
-    return _Family(group, bundled)
+    return _Family(group, bundled, fault)
 
 
 @cache
@@ -73,17 +79,27 @@ def extensions(group: str) -> Mapping[str, Any]:
 class _Family(Mapping[str, T]):
     """The bundled members and those of entry points."""
 
-    def __init__(self, group: str, bundled: Mapping[str, T]) -> None:
+    def __init__(
+        self,
+        group: str,
+        bundled: Mapping[str, T],
+        fault: Callable[[str, object], str],
+    ) -> None:
         """See `members`."""
         self._group = group
         self._bundled = bundled
+        self._fault = fault
 
     @property
     def _all(self) -> Mapping[str, T]:
         outside = extensions(self._group)
         if not outside:
             return self._bundled
-        for name in outside:
+        for name, member in outside.items():
+            if reason := self._fault(name, member):
+                raise CalibPinError(
+                    f"the plug-in '{name}' of {self._group} cannot be used: {reason}"
+                )
             if name in self._bundled:
                 raise CalibPinError(
                     f"the plug-in '{name}' of {self._group} has the name of a bundled "

@@ -17,8 +17,9 @@ from calib_pin.estimation.configurations import (
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import Declaration, declared
 from calib_pin.measurement_models.rows import absent, assumed_sigma, contact_rows
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, PLUS, Measurements
 from calib_pin.parameters import ParameterSet
 
 __all__ = ["draw_errors", "exact_problem", "simulate"]
@@ -26,15 +27,6 @@ __all__ = ["draw_errors", "exact_problem", "simulate"]
 
 LEG = 10
 """Rows that are measured from one start where configurations are drawn."""
-
-UNSEEN = {
-    "plane-distance": "the beam misses the plane, meets it too flat or too far away",
-    "camera": "the point is behind the camera or outside its image",
-}
-"""Why an instrument cannot measure."""
-
-UNTOUCHED = "the tool does not come into contact from there within the joint limits"
-"""Why a contact cannot be made."""
 
 
 def draw_errors(parameters: ParameterSet, rng: np.random.Generator) -> Floats:
@@ -253,6 +245,13 @@ def _require_observable(
     if not seen.all():
         raise InputError(
             f"configuration {int(np.argmin(seen)) + 1} cannot be measured "
-            f"({measurement.name}): {UNSEEN.get(measurement.name, UNTOUCHED)}"
+            f"({measurement.name}): {_unmeasurable(measurement.name)}"
         )
     return q
+
+
+def _unmeasurable(model: str) -> str:
+    """Why a configuration cannot be measured; of several models, by most of them."""
+    return (
+        declared(model).unmeasurable if PLUS not in model else Declaration.unmeasurable
+    )

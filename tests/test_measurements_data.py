@@ -11,7 +11,9 @@ import numpy as np
 import pytest
 
 from calib_pin.errors import InputError
-from calib_pin.observations import LAYOUT, Measurements
+from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.side_by_side import concatenate, targets_of
+from calib_pin.observations import Measurements, fitted_and_held_out
 
 Q = np.arange(10.0).reshape(5, 2)
 VALUES = np.arange(15.0).reshape(5, 3)
@@ -117,7 +119,7 @@ def test_rows_keep_together(index: Any) -> None:
 
 
 def test_split() -> None:
-    training, validation = measurements().split()
+    training, validation = fitted_and_held_out(measurements())
     assert (training.target, validation.target) == (("u", "w", "x"), ("v", "y"))
     assert not training.validate.any() and validation.validate.all()
 
@@ -229,26 +231,27 @@ def _cut(q: np.ndarray, rows: list[int]) -> list[list[int]]:
 def test_concatenate() -> None:
     data = measurements()
     parts = [data.rows(np.array(rows, int)) for rows in ([0], [1, 2, 3], [], [4])]
-    joined = Measurements.concatenate(parts)
+    joined = concatenate(parts)
     for name in ("q", "values", "sigma", "start", "validate", "lines"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(data, name))
     for name in ("target", "payload", "files"):
         assert getattr(joined, name) == getattr(data, name)
     plain = [replace(part, sigma=None) for part in parts]
-    assert Measurements.concatenate(plain).sigma is None
+    assert concatenate(plain).sigma is None
     # Rows that are not there have no standard deviations that could be unlike others.
     empty = data.rows(np.array([], int))
     for pair in (
         [data, replace(empty, sigma=None)],
         [replace(empty, sigma=None), data],
     ):
-        assert Measurements.concatenate(pair).stated
-    assert Measurements.concatenate([empty, empty]).sigma is not None
+        assert concatenate(pair).stated
+    assert concatenate([empty, empty]).sigma is not None
 
 
 def rows_of(model: str, count: int, **changes: Any) -> Measurements:
     """Rows of a model with values that tell them apart."""
-    width, components = LAYOUT[model]
+    stated = declared(model)
+    width, components = len(stated.values), len(stated.components)
     q = np.arange(2.0 * count).reshape(count, 2) + len(model)
     fields: dict[str, Any] = {
         "joints": ("a", "b"),
@@ -265,15 +268,15 @@ def test_concatenate_models() -> None:
     sockets = rows_of("fixed-point", 2, sigma=None, payload=("p", ""))
     cameras = rows_of("camera", 1, lines=np.array([7]), files=("c.csv",))
     moved = rows_of("relative-distance", 1, start=np.array([[8.0, 9.0]]))
-    data = Measurements.concatenate([sockets, cameras, moved, sockets])
+    data = concatenate([sockets, cameras, moved, sockets])
     assert data.model == "fixed-point+camera+relative-distance"
     assert data.parts == ("fixed-point", "camera", "relative-distance")
     assert data.target == (
         *("fixed-point:f0", "fixed-point:f1", "camera:c0", "relative-distance:r0"),
         *("fixed-point:f0", "fixed-point:f1"),
     )
-    assert data.of("fixed-point") == ("f0", "f1", "", "", "f0", "f1")
-    assert data.of("camera") == ("", "", "c0", "", "", "")
+    assert targets_of(data, "fixed-point") == ("f0", "f1", "", "", "f0", "f1")
+    assert targets_of(data, "camera") == ("", "", "c0", "", "", "")
     assert data.payload == ("p", "", "", "", "p", "")
     assert data.values.tolist() == [
         *([[0, 0, 0]] * 2),
@@ -308,26 +311,26 @@ def test_concatenate_mixtures() -> None:
     one = rows_of("position", 2)
     two = rows_of("camera", 2)
     three = rows_of("plane-contact", 1)
-    at_once = Measurements.concatenate([one, two, three])
+    at_once = concatenate([one, two, three])
     assert at_once.stated
     for parts in (
-        [Measurements.concatenate([one, two]), three],
-        [one, Measurements.concatenate([two, three])],
+        [concatenate([one, two]), three],
+        [one, concatenate([two, three])],
         [one, two.rows(np.array([], int)), two, three.rows(np.array([], int)), three],
         # What a mixture has no rows of does not count.
-        [Measurements.concatenate([one, two]).rows(np.array([0, 1])), two, three],
+        [concatenate([one, two]).rows(np.array([0, 1])), two, three],
     ):
-        joined = Measurements.concatenate(parts)
+        joined = concatenate(parts)
         assert (joined.model, joined.target) == (at_once.model, at_once.target)
         for name in ("q", "values", "sigma"):
             np.testing.assert_array_equal(getattr(joined, name), getattr(at_once, name))
-    turned = Measurements.concatenate([two, Measurements.concatenate([one, two])])
+    turned = concatenate([two, concatenate([one, two])])
     assert turned.model == "camera+position"
     np.testing.assert_array_equal(
         turned.values[:, :2], [[1, 2], [3, 4], [0, 0], [0, 0], [1, 2], [3, 4]]
     )
     # Without rows it still has the columns.
-    empty = Measurements.concatenate([one, two.rows(np.array([], int))])
+    empty = concatenate([one, two.rows(np.array([], int))])
     assert empty.model == "position+camera"
     assert empty.values.shape == (2, 5)
 
@@ -337,16 +340,16 @@ def test_some_rows_of_a_model_without_standard_deviations_cannot_be_joined() -> 
     plain = replace(two, sigma=None, files=("c.csv", "c.csv"))
     for parts in (
         [one, two, plain],
-        [Measurements.concatenate([one, two]), plain],
-        [two, Measurements.concatenate([one, plain])],
+        [concatenate([one, two]), plain],
+        [two, concatenate([one, plain])],
     ):
-        refused = reason(lambda parts=parts: Measurements.concatenate(parts))
+        refused = reason(lambda parts=parts: concatenate(parts))
         assert "with and without standard deviations" in refused
 
 
 @pytest.mark.parametrize("wrong", [0.0, -1.0, -np.inf])
 def test_standard_deviations_of_mixtures_are_positive(wrong: float) -> None:
-    data = Measurements.concatenate([rows_of("position", 1), rows_of("camera", 1)])
+    data = concatenate([rows_of("position", 1), rows_of("camera", 1)])
     assert data.sigma is not None
     sigma = data.sigma.copy()
     sigma[0, 0] = wrong
@@ -362,7 +365,7 @@ def test_standard_deviations_of_mixtures_are_positive(wrong: float) -> None:
 )
 def test_what_cannot_be_joined(changes: dict[str, Any], part: str) -> None:
     pair = [measurements(), measurements(**changes)]
-    assert part in reason(lambda: Measurements.concatenate(pair))
+    assert part in reason(lambda: concatenate(pair))
 
 
 def test_repetitions_with_jitter_across_a_rounding_edge_stay_together() -> None:

@@ -15,6 +15,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.setup import DistanceSetup
 
 DATA = Path(
@@ -175,7 +176,7 @@ def test_repetitions_stay_together(
     rows = calib_pin.read_measurements(
         DATA / "ur10_tmac" / "train.csv", chain, model="position"
     ).rows(np.arange(40))
-    twice = calib_pin.Measurements.concatenate([rows, rows])
+    twice = concatenate([rows, rows])
     assert len(np.unique(twice.groups())) == len(np.unique(rows.groups()))
     held = calib_pin.calibrate(chain, twice, holdout=0.25)
     assert held.training + held.validated == 80

@@ -156,6 +156,7 @@ def calibrate(
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.staging import write_files
+    from calib_pin.measurement_models.side_by_side import repeated_targets
     from calib_pin.observations import AT
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.text import report
@@ -187,7 +188,7 @@ def calibrate(
     unseen = None
     if validation is not None:
         same = replace(stated, model=rows.model)
-        sockets = {name.rpartition(AT)[2] for name in rows.of("fixed-point")}
+        sockets = {name.rpartition(AT)[2] for name in repeated_targets(rows)}
         unseen = open_measurements(
             [validation], chain, same, quiet=True, sockets=sockets
         )

@@ -114,6 +114,7 @@ def compensate(
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
+    from calib_pin.measurement_models import tracked
     from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
@@ -146,7 +147,7 @@ def compensate(
             file=targets,
         )
     oriented = asked.oriented and not position
-    measured_point = model.measurement.name == "position"
+    measured_point = tracked(model.measurement.name) == {"point"}
     of_tool = asked.T is not None and point != "tip"
     if oriented and of_tool and measured_point and not quiet:
         notice(

@@ -25,6 +25,7 @@ __all__ = [
     "SetupFile",
     "Tip",
     "csv_file",
+    "listed",
     "number",
     "option",
     "seed",
@@ -69,11 +70,28 @@ def option(
     metavar: str | None,
     meaning: str,
     parser: Callable[[str], Any] | None = None,
+    callback: Callable[..., Any] | None = None,
 ) -> Any:
     """An option under a heading of `--help`; without a metavar, a switch."""
     return typer.Option(
-        name, metavar=metavar, help=meaning, parser=parser, rich_help_panel=heading
+        name,
+        metavar=metavar,
+        help=meaning,
+        parser=parser,
+        callback=callback,
+        rich_help_panel=heading,
     )
+
+
+def listed(model: str | None) -> str | None:
+    """The name of a measurement model; `list` prints all with their help, and ends."""
+    if model != "list":
+        return model
+    from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+
+    for name in MEASUREMENT_MODELS:
+        print(f"{name:18} {declared(name).help}")
+    raise typer.Exit
 
 
 RobotName = Annotated[
@@ -101,9 +119,9 @@ Model = Annotated[
         ROBOT,
         "--model",
         "NAME",
-        "position, pose, plane-distance, point-distance, relative-distance, "
-        "fixed-point, plane-contact, sphere-contact, camera, or several joined by +; "
-        "by default inferred from the columns.",
+        "Measurement model, or several joined by +; by default inferred from the "
+        "columns. 'list' prints all.",
+        callback=listed,
     ),
 ]
 Base = Annotated[

@@ -200,6 +200,7 @@ def plan(
         read_configurations,
     )
     from calib_pin.io.staging import write_files
+    from calib_pin.observations import fitted_and_held_out
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
     from calib_pin.planning.search import METHODS
@@ -226,7 +227,7 @@ def plan(
     if to:
         with progress_bar(quiet=quiet) as bar:
             rows = open_measurements(to, chain, stated, quiet=quiet, bar=bar)
-        rows = rows.split()[0]
+        rows = fitted_and_held_out(rows)[0]
         stated = replace(stated, model=rows.model)
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.

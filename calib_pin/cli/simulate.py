@@ -22,6 +22,7 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
     csv_file,
+    listed,
     number,
     option,
 )
@@ -44,7 +45,8 @@ def simulate(
             STUDY,
             "--model",
             "NAME",
-            "Measurement model, such as position or fixed-point.",
+            "Measurement model; 'list' prints all.",
+            callback=listed,
         ),
     ] = None,
     count: Annotated[

@@ -191,6 +191,7 @@ def _rows(
     bar: Bar | None,
 ) -> Rows:
     """Measurements, and the errors of the nominal and of the calibrated robot."""
+    from calib_pin.measurement_models.side_by_side import among
     from calib_pin.validation.evaluation import prepared
     from calib_pin.viewer.errors import stage_errors
     from calib_pin.viewer.scene import Rows
@@ -198,7 +199,7 @@ def _rows(
     sockets = () if model is None else (f.name for f in model.measurement.features)
     rows = open_measurements(measurements, chain, setup, sockets=sockets, bar=bar)
     if model is not None:
-        rows = rows.among(model.measurement.name)
+        rows = among(rows, model.measurement.name)
     stage(bar, "errors")
     before = prepared(chain, rows, setup)
     if before.reason:

@@ -12,6 +12,7 @@ from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
 from calib_pin.observations import Measurements
 from calib_pin.progress import Progress
 from calib_pin.residual_models import (
@@ -33,7 +34,7 @@ def require_learnable(name: str, setup: Setup, measurements: Measurements) -> No
         OptionError: If there is no such model, or the measurements are relative.
     """
     require_known("residual model", name, RESIDUAL_MODELS)
-    if "relative-distance" in measurements.parts:
+    if any(declared(name).relative for name in measurements.parts):
         raise OptionError(
             "nothing can be learned from distances between two configurations",
             file=setup.file or None,

@@ -11,7 +11,7 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.features import slices
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, trusted
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup
@@ -30,7 +30,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
         theta: Parameter values, shape (P,); those of the robot count.
     """
     count = len(problem.error.screws)
-    few = problem.data.trusted().sample(SAMPLE)
+    few = trusted(problem.data).sample(SAMPLE)
     # A frame of the chain has six parameters at either end.
     start = (
         _given(problem.parameters, problem.setup.base_frame, slice(0, 6)),

@@ -54,7 +54,7 @@ LENGTH = Kind(
 )
 ANGLE = Kind(
     "rad",
-    {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3},
+    {"rad": 1.0, "deg": np.pi / 180.0, "mrad": 1e-3, "gon": np.pi / 200.0},
     {"rad": "deg", "deg": "mrad"},
     LARGEST_ANGLE,
 )

@@ -9,7 +9,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
-from calib_pin.io.measured_columns import RESERVED
+from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import FREE_TRAVEL, Chain
 from calib_pin.setup import JointMap
@@ -77,7 +77,7 @@ def joint_sources(
         # A coupled column has its own joint's unit, or that of the joint it moves.
         kinds = {c: kind_of.get(c, kind_of[column]) for c in (column, *coupled)}
         for name in kinds:
-            if name in RESERVED:
+            if name in reserved():
                 raise InputError(
                     f"column '{name}' has a meaning of its own and cannot be that of "
                     f"joint '{joint}'; give the joint a column of another name by "
@@ -164,7 +164,7 @@ def spare_columns(
     """
     taken = {*joints, *(c for given in joints.values() for c in given.coupled)}
     mapped = {given.joint for given in joints.values()}
-    own = set(chain.robot.model.names) - mapped - RESERVED
+    own = set(chain.robot.model.names) - mapped - reserved()
     return [name for name in table.columns if name not in taken | own]
 
 
@@ -195,7 +195,7 @@ def _check_present(table: Table, chain: Chain, sources: Sequence[JointSource]) -
     if not missing:
         return
     first, rest = missing[0], missing[1:]
-    known = {*joint_of, *RESERVED, *chain.robot.model.names}
+    known = {*joint_of, *reserved(), *chain.robot.model.names}
     free = [name for name in table.columns if name not in known]
     what = f"joint '{joint_of[first]}' of the chain"
     if first != joint_of[first]:

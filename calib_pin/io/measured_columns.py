@@ -8,6 +8,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.io.columns import (
+    ANGLE,
     LENGTH,
     PIXEL,
     Floats,
@@ -18,83 +19,65 @@ from calib_pin.io.orientation_columns import (
     FIXED_AXES,
     ORIENTATIONS,
     QUATERNION,
-    ROTATION_VECTOR,
     orientation_columns,
     read_kinds,
     read_quaternions,
 )
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import AT
 
 __all__ = [
-    "COMPONENTS",
-    "CONTACTS",
-    "MEASURED",
-    "NEEDED",
     "ORIENTED",
-    "PIXELS",
     "POSITION",
-    "RELATIVE",
-    "RESERVED",
-    "SIGMAS",
-    "VALUES",
     "check_spread",
     "check_targets",
+    "components",
     "find_starts",
+    "measured",
+    "needed",
     "read_sigma",
     "read_values",
+    "reserved",
+    "sigmas",
 ]
 
-POSITION = {"x": LENGTH, "y": LENGTH, "z": LENGTH}
-DISTANCE = {"distance": LENGTH}
-PIXELS = {"u": PIXEL, "v": PIXEL}
-CONTACT = {"contact": LENGTH}
+POSITION = ("x", "y", "z")
+"""Columns of a position."""
 
-COMPONENTS: Mapping[str, Mapping[str, Kind]] = {
-    "position": POSITION,
-    "pose": {**POSITION, **ROTATION_VECTOR},
-    "plane-distance": DISTANCE,
-    "point-distance": DISTANCE,
-    "relative-distance": DISTANCE,
-    "fixed-point": POSITION,
-    "plane-contact": CONTACT,
-    "sphere-contact": CONTACT,
-    "camera": PIXELS,
-}
-"""The residual components of each model; a sigma belongs to one of these."""
+KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
+"""How numbers of a unit may be written."""
 
-NEEDED: Mapping[str, Mapping[str, Kind]] = {
-    "position": POSITION,
-    "pose": POSITION,
-    "plane-distance": DISTANCE,
-    "point-distance": DISTANCE,
-    "relative-distance": DISTANCE,
-    "fixed-point": {},
-    "plane-contact": {},
-    "sphere-contact": {},
-    "camera": PIXELS,
-}
-"""The measured columns of each model; a pose needs one of the orientations as well."""
-
-VALUES: Mapping[str, tuple[str, ...]] = {
-    name: (*kinds, *(QUATERNION if name == "pose" else ()))
-    for name, kinds in NEEDED.items()
-}
-"""The columns of `Measurements.values` of each model."""
-
-NAMED = {"fixed-point": "socket", "camera": "point"}
-"""What every row of a model has to name."""
-
-RELATIVE = "relative-distance"
-"""Model whose rows are measured from a start."""
-
-CONTACTS = tuple(name for name, kinds in NEEDED.items() if not kinds)
 ORIENTED = frozenset(name for kinds in ORIENTATIONS for name in kinds)
-MEASURED = ORIENTED | {*POSITION, *DISTANCE, *PIXELS}
-SIGMAS = frozenset({"sigma"} | {f"sigma_{c}" for c in MEASURED | set(CONTACT)})
-RESERVED = MEASURED | SIGMAS | {"target", "set", "payload", "model"}
-"""Names that have a meaning in every file, whatever the robot's joints are called."""
+"""Columns of an orientation, in any of the ways."""
+
+
+def needed(model: str) -> dict[str, Kind]:
+    """The measured columns that a model cannot do without."""
+    return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
+
+
+def components(model: str) -> dict[str, Kind]:
+    """The residual components of a model; a sigma belongs to one of these."""
+    return {name: KINDS[unit] for name, unit in declared(model).units.items()}
+
+
+def measured() -> frozenset[str]:
+    """Columns that hold what some model measures."""
+    return ORIENTED.union(*map(needed, MEASUREMENT_MODELS))
+
+
+def sigmas() -> frozenset[str]:
+    """Columns that hold standard deviations."""
+    names = measured().union(*map(components, MEASUREMENT_MODELS))
+    return frozenset({"sigma"} | {f"sigma_{name}" for name in names})
+
+
+def reserved() -> frozenset[str]:
+    """Names that have a meaning in every file, whatever the robot's joints are."""
+    return measured() | sigmas() | {"target", "set", "payload", "model"}
+
 
 LARGEST_SIGMA = {"m": 1.0, "rad": 1.0, "px": 1e3}
 """Largest standard deviation that can be meant, by unit."""
@@ -120,10 +103,10 @@ def read_values(
     Raises:
         InputError: If a column is missing, or a value cannot be.
     """
-    kinds = NEEDED[model]
+    kinds = needed(model)
     _check_present(table, model, tuple(kinds), spare)
     values = read_kinds(table, kinds)
-    if model != "pose":
+    if not declared(model).oriented:
         return tuple(kinds), values
     orientation = orientation_columns(table)
     quaternions = read_quaternions(table, orientation)
@@ -144,20 +127,20 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
     Raises:
         InputError: If only some components have one, or a value is not positive.
     """
-    components = COMPONENTS[model]
-    if model == "pose":
-        _check_pose_sigma(table)
-    if components is CONTACT:
+    kinds = components(model)
+    if declared(model).oriented:
+        _check_pose_sigma(table, model)
+    if declared(model).contact and len(kinds) == 1:
         _check_contact_sigma(table)
     found = {
         component: name
-        for component in components
+        for component in kinds
         for name in ("sigma", f"sigma_{component}")
         if name in table
     }
     if not found:
         return {}, None
-    missing = [f"sigma_{name}" for name in components if name not in found]
+    missing = [f"sigma_{name}" for name in kinds if name not in found]
     if missing:
         raise table.error(
             "a sigma is needed for every component or for none; missing: "
@@ -166,7 +149,7 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
         )
     columns = []
     for component, name in found.items():
-        kind = components[component]
+        kind = kinds[component]
         column = table.numbers(name, kind, positive=True)
         table.check_size(name, column, kind, LARGEST_SIGMA[kind.si])
         row, smallest = int(np.argmin(column)), SMALLEST_SIGMA[kind.si]
@@ -187,18 +170,19 @@ def check_targets(table: Table, model: str) -> None:
     Raises:
         InputError: If there are such.
     """
-    if model not in NAMED:
+    naming = declared(model).naming
+    if naming.required != "every":
         return
     if "target" not in table:
         raise table.error(
-            f"model '{model}' needs a column 'target' with the {NAMED[model]} of each "
+            f"model '{model}' needs a column 'target' with the {naming.noun} of each "
             "row",
             "target",
         )
     names = [name.rpartition(AT)[2] for name in table.texts("target")]
     if not all(names):
         row = names.index("")
-        raise table.cell_error(f"the row names no {NAMED[model]}", "target", row)
+        raise table.cell_error(f"the row names no {naming.noun}", "target", row)
 
 
 def find_starts(table: Table, distance: Floats, q: Floats) -> NDArray[np.int64]:
@@ -290,15 +274,15 @@ def _check_present(
     missing = [name for name in names if name not in table]
     if not missing:
         return
-    unknown = [name for name in spare if name not in RESERVED]
+    unknown = [name for name in spare if name not in reserved()]
     hint = next(filter(None, (closest(name, unknown) for name in missing)), "")
     what = ", ".join(missing)
     raise table.error(f"model '{model}' needs the missing {what}{hint}", missing[0])
 
 
-def _check_pose_sigma(table: Table) -> None:
+def _check_pose_sigma(table: Table, model: str) -> None:
     """Refuse a sigma whose meaning for a pose would have to be guessed."""
-    allowed = ", ".join(f"sigma_{name}" for name in COMPONENTS["pose"])
+    allowed = ", ".join(f"sigma_{name}" for name in components(model))
     if "sigma" in table:
         raise table.error(
             "'sigma' cannot hold for lengths and angles at once", "sigma", allowed
@@ -315,7 +299,8 @@ def _check_pose_sigma(table: Table) -> None:
 
 def _check_contact_sigma(table: Table) -> None:
     """Refuse a sigma that a contact does not have."""
-    for name in (*POSITION, *DISTANCE):
+    kinds = {k: v for name in MEASUREMENT_MODELS for k, v in needed(name).items()}
+    for name in (name for name, kind in kinds.items() if kind is LENGTH):
         # Beside its own column it is of something that is not read either.
         if f"sigma_{name}" in table and name not in table:
             raise table.error(

@@ -19,24 +19,16 @@ from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
-    JointSource,
     joint_sources,
     read_positions,
-    spare_columns,
 )
-from calib_pin.io.measured_columns import (
-    RELATIVE,
-    check_spread,
-    check_targets,
-    find_starts,
-    read_sigma,
-    read_values,
-)
-from calib_pin.io.models_of_files import check_model, split_by_model
-from calib_pin.io.table import Table, read_table
+from calib_pin.io.measurement_parts import check_places, read_parts
+from calib_pin.io.models_of_files import check_model
+from calib_pin.io.table import read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.kinematics.chain import Chain
-from calib_pin.observations import AT, PLUS, Measurements
+from calib_pin.measurement_models.side_by_side import concatenate
+from calib_pin.observations import PLUS, Measurements
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
 
@@ -52,18 +44,11 @@ __all__ = [
     "write_measurements",
 ]
 
-CUT, POSITIONS = 0.9, 0.95
-"""Parts of the time after which lines are cut into cells, and joint positions read."""
+CUT = 0.9
+"""Part of the time after which lines are cut into cells."""
 
 LINES = 5000
 """Lines that are written between two reports of the progress."""
-
-PLACES = {
-    "point-distance": "anchor",
-    "plane-contact": "plane",
-    "sphere-contact": "sphere",
-}
-"""What rows of a model name, or leave out where all are about one."""
 
 
 def read_measurements(
@@ -125,7 +110,7 @@ def read_measurements(
     parts: list[Measurements] = []
     for k, file in enumerate(files):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        parts += _read(
+        parts += read_parts(
             read_table(file, portion(tell, 0.0, CUT)),
             *(chain, sources, joints, model, notice, tell),
         )
@@ -134,9 +119,9 @@ def read_measurements(
     for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
         own = [part for part in parts if part.model == name]
         if own:
-            result.append(Measurements.concatenate(own))
-            _check_places(result[-1], sockets)
-    return Measurements.concatenate(result)
+            result.append(concatenate(own))
+            check_places(result[-1], sockets)
+    return concatenate(result)
 
 
 def read_configurations(
@@ -349,101 +334,3 @@ def encode_table(
             progress(start / count)
     data.write(text.getvalue().encode())
     return data.getvalue()
-
-
-def _read(
-    table: Table,
-    chain: Chain,
-    sources: Sequence[JointSource],
-    joints: Mapping[str, JointMap],
-    model: str | None,
-    notice: Callable[[str], None] | None,
-    progress: Progress | None,
-) -> list[Measurements]:
-    """Measurements of one file, one of each model."""
-    q = read_positions(table, chain, sources)
-    if progress is not None:
-        progress(POSITIONS)
-    spare = spare_columns(table, chain, joints)
-    parts = []
-    used = {"model", "payload", "set", "target"}
-    for name, (rows, own) in split_by_model(table, model).items():
-        part, columns = _read_part(own, chain, name, q[rows], spare)
-        parts.append(part)
-        used |= columns
-    ignored = [table.columns[name].header for name in spare if name not in used]
-    ignored += ["(unnamed)"] * table.unnamed
-    if ignored and notice is not None:
-        notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
-    return parts
-
-
-def _read_part(
-    table: Table, chain: Chain, model: str, q: Floats, spare: Sequence[str]
-) -> tuple[Measurements, set[str]]:
-    """Measurements of one model, and the columns that hold them."""
-    value_columns, values = read_values(table, model, spare)
-    check_targets(table, model)
-    if "x" in value_columns:
-        check_spread(table, chain, values[:, :3])
-    start = np.zeros((0, 0))
-    if model == RELATIVE:
-        row_of = find_starts(table, values[:, 0], q)
-        rows = np.flatnonzero(row_of != np.arange(len(row_of)))
-        table, start = table.rows(rows, table.columns), q[row_of[rows]]
-        q, values = q[rows], values[rows]
-    sigma_columns, sigma = read_sigma(table, model)
-    part = Measurements(
-        joints=chain.joints,
-        q=q,
-        model=model,
-        values=values,
-        sigma=sigma,
-        target=table.texts("target") if "target" in table else (),
-        payload=table.texts("payload") if "payload" in table else (),
-        start=start,
-        validate=_read_set(table),
-        lines=table.lines,
-        files=(table.file,) * len(q),
-    )
-    return part, {*value_columns, *sigma_columns.values()}
-
-
-def _check_places(rows: Measurements, sockets: Collection[str]) -> None:
-    """Refuse places that some rows leave open, and sockets of one configuration."""
-    names = [name.rpartition(AT)[2] for name in rows.target]
-    row, reason, allowed = None, "", None
-    if rows.model in PLACES and any(names) and not all(names):
-        row = names.index("")
-        reason = f"the row names no {PLACES[rows.model]}, others do"
-    elif rows.model == "fixed-point":
-        label = rows.groups().tolist()
-        seen = {name: k for name, k in zip(names, label, strict=True)}
-        several = {
-            name for name, k in zip(names, label, strict=True) if seen[name] != k
-        }
-        lonely = [name for name in seen if name not in several | set(sockets)]
-        if lonely:
-            row = names.index(lonely[0])
-            reason = f"the socket '{lonely[0]}' has one configuration only"
-            allowed = "two configurations or more in every socket"
-    if row is not None:
-        raise InputError(
-            reason,
-            file=rows.files[row],
-            line=int(rows.lines[row]),
-            column="target",
-            value=rows.target[row],
-            allowed=allowed,
-        )
-
-
-def _read_set(table: Table) -> NDArray[np.bool_]:
-    """True for the rows of the validation set, shape (N,)."""
-    if "set" not in table:
-        return np.zeros(len(table.lines), bool)
-    names = table.texts("set")
-    for row, name in enumerate(names):
-        if name not in ("train", "validate"):
-            raise table.cell_error("unknown set", "set", row, "train, validate")
-    return np.array([name == "validate" for name in names])

@@ -10,17 +10,15 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, nearest
 from calib_pin.io.measured_columns import (
-    COMPONENTS,
-    CONTACTS,
-    MEASURED,
-    NEEDED,
     ORIENTED,
-    PIXELS,
-    POSITION,
-    RESERVED,
-    SIGMAS,
+    components,
+    measured,
+    needed,
+    reserved,
+    sigmas,
 )
 from calib_pin.io.table import Table
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import PLUS
 
 __all__ = ["check_model", "infer_model", "split_by_model"]
@@ -34,11 +32,7 @@ def check_model(model: str) -> None:
     """
     names = model.split(PLUS)
     for name in names:
-        if name not in COMPONENTS:
-            raise OptionError(
-                f"unknown measurement model '{name}'{nearest(name, COMPONENTS)}",
-                allowed=", ".join(COMPONENTS),
-            )
+        declared(name)
     if len(set(names)) != len(names):
         raise OptionError("a measurement model is named twice", value=model)
 
@@ -58,39 +52,48 @@ def infer_model(table: Table, model: str | None = None) -> str:
         names = model.split(PLUS)
         return names[0] if len(names) == 1 else _one_of(table, names)
     oriented = any(name in table for name in ORIENTED)
-    pixels = [name in table for name in PIXELS]
-    found = [
-        what
-        for what, there in (
-            ("a position", oriented or any(name in table for name in POSITION)),
-            ("a distance", "distance" in table),
-            ("pixels", all(pixels)),
-        )
-        if there
-    ]
+    found: dict[str, list[str]] = {}
+    partly = ""
+    for name in MEASUREMENT_MODELS:
+        stated = declared(name)
+        if stated.inference is None:
+            continue
+        there = [column in table for column in needed(name)]
+        shown = oriented and stated.oriented
+        shown |= all(there) if stated.inference.complete else any(there)
+        if shown:
+            found.setdefault(stated.inference.phrase, []).append(name)
+        elif any(there):
+            partly = partly or name
     if len(found) > 1:
         both = "both " if len(found) == 2 else ""
         raise table.error(
             f"the file has {both}{' and '.join(found)}; name what is measured with "
             "--model, or row by row in a column 'model'",
-            allowed=", ".join(COMPONENTS),
+            allowed=", ".join(MEASUREMENT_MODELS),
         )
-    if found == ["a position"]:
-        return "pose" if oriented else "position"
-    if found == ["a distance"]:
-        return "plane-distance"
-    if any(pixels):
-        return "camera"
+    for names in found.values():
+        return next((n for n in names if declared(n).oriented == oriented), names[0])
+    if partly:
+        return partly
+    contacts = [name for name in MEASUREMENT_MODELS if declared(name).contact]
     if "target" in table:
         raise table.error(
             "no measured columns, the rows only name targets; say what is measured "
             "with --model",
-            allowed=", ".join(CONTACTS),
+            allowed=", ".join(contacts),
         )
+    needs: dict[str, list[str]] = {}
+    for name in MEASUREMENT_MODELS:
+        if name not in contacts:
+            needs.setdefault(_columns_of(name), []).append(name)
+    told = [
+        f"{', '.join(names)} need{'s' * (len(names) == 1)} {columns}"
+        for columns, names in needs.items()
+    ]
     raise table.error(
-        "no measured columns; position needs x, y, z; pose needs these and an "
-        "orientation; the distances need distance; camera needs u, v; "
-        f"{', '.join(CONTACTS)} need only a target and --model"
+        f"no measured columns; {'; '.join(told)}; "
+        f"{', '.join(contacts)} need only a target and --model"
     )
 
 
@@ -122,14 +125,14 @@ def split_by_model(
     first: dict[str, int] = {}
     label = np.array([first.setdefault(name, row) for row, name in enumerate(names)])
     for name, row in first.items():
-        if name not in COMPONENTS:
+        if name not in MEASUREMENT_MODELS:
             raise table.cell_error(
-                f"unknown measurement model{nearest(name, COMPONENTS)}"
+                f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
                 if name
                 else "the row names no measurement model",
                 "model",
                 row,
-                ", ".join(COMPONENTS),
+                ", ".join(MEASUREMENT_MODELS),
             )
     found = {name: np.flatnonzero(label == row) for name, row in first.items()}
     if len(found) == 1:
@@ -138,9 +141,9 @@ def split_by_model(
     anybody = frozenset().union(*read.values())
     result: dict[str, tuple[NDArray[np.int64] | slice, Table]] = {}
     for name, rows in found.items():
-        own = table.rows(rows, RESERVED)
+        own = table.rows(rows, reserved())
         _check_blank(own, name, anybody - read[name])
-        result[name] = rows, _without_blank(own, set(NEEDED[name]))
+        result[name] = rows, _without_blank(own, set(needed(name)))
     return result
 
 
@@ -155,9 +158,8 @@ def _one_of(table: Table, names: Sequence[str]) -> str:
             "a column 'model'"
         )
     needs = "; ".join(
-        f"{name} needs {', '.join(NEEDED[name]) or 'nothing measured'}"
-        + " and an orientation" * (name == "pose")
-        + " and a target" * (name == "fixed-point")
+        f"{name} needs {_columns_of(name)}"
+        + " and a target" * (declared(name).contact and _requires_target(name))
         for name in names
     )
     raise table.error(f"the columns allow none of {', '.join(names)}: {needs}")
@@ -169,30 +171,42 @@ def _fits(table: Table, name: str, names: Sequence[str]) -> bool:
     What measures less than another of the names gives way to it: position to pose, and
     contacts to all.
     """
-    if name in CONTACTS:
-        others = {column for other in names for column in NEEDED[other]}
-        measured = any(column in table for column in others)
-        return not measured and (name != "fixed-point" or "target" in table)
-    oriented = any(column in table for column in ORIENTED)
-    if name == "pose":
-        other = not oriented
+    columns = set(needed(name))
+    if declared(name).contact:
+        others = {column for other in names for column in needed(other)}
+        there = any(column in table for column in others)
+        return not there and (not _requires_target(name) or "target" in table)
+    if any(column in table for column in ORIENTED):
+        fuller = [n for n in names if declared(n).oriented and columns <= {*needed(n)}]
+        gives_way = bool(fuller) and name not in fuller
     else:
-        other = oriented and name == "position" and "pose" in names
-    return not other and all(column in table for column in NEEDED[name])
+        gives_way = declared(name).oriented
+    return not gives_way and all(column in table for column in columns)
+
+
+def _requires_target(name: str) -> bool:
+    return declared(name).naming.required == "every"
+
+
+def _columns_of(name: str) -> str:
+    """The columns that a model needs, in words."""
+    columns = ", ".join(needed(name)) or "nothing measured"
+    return columns + " and an orientation" * declared(name).oriented
 
 
 def _read_by(name: str) -> frozenset[str]:
     """Columns that a model reads where it finds them, beside those that all do."""
-    oriented = ORIENTED if name == "pose" else frozenset[str]()
-    return oriented | {*NEEDED[name], *(f"sigma_{c}" for c in COMPONENTS[name])}
+    oriented = ORIENTED if declared(name).oriented else frozenset[str]()
+    return oriented | {*needed(name), *(f"sigma_{c}" for c in components(name))}
 
 
 def _without_blank(table: Table, keep: Set[str]) -> Table:
     """A table without the measured columns and sigmas that are blank throughout."""
+    optional = (measured() | sigmas()) - keep
     columns = {
         name: column
         for name, column in table.columns.items()
-        if name not in (MEASURED | SIGMAS) - keep or not column.blank().all()
+        if name not in optional or not column.blank().all()
     }
     return replace(table, columns=columns)
 

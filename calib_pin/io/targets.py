@@ -24,6 +24,8 @@ from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, from_quaternion
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
 from calib_pin.setup import JointMap
 
 __all__ = ["Targets", "encode_commands", "read_target_file"]
@@ -107,7 +109,8 @@ def read_target_file(
             notice(f"{table.file}: columns without a name are left out")
         return Targets(table, sources, q, None, False)
     spare = [c for c in spare_columns(table, chain, joints) if c not in used]
-    used_columns, values = read_values(table, "pose" if oriented else "position", spare)
+    model = (Pose if oriented else Position).declaration.name
+    used_columns, values = read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
     check_spread(table, chain, values[:, :3], center)
     ignored = [table.columns[name].header for name in spare if name not in used_columns]

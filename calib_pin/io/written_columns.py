@@ -13,9 +13,10 @@ from numpy.typing import NDArray
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
 from calib_pin.io.joint_columns import column_values, joint_sources
-from calib_pin.io.measured_columns import COMPONENTS, RELATIVE, RESERVED, VALUES
+from calib_pin.io.measured_columns import reserved
 from calib_pin.kinematics.chain import Chain
-from calib_pin.observations import AT, LAYOUT, PART, Measurements
+from calib_pin.measurement_models import declared
+from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import JointMap
 
 __all__ = ["column_name", "configuration_columns", "measurement_columns"]
@@ -58,15 +59,16 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[An
     sigmas: dict[str, NDArray[Any]] = {}
     a = b = 0
     for model in rows.parts:
-        (width, components), own = LAYOUT[model], _rows_of(models, model)
-        _fill(values, VALUES[model], rows.values[:, a : a + width], own)
-        told = None if rows.sigma is None else rows.sigma[:, b : b + components]
-        a, b = a + width, b + components
+        stated, own = declared(model), _rows_of(models, model)
+        c, d = a + len(stated.values), b + len(stated.components)
+        _fill(values, stated.values, rows.values[:, a:c], own)
+        told = None if rows.sigma is None else rows.sigma[:, b:d]
+        a, b = c, d
         if told is None or np.isnan(told[own]).all():
             continue
         if not np.isfinite(told[own]).all():
             raise OutputError(f"only some rows of '{model}' have standard deviations")
-        _fill(sigmas, [f"sigma_{name}" for name in COMPONENTS[model]], told, own)
+        _fill(sigmas, [f"sigma_{name}" for name in stated.components], told, own)
     return values | sigmas
 
 
@@ -96,11 +98,12 @@ def _with_starts(data: Measurements) -> Measurements:
     Raises:
         OutputError: If a relative distance would not read back.
     """
-    relative = _rows_of(_models(data), RELATIVE)
-    if not relative.any():
+    model = next((name for name in data.parts if declared(name).relative), None)
+    if model is None:
         return data
-    before = data.parts[: data.parts.index(RELATIVE)]
-    distance = data.values[:, sum(LAYOUT[model][0] for model in before)]
+    relative = _rows_of(_models(data), model)
+    before = data.parts[: data.parts.index(model)]
+    distance = data.values[:, sum(len(declared(name).values) for name in before)]
     start = data.start if data.start.size else np.full(data.q.shape, np.nan)
     for wrong, reason in (
         (~np.isfinite(start).all(axis=1), "has no start"),
@@ -169,7 +172,7 @@ def column_name(joint: str) -> str:
     Raises:
         OutputError: If it would not read back.
     """
-    if split_header(joint) != (joint, None) or joint in RESERVED:
+    if split_header(joint) != (joint, None) or joint in reserved():
         raise OutputError(f"joint '{joint}' cannot be the name of a column")
     return joint
 

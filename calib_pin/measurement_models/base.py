@@ -4,58 +4,33 @@ from __future__ import annotations
 
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
-from typing import Protocol, Self, runtime_checkable
+from typing import ClassVar, Protocol, Self, runtime_checkable
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, skew
+from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
+from calib_pin.setup import Setup
 
 __all__ = [
     "Batch",
     "BatchedModel",
     "Curvature",
     "CurvedModel",
-    "ExternalInstrument",
+    "DeclaredModel",
     "Linearization",
     "MeasurementModel",
     "Quantity",
-    "ReferenceObjects",
+    "ReferenceParameters",
     "References",
     "rotation_curvature",
     "tool_references",
 ]
-
-
-@dataclass(frozen=True)
-class Quantity:
-    """One physical quantity within the residual.
-
-    Attributes:
-        name: Name in reports, such as `position`.
-        unit: `m`, `rad` or `px`.
-        columns: The residual components that belong to it.
-        sigma: Standard deviation assumed where none is stated.
-        noise: Name under which a setup states another; default its own.
-    """
-
-    name: str
-    unit: str
-    columns: slice
-    sigma: float
-    noise: str = ""
-
-    def errors(self, residual: Floats) -> Floats:
-        """Size of the error of each row that has this quantity, (N, d) -> (n,).
-
-        The others have NaN.
-        """
-        sizes = np.linalg.norm(residual[:, self.columns], axis=1)
-        return np.asarray(sizes[~np.isnan(sizes)])
 
 
 @dataclass(frozen=True)
@@ -92,11 +67,8 @@ class MeasurementModel(Protocol):
         ...
 
     @property
-    def measuring_frame(self) -> bool:
-        """Whether values belong to a frame of the instrument's own.
-
-        Then the base frame is unknown unless the setup says otherwise.
-        """
+    def external(self) -> bool:
+        """Whether values belong to a measurement frame, see `Declaration`."""
         ...
 
     @property
@@ -106,15 +78,12 @@ class MeasurementModel(Protocol):
 
     @property
     def contact(self) -> bool:
-        """Whether nothing is measured but that the residual is zero, up to noise.
-
-        Rows then are configurations at which the tool touches something.
-        """
+        """Whether all measurements are contacts, see `Declaration`."""
         ...
 
     @property
     def relative(self) -> bool:
-        """Whether poses are those of the tool in the tool at a row's start."""
+        """Whether some measurements have a start, see `Declaration`."""
         ...
 
     @property
@@ -312,25 +281,25 @@ def rotation_curvature(R: Floats) -> Floats:
     return result
 
 
-class ReferenceObjects:
-    """What models share that have features: parameters, and moves into references."""
+class ReferenceParameters:
+    """What models share that have reference objects: parameters, and how these move."""
 
     @property
     def features(self) -> Sequence[Feature]:
-        """None."""
+        """The reference objects; empty where there are none."""
         return ()
 
     def with_features(self, features: Sequence[Feature]) -> Self:
-        """Itself: there is nothing to replace."""
+        """The same model: there is nothing to replace."""
         return self
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Those of the features."""
+        """The parameters of the reference objects."""
         return tuple(p for feature in self.features for p in feature.parameters)
 
     def rebased(self, own: Floats) -> Self:
-        """Every feature moved by its own parameters."""
+        """The same model with every reference object moved by its parameters."""
         features = self.features
         return self.with_features(
             [
@@ -340,48 +309,85 @@ class ReferenceObjects:
         )
 
     def extended(self, T: Floats, data: Measurements) -> Self:
-        """Itself: rows can name nothing new."""
+        """The same model: measurements can name nothing new."""
         return self
+
+
+class DeclaredModel(ReferenceParameters):
+    """What all models of one instrument share.
+
+    A member has a declaration, from which much of the interface follows. It can measure
+    at every pose, has nothing to be named, and noise adds to its values, unless it says
+    otherwise.
+    """
+
+    declaration: ClassVar[Declaration]
+    """What users and other rooms may know of it."""
+
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> MeasurementModel:
+        """The model as a setup states it.
+
+        Args:
+            setup: What the user states.
+            targets: The targets that measurements name, each once.
+
+        Raises:
+            OptionError: If the setup lacks something, or states it wrongly.
+        """
+        raise NotImplementedError
+
+    @property
+    def name(self) -> str:
+        """Name as users write it."""
+        return self.declaration.name
+
+    @property
+    def quantities(self) -> Sequence[Quantity]:
+        """The quantities of the residual, in order."""
+        return self.declaration.quantities
+
+    @property
+    def external(self) -> bool:
+        """Whether values belong to a measurement frame."""
+        return self.declaration.external
+
+    @property
+    def width(self) -> int:
+        """Columns D of measured values."""
+        return len(self.declaration.values)
 
     @property
     def contact(self) -> bool:
-        """No: something is measured."""
-        return False
+        """Whether nothing is measured but that the residual is zero."""
+        return self.declaration.contact
 
     @property
     def relative(self) -> bool:
-        """No: poses are those of the tool."""
-        return False
-
-
-class ExternalInstrument(ReferenceObjects):
-    """What models share whose instrument stands anywhere.
-
-    It measures in a frame of its own, at every pose.
-    """
+        """Whether measurements have a start."""
+        return self.declaration.relative
 
     @property
-    def measuring_frame(self) -> bool:
-        """The instrument's own."""
+    def sees_tool(self) -> bool:
+        """Whether measurements depend on the tool frame."""
         return True
 
     @property
     def missing(self) -> str:
-        """Nothing."""
+        """What a study without measurements lacks; empty where nothing."""
         return ""
 
     @property
     def targets(self) -> Sequence[str]:
-        """None: all rows look at the tool."""
+        """Names of what measurements can look at; empty where they need not say."""
         return ()
-
-    @property
-    def sees_tool(self) -> bool:
-        """Yes."""
-        return True
 
     def observable(
         self, T: Floats, own: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
-        """Everywhere."""
+        """Whether the instrument can measure at each pose at all, shape (N,)."""
         return np.ones(len(T), bool)
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """Values with noise added, shape (N, D); contacts have none."""
+        return values if self.contact else values + noise

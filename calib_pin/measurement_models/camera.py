@@ -11,130 +11,45 @@ A row is one point in one image; rows of one configuration are one image.
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
-from typing import Literal
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, invert, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    DeclaredModel,
     Linearization,
-    Quantity,
-    ReferenceObjects,
     References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.camera_start import Rays
+from calib_pin.measurement_models.declaration import (
+    Declaration,
+    Inference,
+    Naming,
+    Quantity,
+)
 from calib_pin.measurement_models.features import Feature, Point, locate, slices
+from calib_pin.measurement_models.intrinsics import INTRINSICS, Camera, Marker
+from calib_pin.measurement_models.named_points import xyz_or_none
 from calib_pin.measurement_models.pinhole import (
     NEAR,
     Image,
     turning_radius,
-    undistort,
 )
 from calib_pin.observations import Measurements
-from calib_pin.parameters import Parameter
-from calib_pin.setup import CameraSetup, PointSetup, Setup
+from calib_pin.setup import PointSetup, Setup
 
-__all__ = ["Camera", "CameraModel", "Marker", "camera"]
-
-INTRINSICS = (
-    *(("fx", "px", 100.0), ("fy", "px", 100.0), ("cx", "px", 100.0)),
-    *(("cy", "px", 100.0), ("k1", "", 0.1), ("k2", "", 0.1)),
-    *(("p1", "", 0.01), ("p2", "", 0.01), ("k3", "", 0.1)),
-)
-"""Name, unit and scale of the parameters of a camera."""
+__all__ = ["CameraModel"]
 
 
 @dataclass(frozen=True)
-class Camera:
-    """A pinhole camera with Brown-Conrady distortion.
-
-    Attributes:
-        mount: `hand` if it is the tool, `world` if it stands still.
-        intrinsics: f_x, f_y, c_x, c_y [px], k_1, k_2, p_1, p_2, k_3, shape (9,).
-        size: Width and height of the image [px]; None where it has no edge.
-        estimate: Whether the intrinsics are estimated.
-    """
-
-    mount: Literal["hand", "world"]
-    intrinsics: Floats
-    size: tuple[float, float] | None = None
-    estimate: bool = False
-
-    name = "camera"
-    section = "camera"
-
-    @property
-    def placed(self) -> bool:
-        """Always: a camera is given."""
-        return True
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`camera.intrinsics.fx|fy|cx|cy|k1|k2|p1|p2|k3`."""
-        return tuple(
-            Parameter(
-                f"{self.name}.intrinsics.{name}",
-                unit,
-                scale,
-                nuisance=True,
-                free=self.estimate,
-            )
-            for name, unit, scale in INTRINSICS
-        )
-
-    def rebased(self, own: Floats) -> Camera:
-        """With other intrinsics."""
-        return replace(self, intrinsics=self.intrinsics + own)
-
-    def stated(self) -> CameraSetup:
-        """Its intrinsics."""
-        f_x, f_y, c_x, c_y, k_1, k_2, p_1, p_2, k_3 = map(float, self.intrinsics)
-        return CameraSetup(
-            self.mount,
-            (f_x, f_y),
-            (c_x, c_y),
-            (k_1, k_2, p_1, p_2, k_3),
-            self.size,
-            self.estimate,
-        )
-
-    def rays(self, pixels: Floats) -> Floats:
-        """Where pixels look, at depth 1, shape (N, 2); NaN where no point is seen."""
-        focal, center = self.intrinsics[:2], self.intrinsics[2:4]
-        return undistort((pixels - center) / focal, self.intrinsics[4:])
-
-
-@dataclass(frozen=True)
-class Marker(Point):
-    """A point that a camera looks at; one that is known has no parameters.
-
-    Boards have many points. Columns of zeros for all of them would take most of the
-    time of a fit.
-    """
-
-    kind: str = "target"
-    estimate: bool = False
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.target.x|y|z` where it is estimated."""
-        return super().parameters if self.estimate else ()
-
-    def at(self, own: Floats) -> Floats:
-        """Its place, shape (3,) [m]."""
-        assert self.xyz is not None
-        return super().at(own) if len(own) else self.xyz
-
-
-@dataclass(frozen=True)
-class CameraModel(ReferenceObjects):
+class CameraModel(DeclaredModel):
     """Predicted minus measured pixel.
 
     Attributes:
@@ -147,27 +62,45 @@ class CameraModel(ReferenceObjects):
     camera: Camera
     points: tuple[Point, ...]
     spare: tuple[Point, ...] = ()
-    name: str = field(default="camera", init=False)
 
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the pixel."""
-        return (Quantity("pixel", "px", slice(0, 2), 0.5),)
+    declaration = Declaration(
+        name="camera",
+        help="pixels of known points in images, of a board or on the tool",
+        components=("u", "v"),
+        quantities=(Quantity("pixel", "px", slice(0, 2), 0.5),),
+        external=True,
+        naming=Naming("point", "every"),
+        inference=Inference("pixels", complete=True),
+        yardstick="the size of the board's squares ('targets')",
+        unmeasurable="the point is behind the camera or outside its image",
+    )
 
-    @property
-    def measuring_frame(self) -> bool:
-        """That of the board, or of the camera."""
-        return True
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> CameraModel:
+        """The camera of a setup and the points that it looks at.
 
-    @property
-    def sees_tool(self) -> bool:
-        """Yes: it is the camera's, or carries the points."""
-        return True
+        Args:
+            setup: What the user states; points are known unless it says otherwise.
+            targets: The targets that measurements name, for where the setup has none.
 
-    @property
-    def width(self) -> int:
-        """Column and row of the image."""
-        return 2
+        Raises:
+            OptionError: If there is no camera, or one without a focal length.
+        """
+        camera = Camera.from_setup(setup)
+        stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
+        points = [
+            Marker(name, xyz=xyz_or_none(point.xyz), estimate=bool(point.estimate))
+            for name, point in stated.items()
+        ]
+        named = set(targets)
+        # All of them count without measurements, or where one names what is not stated.
+        if not named or not named <= set(stated):
+            return cls(camera, tuple(points))
+        return cls(
+            camera,
+            points=tuple(p for p in points if p.name in named),
+            spare=tuple(p for p in points if p.placed and p.name not in named),
+        )
 
     @property
     def missing(self) -> str:
@@ -223,10 +156,6 @@ class CameraModel(ReferenceObjects):
         pixels = image.pixels
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
         return np.asarray(seen)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the pixels."""
-        return values + noise
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Predicted minus measured pixel, shape (N, 2) [px]."""
@@ -428,50 +357,6 @@ class _View:
     R: Floats
     place: Floats
     image: Image
-
-
-def camera(setup: Setup, targets: Sequence[str]) -> CameraModel:
-    """The camera of a setup and the points that it looks at.
-
-    Args:
-        setup: What the user states; points are known unless it says otherwise.
-        targets: The targets that rows name, for where the setup has none.
-
-    Raises:
-        OptionError: If there is no camera, or one without a focal length.
-    """
-    given = setup.camera
-    if given is None:
-        raise OptionError(
-            "the model 'camera' needs 'camera' in a setup file (--setup): its mount, "
-            "focal and center",
-            file=setup.file or None,
-        )
-    if not all(0.0 < focal < np.inf for focal in given.focal):
-        raise OptionError(
-            "the focal lengths of the camera are positive numbers",
-            value=list(given.focal),
-        )
-    intrinsics = np.array([*given.focal, *given.center, *given.distortion], float)
-    stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
-    points = [
-        Marker(
-            name,
-            xyz=None if point.xyz is None else np.array(point.xyz, float),
-            estimate=bool(point.estimate),
-        )
-        for name, point in stated.items()
-    ]
-    named = set(targets)
-    # Without rows, or where one names what is not stated, all of them count.
-    everything = not named or not named <= set(stated)
-    return CameraModel(
-        Camera(given.mount, intrinsics, given.size, given.estimate),
-        points=tuple(p for p in points if everything or p.name in named),
-        spare=tuple(
-            p for p in points if p.placed and not everything and p.name not in named
-        ),
-    )
 
 
 def _matrix(frame: pin.SE3 | None) -> Floats | None:

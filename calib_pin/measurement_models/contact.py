@@ -8,54 +8,60 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.contact_registration import (
     Reached,
     register_distances,
     register_touched_plane,
 )
-from calib_pin.measurement_models.features import (
-    Anchor,
-    Feature,
-    Plane,
-    Sphere,
-    turned_planes,
+from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
+from calib_pin.measurement_models.features import Anchor, Feature, Sphere
+from calib_pin.measurement_models.named_points import (
+    given_names,
+    xyz_or_none,
 )
+from calib_pin.measurement_models.planes import Plane, turned_planes
+from calib_pin.measurement_models.registered_places import PlaceModel
 from calib_pin.measurement_models.tool_point import (
-    PlaceModel,
     PointCurvature,
     PointMeasurement,
-    Touching,
 )
 from calib_pin.observations import Measurements
+from calib_pin.setup import Setup
 
 __all__ = [
     "PlaneContact",
     "SphereContact",
     "directions",
+    "planes_of_setup",
     "rays",
     "round_bend",
     "rounds",
 ]
 
 
-@dataclass(frozen=True)
-class Contact(Touching, PlaceModel):
-    """A contact with a surface."""
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the gap."""
-        return (Quantity("contact", "m", slice(0, 1), 1e-4),)
+GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
 
 
 @dataclass(frozen=True)
-class PlaneContact(Contact):
+class PlaneContact(PlaceModel):
     """`residual = n . p + f`, the height of the tool point above a plane [m]."""
 
-    name: str = "plane-contact"
+    declaration = Declaration(
+        name="plane-contact",
+        help="a tool point touches planes: touch probe, dial gauge",
+        components=("contact",),
+        quantities=GAP,
+        contact=True,
+        naming=Naming("plane", "all or none"),
+    )
     comparison = "height"
+
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
+        """The planes."""
+        return planes_of_setup(setup, names)
 
     def compare(
         self, p: Floats, place: NDArray[np.int64], own: Floats
@@ -112,13 +118,34 @@ class PlaneContact(Contact):
 
 
 @dataclass(frozen=True)
-class SphereContact(Contact):
+class SphereContact(PlaceModel):
     """`residual = |p - c| - r`, the height of the tool point above a sphere [m].
 
     The radius is that of the sphere and of a ball at the tool point together.
     """
 
-    name: str = "sphere-contact"
+    declaration = Declaration(
+        name="sphere-contact",
+        help="a tool point touches spheres: touch probe, dial gauge",
+        components=("contact",),
+        quantities=GAP,
+        contact=True,
+        naming=Naming("sphere", "all or none"),
+        yardstick="the radius of the sphere",
+    )
+    comparison = "distance"
+
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
+        """The spheres; a radius that is not given is estimated."""
+        spheres = []
+        for name, stated in setup.spheres.items():
+            free = stated.estimate_radius
+            if free is None:
+                free = stated.radius is None
+            xyz = xyz_or_none(stated.xyz)
+            spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
+        return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
 
     def compare(
         self, p: Floats, place: NDArray[np.int64], own: Floats
@@ -162,6 +189,27 @@ class SphereContact(Contact):
     def new(self, name: str) -> Sphere:
         """A sphere that nobody has given."""
         return Sphere(name)
+
+
+def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
+    """The planes that a setup states, or else those that measurements name.
+
+    Raises:
+        OptionError: If a plane has no normal.
+    """
+    planes = []
+    for name, stated in setup.planes.items():
+        normal = np.array(stated.normal, float)
+        length = float(np.linalg.norm(normal))
+        if not 0.0 < length < np.inf:
+            raise OptionError(
+                f"the normal of the plane '{name}' has no direction",
+                value=list(stated.normal),
+            )
+        planes.append(
+            Plane(name, normal / length, stated.offset / length, stated.estimate)
+        )
+    return tuple(planes) or tuple(map(Plane, given_names(names, "plane")))
 
 
 def rays(

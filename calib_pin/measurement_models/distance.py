@@ -10,43 +10,61 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
 from calib_pin.measurement_models.contact_registration import (
     Reached,
     register_distances,
     register_relative_distances,
 )
+from calib_pin.measurement_models.declaration import (
+    INSTRUMENT,
+    Declaration,
+    Naming,
+    Quantity,
+)
 from calib_pin.measurement_models.features import Anchor, Feature
+from calib_pin.measurement_models.named_points import (
+    given_names,
+    placed_tool,
+    tip_points,
+    xyz_or_none,
+)
+from calib_pin.measurement_models.registered_places import PlaceModel
 from calib_pin.measurement_models.tool_point import (
-    PlaceModel,
     PointCurvature,
     PointMeasurement,
     PointModel,
-    placed_tool,
-    split_names,
-    tip_points,
 )
 from calib_pin.observations import AT, Measurements
+from calib_pin.setup import Setup
 
 __all__ = ["PointDistance", "RelativeDistance"]
+
+QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
 
 @dataclass(frozen=True)
 class PointDistance(PlaceModel):
     """`h = |p - a| + b`, from an anchor a to the tool point, with a bias b [m]."""
 
-    name: str = "point-distance"
+    declaration = Declaration(
+        name="point-distance",
+        help="distances of a tool point from anchors: draw wire, ball bar",
+        components=("distance",),
+        quantities=QUANTITIES,
+        naming=Naming("anchor", "all or none"),
+        yardstick=INSTRUMENT,
+    )
+    comparison = "distance"
 
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the distance."""
-        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
-
-    @property
-    def width(self) -> int:
-        """The distance."""
-        return 1
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
+        """The anchors."""
+        stated = setup.anchors.items()
+        return tuple(
+            Anchor(name, xyz_or_none(a.xyz), a.bias, a.estimate, a.estimate_bias)
+            for name, a in stated
+        ) or tuple(map(Anchor, given_names(names, "anchor")))
 
     def compare(
         self, p: Floats, place: NDArray[np.int64], own: Floats
@@ -97,31 +115,16 @@ class RelativeDistance(PointModel):
     Rows of one start share a name, which may follow that of a point, `point@name`.
     """
 
-    name: str = "relative-distance"
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the distance."""
-        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
-
-    @property
-    def width(self) -> int:
-        """The distance."""
-        return 1
-
-    @property
-    def relative(self) -> bool:
-        """Yes."""
-        return True
-
-    @property
-    def missing(self) -> str:
-        """Points on the tool that nobody has given."""
-        return super().missing if self.points else ""
-
-    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The point that each row names, and its start."""
-        return split_names(target, True)
+    declaration = Declaration(
+        name="relative-distance",
+        help="how far a tool point moved from a start: laser interferometer",
+        components=("distance",),
+        quantities=QUANTITIES,
+        relative=True,
+        naming=Naming("start"),
+        yardstick=INSTRUMENT,
+    )
+    comparison = "distance"
 
     @property
     def targets(self) -> Sequence[str]:

@@ -10,7 +10,7 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property, partial
+from functools import partial
 from itertools import pairwise
 from typing import Protocol, Self
 
@@ -19,7 +19,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
@@ -36,14 +36,13 @@ __all__ = [
     "Anchor",
     "Feature",
     "Frame",
-    "Plane",
     "Point",
     "Sphere",
     "Stated",
     "locate",
     "nuisances",
     "slices",
-    "turned_planes",
+    "triple",
 ]
 
 METER = 1.0
@@ -150,87 +149,7 @@ class Point:
 
     def stated(self) -> PointSetup:
         """Its place."""
-        return PointSetup(_triple(self.xyz), self.estimate)
-
-
-@dataclass(frozen=True)
-class Plane:
-    """Reference of a plane `n . p + f = 0` in the measuring frame.
-
-    Attributes:
-        name: Name that rows give as their target.
-        normal: Unit normal n, shape (3,); None until it is registered.
-        offset: Offset f [m].
-        estimate: Whether the plane is estimated.
-    """
-
-    name: str
-    normal: Floats | None = None
-    offset: float = 0.0
-    estimate: bool = True
-
-    section = "planes"
-
-    @property
-    def placed(self) -> bool:
-        """Whether it is given or registered."""
-        return self.normal is not None
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<plane>.plane.u|v|f`."""
-        units = (("u", "rad"), ("v", "rad"), ("f", "m"))
-        return nuisances(self.name, "plane", ((c, u, self.estimate) for c, u in units))
-
-    @cached_property
-    def tangents(self) -> Floats:
-        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
-        assert self.normal is not None
-        # Of components that are equal but for rounding, the first.
-        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
-        first = np.cross(self.normal, helper)
-        first /= np.linalg.norm(first)
-        return np.array([first, np.cross(self.normal, first)])
-
-    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
-        """Normal and offset at parameters (u, v, f), and the normal's derivative.
-
-        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
-
-        Returns:
-            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
-        """
-        assert self.normal is not None
-        t_1, t_2 = self.tangents
-        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
-        halfway = second @ self.normal
-        normal = first @ halfway
-        by_u = np.cross(t_1, normal)
-        by_v = first @ np.cross(t_2, halfway)
-        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
-
-    def turned_many(self, own: Floats) -> Floats:
-        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
-        assert self.normal is not None
-        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
-        # Element by element: a product of matrices may round by the place of a row.
-        t_1, t_2 = self.tangents
-        u, v = own[:, :1], own[:, 1:2]
-        normals = np.sin(v) * t_1 + np.cos(v) * (
-            np.cos(u) * self.normal - np.sin(u) * t_2
-        )
-        return np.column_stack([normals, self.offset + own[:, 2]])
-
-    def rebased(self, own: Floats) -> Plane:
-        """Turned and shifted by (u, v, f)."""
-        normal, offset, _ = self.turned(own)
-        return replace(self, normal=normal, offset=offset)
-
-    def stated(self) -> PlaneSetup:
-        """Its normal and offset."""
-        normal = _triple(self.normal)
-        assert normal is not None
-        return PlaneSetup(normal, float(self.offset), self.estimate)
+        return PointSetup(triple(self.xyz), self.estimate)
 
 
 @dataclass(frozen=True)
@@ -274,7 +193,7 @@ class Sphere:
     def stated(self) -> SphereSetup:
         """Its center and radius."""
         return SphereSetup(
-            _triple(self.xyz), self.radius, self.estimate, self.estimate_radius
+            triple(self.xyz), self.radius, self.estimate, self.estimate_radius
         )
 
 
@@ -319,7 +238,7 @@ class Anchor:
     def stated(self) -> AnchorSetup:
         """Its place and bias."""
         return AnchorSetup(
-            _triple(self.xyz), self.bias, self.estimate, self.estimate_bias
+            triple(self.xyz), self.bias, self.estimate, self.estimate_bias
         )
 
 
@@ -388,15 +307,8 @@ class Frame:
         """Its pose."""
         assert self.pose is not None
         roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
-        xyz = _triple(self.pose.translation)
+        xyz = triple(self.pose.translation)
         return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
-
-
-def turned_planes(planes: Sequence[Plane], own: Floats) -> Floats:
-    """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
-    parts = [own[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
-    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
-    return np.stack(turned, axis=1)
 
 
 def slices(features: Sequence[Feature]) -> list[slice]:
@@ -443,7 +355,8 @@ def locate(
     )
 
 
-def _triple(values: Floats | None) -> Triple | None:
+def triple(values: Floats | None) -> Triple | None:
+    """Coordinates as a setup file states them; None where there are none."""
     if values is None:
         return None
     x, y, z = (float(value) for value in values)

@@ -10,25 +10,29 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.base import Quantity
 from calib_pin.measurement_models.contact_registration import register_sockets
+from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
 from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.named_points import (
+    given_names,
+    named_points,
+    placed_tool,
+    tip_points,
+)
 from calib_pin.measurement_models.registration import register_points
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
     PointModel,
-    Touching,
-    placed_tool,
-    tip_points,
 )
 from calib_pin.observations import Measurements
+from calib_pin.setup import Setup
 
 __all__ = ["FixedPoint"]
 
 
 @dataclass(frozen=True)
-class FixedPoint(Touching, PointModel):
+class FixedPoint(PointModel):
     """`residual = p - c_s`, the ball's center against that of its socket [m].
 
     The center is as unknown as the ball's place on the tool. A robot whose lengths are
@@ -36,13 +40,20 @@ class FixedPoint(Touching, PointModel):
     distance between sockets, or something else that is known, sets the scale.
     """
 
-    name: str = "fixed-point"
+    declaration = Declaration(
+        name="fixed-point",
+        help="a ball on the tool rests in sockets, each from several sides",
+        components=("x", "y", "z"),
+        quantities=(Quantity("position", "m", slice(0, 3), 1e-4),),
+        contact=True,
+        naming=Naming("socket", "every", configurations=2),
+    )
     comparison = "position"
 
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the distance of the ball's center from its socket."""
-        return (Quantity("position", "m", slice(0, 3), 1e-4),)
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Point, ...]:
+        """The sockets."""
+        return named_points(setup.sockets, given_names(names, "socket"), "socket")
 
     def compare(
         self, p: Floats, place: NDArray[np.int64], own: Floats

@@ -23,42 +23,29 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
+    DeclaredModel,
     Linearization,
     MeasurementModel,
-    Quantity,
-    ReferenceObjects,
+    ReferenceParameters,
 )
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurement_models.mount import Mounted
+from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
 
 __all__ = ["Mixed", "qualified"]
 
 
 @dataclass(frozen=True)
-class Mixed(ReferenceObjects):
-    """Parts with their rows told apart by their targets.
+class _SideBySide(ReferenceParameters):
+    """Values and residuals of several models side by side, and what they share.
 
     Attributes:
         parts: The models by name.
     """
 
     parts: Mapping[str, MeasurementModel]
-
-    @staticmethod
-    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
-        """Mix models; a camera gets frames of its own.
-
-        What several of them name has the parameters of all of them: a point that is
-        known to a camera and estimated by a tracker is estimated.
-        """
-        mixed = Mixed(
-            {
-                name: Mounted.of(model) if name == "camera" else model
-                for name, model in parts.items()
-            }
-        )
-        return mixed.with_features(mixed.features)
 
     @property
     def name(self) -> str:
@@ -86,9 +73,9 @@ class Mixed(ReferenceObjects):
         return tuple(result)
 
     @property
-    def measuring_frame(self) -> bool:
+    def external(self) -> bool:
         """Whether some part has one of its own, which is then that of all."""
-        return any(part.measuring_frame for part in self.parts.values())
+        return any(part.external for part in self.parts.values())
 
     @property
     def width(self) -> int:
@@ -124,6 +111,41 @@ class Mixed(ReferenceObjects):
             for target in part.targets or ("",)
         )
 
+    @cached_property
+    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
+        """Columns of the values and components of the residual of every part."""
+        result, a, b = {}, 0, 0
+        for name, part in self.parts.items():
+            c, d = a + part.width, b + part.quantities[-1].columns.stop
+            result[name] = slice(a, c), slice(b, d)
+            a, b = c, d
+        return result
+
+    @property
+    def _components(self) -> int:
+        """Components of the residual."""
+        return int(self.quantities[-1].columns.stop)
+
+
+@dataclass(frozen=True)
+class Mixed(_SideBySide):
+    """Parts with their rows told apart by their targets."""
+
+    @staticmethod
+    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
+        """Mix models; one that follows nothing (a camera) gets frames of its own.
+
+        What several of them name has the parameters of all of them: a point that is
+        known to a camera and estimated by a tracker is estimated.
+        """
+        mixed = Mixed(
+            {
+                name: Mounted.of(model) if _apart(model) else model
+                for name, model in parts.items()
+            }
+        )
+        return mixed.with_features(mixed.features)
+
     @property
     def features(self) -> Sequence[Feature]:
         """Those of all parts, each once."""
@@ -148,7 +170,7 @@ class Mixed(ReferenceObjects):
     def extended(self, T: Floats, data: Measurements) -> Mixed:
         """Every part extended by its rows, with what the parts before have placed."""
         mixed = self
-        for name, (rows, own) in data.by_part.items():
+        for name, (rows, own) in by_part(data).items():
             part = mixed.parts[name].extended(T[rows], own)
             mixed = Mixed({**mixed.parts, name: part})
         return mixed
@@ -182,7 +204,7 @@ class Mixed(ReferenceObjects):
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Residuals of all parts side by side, shape (N, d)."""
         result = np.zeros((len(T), self._components))
-        for name, (rows, seen) in data.by_part.items():
+        for name, (rows, seen) in by_part(data).items():
             part, components = self.parts[name], self._layout[name][1]
             result[rows, components] = part.residual(
                 T[rows], own[self._own[name]], seen
@@ -194,7 +216,7 @@ class Mixed(ReferenceObjects):
         shape = (len(T), self._components)
         residual, J_pose = np.zeros(shape), np.zeros((*shape, 6))
         J_instrument = np.zeros((*shape, len(own)))
-        for name, (rows, seen) in data.by_part.items():
+        for name, (rows, seen) in by_part(data).items():
             index, components = self._own[name], self._layout[name][1]
             found = self.parts[name].linearize(T[rows], own[index], seen)
             residual[rows, components] = found.residual
@@ -207,7 +229,7 @@ class Mixed(ReferenceObjects):
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
         """Those of all parts; none where one has none."""
         result: list[Batch] = []
-        for name, (rows, seen) in data.by_part.items():
+        for name, (rows, seen) in by_part(data).items():
             part, components = self.parts[name], self._layout[name][1]
             found: Sequence[Batch] = []
             if isinstance(part, BatchedModel):
@@ -230,13 +252,13 @@ class Mixed(ReferenceObjects):
             part = self.parts[name]
             # Points are placed about a tool that others may tell more of.
             mounted = isinstance(part, Mounted)
-            return mounted, not part.measuring_frame, not part.sees_tool
+            return mounted, not part.external, not part.sees_tool
 
-        for name in sorted(data.by_part, key=turn):
-            (rows, own), part = data.by_part[name], mixed.parts[name]
+        for name in sorted(by_part(data), key=turn):
+            (rows, own), part = by_part(data)[name], mixed.parts[name]
             found, new_base, new_tool = part.register(F[rows], own, base, tool)
             # A part that sees no base or tool frame has nothing to say of it.
-            if part.measuring_frame or not self.measuring_frame:
+            if part.external or not self.external:
                 base = base or new_base
             if part.sees_tool:
                 tool = tool or new_tool
@@ -252,21 +274,6 @@ class Mixed(ReferenceObjects):
         for name, rows in rows_by_part(target).items():
             result[rows, self._layout[name][1]] = np.nan
         return result
-
-    @cached_property
-    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
-        """Columns of the values and components of the residual of every part."""
-        result, a, b = {}, 0, 0
-        for name, part in self.parts.items():
-            c, d = a + part.width, b + part.quantities[-1].columns.stop
-            result[name] = slice(a, c), slice(b, d)
-            a, b = c, d
-        return result
-
-    @property
-    def _components(self) -> int:
-        """Components of the residual."""
-        return int(self.quantities[-1].columns.stop)
 
     @cached_property
     def _own(self) -> Mapping[str, NDArray[np.intp]]:
@@ -308,6 +315,13 @@ def qualified(
         part, _, plain = target.partition(PART)
         found[part][plain] = None
     return {name: tuple(plain) for name, plain in found.items()}
+
+
+def _apart(model: MeasurementModel) -> bool:
+    """Whether an instrument is a frame of its own, where others share one."""
+    if not isinstance(model, DeclaredModel):
+        return False
+    return model.declaration.external and not model.declaration.tracks
 
 
 def _within(batch: Batch, rows: NDArray[np.intp], own: NDArray[np.intp]) -> Batch:

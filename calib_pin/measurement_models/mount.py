@@ -15,10 +15,10 @@ from calib_pin.measurement_models.base import (
     BatchedModel,
     Linearization,
     MeasurementModel,
-    Quantity,
-    ReferenceObjects,
+    ReferenceParameters,
     References,
 )
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.features import Feature, Frame
 from calib_pin.observations import Measurements
 
@@ -26,23 +26,10 @@ __all__ = ["Mounted"]
 
 
 @dataclass(frozen=True)
-class Mounted(ReferenceObjects):
-    """A model that sees the poses `D T E` where others see T.
-
-    Attributes:
-        model: The model.
-        stand: Pose D of the measuring frame in that of the model.
-        place: Pose E of the model's tool frame in the tool frame.
-    """
+class _Wrapper(ReferenceParameters):
+    """A model with another inside, whose name, numbers and targets are its own."""
 
     model: MeasurementModel
-    stand: Frame
-    place: Frame
-
-    @staticmethod
-    def of(model: MeasurementModel) -> Mounted:
-        """A model with unknown frames of its own, named after it."""
-        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
 
     @property
     def name(self) -> str:
@@ -55,19 +42,19 @@ class Mounted(ReferenceObjects):
         return self.model.quantities
 
     @property
-    def measuring_frame(self) -> bool:
-        """No: it stands in that of the others."""
-        return False
-
-    @property
-    def sees_tool(self) -> bool:
-        """No: it has a place of its own."""
-        return False
-
-    @property
     def width(self) -> int:
         """That of the model."""
         return self.model.width
+
+    @property
+    def contact(self) -> bool:
+        """That of the model."""
+        return self.model.contact
+
+    @property
+    def relative(self) -> bool:
+        """That of the model."""
+        return self.model.relative
 
     @property
     def missing(self) -> str:
@@ -78,6 +65,39 @@ class Mounted(ReferenceObjects):
     def targets(self) -> Sequence[str]:
         """Those of the model."""
         return self.model.targets
+
+    def disturb(self, values: Floats, noise: Floats) -> Floats:
+        """As the model does."""
+        return self.model.disturb(values, noise)
+
+
+@dataclass(frozen=True)
+class Mounted(_Wrapper):
+    """A model that sees the poses `D T E` where others see T.
+
+    Attributes:
+        model: The model.
+        stand: Pose D of the measuring frame in that of the model.
+        place: Pose E of the model's tool frame in the tool frame.
+    """
+
+    stand: Frame
+    place: Frame
+
+    @staticmethod
+    def of(model: MeasurementModel) -> Mounted:
+        """A model with unknown frames of its own, named after it."""
+        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
+
+    @property
+    def external(self) -> bool:
+        """False: it stands in the measurement frame of the others."""
+        return False
+
+    @property
+    def sees_tool(self) -> bool:
+        """False: the model has a tool frame of its own."""
+        return False
 
     @property
     def features(self) -> Sequence[Feature]:
@@ -101,10 +121,6 @@ class Mounted(ReferenceObjects):
         """Whether the model can measure at its own poses."""
         inner, D, E = self._split(own)
         return self.model.observable(D @ T @ E, inner, target)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """As the model does."""
-        return self.model.disturb(values, noise)
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Residual of the model at its own poses."""

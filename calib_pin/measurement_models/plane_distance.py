@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
@@ -13,20 +13,23 @@ from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    DeclaredModel,
     Linearization,
-    Quantity,
-    ReferenceObjects,
     References,
 )
-from calib_pin.measurement_models.features import (
-    Feature,
-    Plane,
-    locate,
-    turned_planes,
+from calib_pin.measurement_models.contact import planes_of_setup
+from calib_pin.measurement_models.declaration import (
+    INSTRUMENT,
+    Declaration,
+    Inference,
+    Naming,
+    Quantity,
 )
+from calib_pin.measurement_models.features import Feature, locate
+from calib_pin.measurement_models.planes import Plane, turned_planes
 from calib_pin.measurement_models.registration import register_plane
 from calib_pin.observations import Measurements
-from calib_pin.setup import RangerSetup
+from calib_pin.setup import RangerSetup, Setup
 
 __all__ = ["PlaneDistance"]
 
@@ -35,7 +38,7 @@ GRAZING = 1e-3
 
 
 @dataclass(frozen=True)
-class PlaneDistance(ReferenceObjects):
+class PlaneDistance(DeclaredModel):
     """`h = -(n . p + f) / (n . b)`, p the tool origin and b the tool's z axis.
 
     Attributes:
@@ -49,17 +52,24 @@ class PlaneDistance(ReferenceObjects):
     near: float = RangerSetup.range[0]
     reach: float = RangerSetup.range[1]
     incidence: float = RangerSetup.incidence
-    name: str = field(default="plane-distance", init=False)
 
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the distance."""
-        return (Quantity("distance", "m", slice(0, 1), 1e-4),)
+    declaration = Declaration(
+        name="plane-distance",
+        help="distances along a laser beam on the tool to planes",
+        components=("distance",),
+        quantities=(Quantity("distance", "m", slice(0, 1), 1e-4),),
+        naming=Naming("plane"),
+        inference=Inference("a distance"),
+        yardstick=INSTRUMENT,
+        unmeasurable="the beam misses the plane, meets it too flat or too far away",
+    )
 
-    @property
-    def measuring_frame(self) -> bool:
-        """Planes stand in the base frame; the ranger has no other."""
-        return False
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> PlaneDistance:
+        """The planes and the window of the instrument."""
+        near, reach = setup.ranger.range
+        planes = planes_of_setup(setup, targets)
+        return cls(planes, near, reach, setup.ranger.incidence)
 
     @property
     def missing(self) -> str:
@@ -72,16 +82,6 @@ class PlaneDistance(ReferenceObjects):
     def targets(self) -> Sequence[str]:
         """Names of the planes."""
         return tuple(plane.name for plane in self.planes)
-
-    @property
-    def sees_tool(self) -> bool:
-        """The beam is the tool's z axis."""
-        return True
-
-    @property
-    def width(self) -> int:
-        """The distance."""
-        return 1
 
     @property
     def features(self) -> Sequence[Plane]:
@@ -107,10 +107,6 @@ class PlaneDistance(ReferenceObjects):
         h = self._distance(T, normal, offset)
         steep = cosine > np.cos(self.incidence)
         return np.asarray((h > self.near) & (h < self.reach) & steep)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the distances."""
-        return values + noise
 
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Predicted minus measured distance, shape (N, 1) [m]."""

@@ -19,39 +19,50 @@ from calib_pin.kinematics.spatial import (
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
-    ExternalInstrument,
+    DeclaredModel,
     Linearization,
-    Quantity,
     rotation_curvature,
     tool_references,
 )
+from calib_pin.measurement_models.declaration import (
+    INSTRUMENT,
+    Declaration,
+    Inference,
+    Quantity,
+)
 from calib_pin.measurement_models.registration import register_poses
 from calib_pin.observations import Measurements
+from calib_pin.setup import Setup
 
 __all__ = ["Pose"]
 
 
 @dataclass(frozen=True)
-class Pose(ExternalInstrument):
+class Pose(DeclaredModel):
     """Position residual in the measuring frame [m], rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
     """
 
-    name: str = "pose"
-
-    @property
-    def width(self) -> int:
-        """Position and quaternion."""
-        return 7
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """Position and orientation."""
-        return (
+    declaration = Declaration(
+        name="pose",
+        help="position and orientation of the tool: tracker, 6-D probe",
+        components=("x", "y", "z", "rx", "ry", "rz"),
+        quantities=(
             Quantity("position", "m", slice(0, 3), 1e-4),
             Quantity("orientation", "rad", slice(3, 6), 1e-4),
-        )
+        ),
+        oriented=True,
+        external=True,
+        tracks="pose",
+        inference=Inference("a position"),
+        yardstick=INSTRUMENT,
+    )
+
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Pose:
+        """The model: it needs nothing of a setup."""
+        return cls()
 
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Position and unit quaternion of the tool, shape (N, 7)."""

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -10,14 +9,22 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.declaration import (
+    INSTRUMENT,
+    Declaration,
+    Inference,
+    Naming,
+    Quantity,
+)
+from calib_pin.measurement_models.named_points import (
+    placed_tool,
+    tip_points,
+)
 from calib_pin.measurement_models.registration import register_points, register_reached
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
     PointModel,
-    placed_tool,
-    tip_points,
 )
 from calib_pin.observations import Measurements
 
@@ -33,28 +40,19 @@ class Position(PointModel):
     all residuals share one unit (Wu et al., partial pose measurements).
     """
 
-    name: str = "position"
+    declaration = Declaration(
+        name="position",
+        help="x, y, z of a point on the tool: laser tracker, motion capture",
+        components=("x", "y", "z"),
+        quantities=(Quantity("position", "m", slice(0, 3), 1e-4),),
+        external=True,
+        tracks="point",
+        naming=Naming("point of the tool"),
+        inference=Inference("a position"),
+        yardstick=INSTRUMENT,
+    )
     comparison = "position"
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """One: the position."""
-        return (Quantity("position", "m", slice(0, 3), 1e-4),)
-
-    @property
-    def measuring_frame(self) -> bool:
-        """The instrument's own."""
-        return True
-
-    @property
-    def missing(self) -> str:
-        """Points on the tool that nobody has given."""
-        return super().missing if self.points else ""
-
-    @property
-    def width(self) -> int:
-        """Coordinates x y z."""
-        return 3
+    alone = True
 
     def compare(
         self, p: Floats, place: NDArray[np.int64], own: Floats

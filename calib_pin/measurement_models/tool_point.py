@@ -6,7 +6,7 @@ against, or both as `point@place`. Without a point it is the origin of the tool 
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 from typing import ClassVar, Self
@@ -15,32 +15,28 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
+    DeclaredModel,
     Linearization,
-    ReferenceObjects,
     References,
     rotation_curvature,
 )
-from calib_pin.measurement_models.contact_registration import Reached
 from calib_pin.measurement_models.features import Feature, Point, locate
-from calib_pin.measurement_models.registration import fit_pose
+from calib_pin.measurement_models.named_points import (
+    named_points,
+    split_names,
+)
 from calib_pin.observations import AT, Measurements
-from calib_pin.setup import PointSetup
+from calib_pin.setup import Setup
 
 __all__ = [
-    "PlaceModel",
     "PointCurvature",
     "PointMeasurement",
     "PointModel",
-    "Touching",
-    "named_points",
-    "placed_tool",
-    "split_names",
-    "tip_points",
 ]
 
 
@@ -73,11 +69,8 @@ class PointCurvature:
 
 
 @dataclass(frozen=True)
-class PointModel(ReferenceObjects):
-    """A measurement of a point of the tool, against a place or by itself.
-
-    A member says what is measured of a point (`compare`) and how that bends; this does
-    the rest: names, the way from the tool frame to the point, features.
+class PointsAndPlaces(DeclaredModel):
+    """Points of the tool, and the places that they are measured against.
 
     Attributes:
         points: Named points of the tool; rows without a name mean its origin.
@@ -89,13 +82,18 @@ class PointModel(ReferenceObjects):
     places: tuple[Feature, ...] = ()
     origin: bool = True
 
-    comparison: ClassVar[str] = "distance"
-    """How a kernel compares a point with a place, see `kernels.COMPARISONS`."""
+    alone: ClassVar[bool] = False
+    """Whether a target names a point and nothing behind it, no place and no start."""
 
-    @property
-    def measuring_frame(self) -> bool:
-        """No: places stand in the base frame unless the setup frees it."""
-        return False
+    @classmethod
+    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Feature, ...]:
+        """What points are measured against; empty where points are by themselves.
+
+        Args:
+            setup: What the user states.
+            names: The names behind points that measurements give.
+        """
+        return ()
 
     @property
     def sees_tool(self) -> bool:
@@ -138,25 +136,88 @@ class PointModel(ReferenceObjects):
         points = tuple(f for f in features[:count] if isinstance(f, Point))
         return replace(self, points=points, places=tuple(features[count:]))
 
-    def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
-        """Everywhere."""
-        return np.ones(len(T), bool)
+    def names(
+        self, target: Sequence[str], data: Measurements | None = None
+    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Position of each row's point, the last for the origin, and of its place.
+
+        Raises:
+            InputError: If a row names what is not there; data tell where.
+        """
+        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
+        if data is None and len(number) < len(target):
+            # Rows are many and their names few.
+            point, place = self.names(tuple(number))
+            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
+            return point[rows], place[rows]
+        points, places = self.split(target)
+        point = np.full(len(target), len(self.points))
+        if self.points and any(points):
+            of = np.flatnonzero([bool(name) for name in points])
+            about = None if data is None else data.rows(of)
+            named = [points[k] for k in of]
+            point[of] = locate(named, self.points, "target", about, alone=False)
+        unnamed = point == len(self.points)
+        if self.points and not self.origin and unnamed.any():
+            row = int(np.argmax(unnamed))
+            error = InputError if data is None else partial(data.error, row)
+            raise error(
+                "the row names no target, others do",
+                column="target",
+                allowed=", ".join(p.name for p in self.points),
+            )
+        place = np.zeros(len(target), np.int64)
+        if self.places:
+            what = self.places[0].section[:-1]
+            place = locate(places, self.places, what, data)
+        return point, place
+
+    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+        """The point and the place that each row names."""
+        return split_names(target, not self.alone)
+
+    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
+        """The place that each row names; the only one where it names none."""
+        only = self.places[0].name if len(self.places) == 1 else ""
+        return tuple(name or only for name in split_names(target, True)[1])
+
+
+@dataclass(frozen=True)
+class PointModel(PointsAndPlaces):
+    """A measurement of a point of the tool, against a place or by itself.
+
+    A member says what is measured of a point (`compare`) and how that bends; this does
+    the rest: names, the way from the tool frame to the point, features.
+    """
+
+    comparison: ClassVar[str] = ""
+    """How a kernel compares a point with a place, see `kernels.COMPARISONS`; empty
+    where none does."""
+
+    @classmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> Self:
+        """The points, the places and whether the origin is looked at."""
+        points, names = split_names(targets, not cls.alone)
+        used = {name: setup.targets[name] for name in points if name in setup.targets}
+        # All of them count without measurements, or where one names what is not stated.
+        wrong = any(name and name not in setup.targets for name in points)
+        stated = setup.targets if wrong or not targets else used
+        found = named_points(stated, points, "target")
+        origin = "" in points if targets else not found
+        places = cls.places_of_setup(setup, names)
+        if targets and {place.name for place in places}.issuperset(names):
+            # What nobody has placed and no measurement names cannot be found.
+            places = tuple(p for p in places if p.placed or p.name in names)
+        return cls(points=found, places=places, origin=origin)
 
     def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
         value = self._look(T, own, target).touch.value
         return np.zeros((len(T), 0)) if self.contact else value
 
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Add noise to the values."""
-        return values if self.contact else values + noise
-
     def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value, shape (N, d)."""
-        value = self._look(T, own, data.target).touch.value
-        return value if self.contact else value - data.values
+        return self._deviation(self._look(T, own, data.target).touch.value, data)
 
     def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
         """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
@@ -173,7 +234,7 @@ class PointModel(ReferenceObjects):
         for c in range(width if self.places else 0):
             column = 3 * len(self.points) + width * view.place + c
             J_instrument[row, :, column] = touch.by_place[:, :, c]
-        residual = touch.value if self.contact else touch.value - data.values
+        residual = self._deviation(touch.value, data)
         return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
     def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
@@ -229,7 +290,9 @@ class PointModel(ReferenceObjects):
         raise NotImplementedError
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
-        """Carries the points of the tool to the base."""
+        """Carries the points of the tool to the base, if a kernel can compare them."""
+        if not self.comparison:
+            return []
         point, place = self.names(data.target)
         known = np.array([p.xyz for p in self.points] + [np.zeros(3)])
         size = 3 * len(self.points)
@@ -269,50 +332,17 @@ class PointModel(ReferenceObjects):
         """Closed-form references, see `MeasurementModel`."""
         raise NotImplementedError
 
-    def names(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-        """Position of each row's point, the last for the origin, and of its place.
-
-        Raises:
-            InputError: If a row names what is not there; data tell where.
-        """
-        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
-        if data is None and len(number) < len(target):
-            # Rows are many and their names few.
-            point, place = self.names(tuple(number))
-            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
-            return point[rows], place[rows]
-        points, places = self.split(target)
-        point = np.full(len(target), len(self.points))
-        if self.points and any(points):
-            of = np.flatnonzero([bool(name) for name in points])
-            about = None if data is None else data.rows(of)
-            named = [points[k] for k in of]
-            point[of] = locate(named, self.points, "target", about, alone=False)
-        unnamed = point == len(self.points)
-        if self.points and not self.origin and unnamed.any():
-            row = int(np.argmax(unnamed))
-            error = InputError if data is None else partial(data.error, row)
-            raise error(
-                "the row names no target, others do",
-                column="target",
-                allowed=", ".join(p.name for p in self.points),
-            )
-        place = np.zeros(len(target), np.int64)
-        if self.places:
-            what = self.places[0].section[:-1]
-            place = locate(places, self.places, what, data)
-        return point, place
-
-    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The point and the place that each row names."""
-        return split_names(target, bool(self.places))
-
-    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
-        """The place that each row names; the only one where it names none."""
-        only = self.places[0].name if len(self.places) == 1 else ""
-        return tuple(name or only for name in split_names(target, True)[1])
+    def _deviation(self, value: Floats, data: Measurements) -> Floats:
+        """Predicted minus measured value; angles within half a turn of zero."""
+        if self.contact:
+            return value
+        result = value - data.values
+        for quantity in self.quantities:
+            if quantity.unit == "rad":
+                angles = result[:, quantity.columns]
+                # Half a turn itself stays positive: the interval is (-pi, pi].
+                angles -= 2.0 * np.pi * np.ceil(angles / (2.0 * np.pi) - 0.5)
+        return result
 
     def _look(self, T: Floats, own: Floats, target: Sequence[str]) -> _View:
         point, place = self.names(target)
@@ -332,20 +362,6 @@ class PointModel(ReferenceObjects):
         """Where points of the tool are, (N, 3), and the derivative by the offset."""
         R = T[:, :3, :3]
         return np.einsum("nij,nj->ni", R, offset) + T[:, :3, 3], R
-
-
-class Touching:
-    """What contacts share: nothing is measured but that there is no gap."""
-
-    @property
-    def width(self) -> int:
-        """Nothing."""
-        return 0
-
-    @property
-    def contact(self) -> bool:
-        """Yes."""
-        return True
 
 
 @dataclass(frozen=True)
@@ -374,158 +390,3 @@ class _View:
         """Derivative of p by the body twist of the tool, shape (N, 3, 6)."""
         R = T[:, :3, :3]
         return np.concatenate([R, -R @ skew(self.offset)], axis=2)
-
-
-@dataclass(frozen=True)
-class PlaceModel(PointModel):
-    """A point of the tool against places that are registered from rows of theirs."""
-
-    def reached(
-        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
-    ) -> Reached:
-        """What the rows of one place and one point tell in closed form.
-
-        Args:
-            F: Tip poses in the measuring frame, shape (N, 4, 4).
-            data: The rows.
-            point: The point in the tip frame where it is known, shape (3,) [m].
-            place: The place, not placed yet.
-        """
-        raise NotImplementedError
-
-    def found(self, place: Feature, reached: Reached) -> Feature:
-        """The place where that has put it."""
-        raise NotImplementedError
-
-    def register(
-        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
-    ) -> tuple[Self, pin.SE3, pin.SE3]:
-        """Unknown points by all their places, then unknown places by all rows.
-
-        A base that is not given stays where the URDF puts it.
-        """
-        base = base or pin.SE3.Identity()
-        label, place = self.names(data.target, data)
-        F = base.homogeneous @ F
-        tip = tip_points(self.points, tool)
-        for k in np.unique(label[np.isnan(tip[label, 0])]):
-            found, sizes = [], []
-            for s in np.unique(place[label == k]):
-                rows = (label == k) & (place == s)
-                reached = self.reached(F[rows], data.rows(rows), None, self.places[s])
-                found.append(reached.point)
-                sizes.append(rows.sum())
-            # The place with most rows: a poor one would spoil an average.
-            tip[k] = found[int(np.argmax(sizes))]
-        points, tool = placed_tool(tip, self.points, tool)
-        at = tip_points(points, tool)[label]
-        # With the points in place, every row tells of its place.
-        moved = F.copy()
-        moved[:, :3, 3] += np.einsum("nij,nj->ni", F[:, :3, :3], at)
-        places = list(self.places)
-        for s, feature in enumerate(places):
-            rows = place == s
-            if not feature.placed and rows.any():
-                reached = self.reached(
-                    moved[rows], data.rows(rows), np.zeros(3), feature
-                )
-                places[s] = self.found(feature, reached)
-        return replace(self, points=points, places=tuple(places)), base, tool
-
-
-def split_names(
-    target: Sequence[str], places: bool
-) -> tuple[tuple[str, ...], tuple[str, ...]]:
-    """The point and the place that each row names.
-
-    Args:
-        target: What the rows say.
-        places: Whether there are places; else a name is that of a point.
-
-    Example:
-        >>> split_names(["wall", "ball@wall"], True)
-        (('', 'ball'), ('wall', 'wall'))
-    """
-    if not places:
-        return tuple(target), ("",) * len(target)
-    halves = [name.rpartition(AT) for name in target]
-    return tuple(h[0] for h in halves), tuple(h[2] for h in halves)
-
-
-def named_points(
-    stated: Mapping[str, PointSetup], names: Iterable[str], kind: str
-) -> tuple[Point, ...]:
-    """The points that a setup states, or else those that rows name.
-
-    Args:
-        stated: What the setup says of points by name.
-        names: Names that rows give, empty ones among them.
-        kind: Kind of the points.
-
-    Raises:
-        OptionError: If a point is known and not given.
-    """
-    given = stated or dict.fromkeys(filter(None, names), PointSetup())
-    for name, point in given.items():
-        if point.estimate is False and point.xyz is None:
-            raise OptionError(
-                f"'{name}' is known, and its place is not given", allowed="xyz"
-            )
-    return tuple(
-        Point(
-            name,
-            kind,
-            None if point.xyz is None else np.array(point.xyz, float),
-            point.estimate is not False,
-        )
-        for name, point in given.items()
-    )
-
-
-def tip_points(points: Sequence[Point], tool: pin.SE3 | None) -> Floats:
-    """Points of the tool and, last, its origin in the tip frame, shape (J + 1, 3) [m].
-
-    NaN for what is unknown: the origin of a tool that is, and points of it.
-
-    Args:
-        points: The J points.
-        tool: The tool frame in the tip where it is known.
-    """
-    result = np.full((len(points) + 1, 3), np.nan)
-    if tool is not None:
-        result[-1] = tool.translation
-        for k, point in enumerate(points):
-            if point.xyz is not None:
-                result[k] = tool.act(point.xyz)
-    return result
-
-
-def placed_tool(
-    found: Floats, points: Sequence[Point], tool: pin.SE3 | None
-) -> tuple[tuple[Point, ...], pin.SE3]:
-    """The tool frame and its points from what the tip carries.
-
-    Args:
-        found: Points in the tip frame, that of the tool's origin last, shape (J + 1,
-            3) [m]; NaN where no row tells.
-        points: The J points.
-        tool: The tool frame in the tip where it is known.
-
-    Returns:
-        The points, all of them placed, and the tool frame.
-    """
-    told = ~np.isnan(found[:, 0])
-    if tool is None:
-        xyz = [*(point.xyz for point in points), np.zeros(3)]
-        known = [k for k, place in enumerate(xyz) if place is not None and told[k]]
-        tool = pin.SE3.Identity()
-        if known:
-            here = np.array([xyz[k] for k in known])
-            tool = fit_pose(here, found[known])
-    inside = (found - tool.translation) @ tool.rotation
-    return tuple(
-        point
-        if point.placed
-        else replace(point, xyz=inside[k] if told[k] else np.zeros(3))
-        for k, point in enumerate(points)
-    ), tool

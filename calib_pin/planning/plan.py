@@ -16,6 +16,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
+from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
@@ -213,7 +214,7 @@ def plan(
 
 def _tip_rows(rows: IdentificationRows) -> IdentificationRows:
     """Rows that tell the pose of the tool, whatever is measured [m, rad]."""
-    pose = measurement_model("pose", rows.problem.setup)
+    pose = measurement_model(Pose.declaration.name, rows.problem.setup)
     return replace(rows, measurement=pose, sigma=np.ones(6))
 
 

@@ -15,7 +15,7 @@ from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, tracked
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.observations import PLUS, Measurements
@@ -32,9 +32,6 @@ __all__ = [
     "require_plannable",
 ]
 
-BOUND = ("relative-distance", "fixed-point", "plane-contact", "sphere-contact")
-"""Models whose configurations are bound to each other, or to what is touched."""
-
 STRUCTURE = 300
 """Candidates that show what can be identified at all."""
 
@@ -49,12 +46,12 @@ def require_plannable(model: str) -> None:
         OptionError: If it is such a model.
     """
     parts = model.split(PLUS)
-    if len(parts) > 1 or model in BOUND:
+    if len(parts) > 1 or not declared(model).plannable:
         raise OptionError(
             "configurations are planned for one instrument that measures each of them "
             "by itself and without contact",
             value=model,
-            allowed=", ".join(name for name in MEASUREMENT_MODELS if name not in BOUND),
+            allowed=", ".join(m for m in MEASUREMENT_MODELS if declared(m).plannable),
         )
 
 
@@ -88,10 +85,9 @@ def assumes_tool(problem: Problem) -> bool:
     At the tip itself, on the last axis, it would tell less than a real target does.
     """
     tool, measurement = problem.setup.tool_frame, problem.measurement
-    quantities = [quantity.name for quantity in measurement.quantities]
     unknown = tool.xyz is None and tool.estimate is not False
     unknown &= measurement.sees_tool and not measurement.targets
-    return unknown and quantities == ["position"]
+    return unknown and tracked(measurement.name) == {"point"}
 
 
 def identification(

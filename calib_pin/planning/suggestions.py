@@ -13,17 +13,17 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
+from calib_pin.measurement_models import tracked
 from calib_pin.measurement_models.features import Frame
-from calib_pin.observations import PLUS
+from calib_pin.measurement_models.intrinsics import Camera
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.result import CalibratedModel, Identification
 
 __all__ = ["Suggestion", "calibrated_setup", "suggestions"]
-
-TRACKED = {"position", "pose"}
-"""Models that look at the tool from a frame of their own."""
 
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """From a tool that may sit on the last axis to one that does not [m]."""
@@ -56,8 +56,8 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     sections: dict[str, Any] = {}
     camera = model.setup.camera
     for feature in model.measurement.features:
-        if feature.section == "camera":
-            camera = feature.stated()  # type: ignore[assignment]
+        if isinstance(feature, Camera):
+            camera = feature.stated()
         elif not isinstance(feature, Frame):
             sections.setdefault(feature.section, {})[feature.name] = feature.stated()
     free = model.error.parameters.free
@@ -127,18 +127,19 @@ def _changes(
         payloads=setup.payloads,
         gear_ratios=setup.gear_ratios,
     )
-    parts = set(model.split(PLUS))
-    if not parts & TRACKED:
+    followed = tracked(model)
+    position, pose = Position.declaration.name, Pose.declaration.name
+    if followed == {""}:
         tracker = replace(plain, base_frame=frame_setup(stand, known=False))
-        yield "measure positions of the tool point", "position", tracker
-        yield POSES, "pose", tracker
+        yield "measure positions of the tool point", position, tracker
+        yield POSES, pose, tracker
     else:
-        if "pose" not in parts:
+        if "pose" not in followed:
             if not setup.targets:
                 beside = frame_setup(place * BESIDE, known=tool)
                 words = "mount the target off the last axis"
                 yield words, model, replace(setup, tool_frame=beside)
-            yield POSES, "pose", plain
+            yield POSES, pose, plain
         if not base:
             words = "state the pose of the base link in the measurement frame"
             held = frame_setup(stand, known=True)
@@ -154,7 +155,7 @@ def _changes(
             yield words, model, replace(setup, tool_frame=held)
     at_ends = (frame_setup(stand, known=True), frame_setup(place, known=True))
     everything = replace(plain, base_frame=at_ends[0], tool_frame=at_ends[1])
-    yield EVERYTHING, "pose", everything
+    yield EVERYTHING, pose, everything
 
 
 def _held(points: Mapping[str, Any]) -> dict[str, Any]:

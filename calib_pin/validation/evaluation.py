@@ -14,6 +14,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.side_by_side import among
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
@@ -108,7 +109,7 @@ def prepared(
         InputError: If there are no rows, or they do not fit the model.
     """
     if isinstance(robot, CalibratedModel):
-        rows = rows.among(robot.measurement.name)
+        rows = among(rows, robot.measurement.name)
         problem = robot.problem(rows)
         own = np.zeros(len(robot.measurement.parameters))
         theta = np.concatenate([robot.theta, own])

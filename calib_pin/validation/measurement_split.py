@@ -6,7 +6,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.side_by_side import by_part
+from calib_pin.observations import Measurements, fitted_and_held_out
 from calib_pin.setup import Setup
 from calib_pin.validation.splits import Grouping
 
@@ -29,7 +30,7 @@ def split(
     """
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
-    training, marked = measurements.split()
+    training, marked = fitted_and_held_out(measurements)
     if len(training) == 0:
         raise InputError("no measurement is left to fit: all are marked for validation")
     _require_parts(training, marked, "all are marked for validation")
@@ -80,8 +81,8 @@ def _require_parts(training: Measurements, left: Measurements, why: str) -> None
     Raises:
         InputError: If there is such a model.
     """
-    for model, (_, measurements) in left.by_part.items():
-        if model not in training.by_part:
+    for model, (_, measurements) in by_part(left).items():
+        if model not in by_part(training):
             raise measurements.error(
                 0, f"no '{model}' measurement is left to fit: {why}", column="set"
             )

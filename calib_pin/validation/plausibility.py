@@ -27,6 +27,8 @@ from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.scale import growth
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
+from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import DistanceSetup
 from calib_pin.units import DISPLAY
@@ -230,20 +232,14 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
 def _yardstick(fitted: Fit) -> str:
     """Where these measurements have their lengths from."""
     problem = fitted.problem
-    own = [feature.section for feature in problem.measurement.features]
     lengths = []
     if known := _known(fitted):
         ends = " - ".join(known.stated[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
-    if "camera" in problem.data.parts:
-        lengths.append("the size of the board's squares ('targets')")
-    elif "spheres" in own:
-        lengths.append("the radius of the sphere")
-    if {"position", "pose"}.intersection(problem.data.parts) or any(
-        "distance" in part for part in problem.data.parts
-    ):
-        lengths.append("the unit and the calibration of the instrument")
+    stated = dict.fromkeys(declared(part).yardstick for part in problem.data.parts)
+    # The setup states the others, and can be checked first.
+    lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
     return ", ".join([*lengths, "the unit of the lengths in the URDF"])
 
 

@@ -9,6 +9,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values
+from calib_pin.measurement_models.side_by_side import repeated_targets
 from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.stretches import stretches
@@ -138,7 +139,7 @@ def places(measurements: Measurements, setup: Setup) -> NDArray[np.int64]:
     names, or a known distance. -1 for other measurements, and for all where there are
     fewer than three places.
     """
-    sockets = measurements.of("fixed-point")
+    sockets = repeated_targets(measurements)
     names = [name.rpartition(AT)[2] for name in sockets]
     home = {name: name.rpartition("/")[0] or name for name in names}
     for distance in setup.distances:

@@ -10,6 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MeasurementModel, Mixed
+from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Measurements
 from calib_pin.validation.evaluation import Prepared
@@ -95,7 +96,7 @@ def _tool_points(
     parts = {measurement.name: measurement}
     if isinstance(measurement, Mixed):
         parts = dict(measurement.parts)
-    for name, (rows, own) in data.by_part.items():
+    for name, (rows, own) in by_part(data).items():
         model = parts[name]
         if isinstance(model, PointModel):
             label, _ = model.names(own.target, own)

@@ -21,6 +21,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.rows import absent
+from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
 
@@ -166,8 +167,8 @@ def test_models_side_by_side(
     problem = replace(problem, data=nothing)
     # Points behind the camera have no pixel.
     seen = np.isfinite(problem.errors(zero)).all(axis=1)
-    assert seen.mean() > 0.3 and set(problem.data.by_part) == set(
-        problem.data.rows(seen).by_part
+    assert seen.mean() > 0.3 and set(by_part(problem.data)) == set(
+        by_part(problem.data.rows(seen))
     )
     problem = replace(problem, data=problem.data.rows(seen))
     theta = 0.1 * members(problem, 5)

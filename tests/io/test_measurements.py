@@ -18,7 +18,7 @@ from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
 from calib_pin.errors import InputError, OptionError, OutputError
-from calib_pin.io.measured_columns import COMPONENTS, VALUES
+from calib_pin.io.measured_columns import components as components_of
 from calib_pin.io.measurements import (
     read_configurations,
     read_measurements,
@@ -26,8 +26,9 @@ from calib_pin.io.measurements import (
 )
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain, Robot
-from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
-from calib_pin.observations import LAYOUT, Measurements
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
+from calib_pin.measurement_models.side_by_side import concatenate, targets_of
+from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">
@@ -445,8 +446,9 @@ NAMED = TEXT.filter(lambda name: name.rpartition("@")[2] != "")
 @st.composite
 def measurements(draw, model=None):
     """Rows of one model, which keep to what the reader checks."""
-    model = model or draw(st.sampled_from(list(LAYOUT)))
-    width, components = LAYOUT[model]
+    model = model or draw(st.sampled_from(list(MEASUREMENT_MODELS)))
+    stated = declared(model)
+    width, components = len(stated.values), len(stated.components)
     count = draw(st.integers(1, 5))
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
     q = draw(arrays(float, (count, 3), elements=st.floats(-0.4, 0.4)))
@@ -486,8 +488,10 @@ def measurements(draw, model=None):
 @st.composite
 def mixtures(draw):
     """Rows of several models."""
-    names = st.lists(st.sampled_from(list(LAYOUT)), min_size=2, max_size=4, unique=True)
-    return Measurements.concatenate([draw(measurements(name)) for name in draw(names)])
+    names = st.lists(
+        st.sampled_from(list(MEASUREMENT_MODELS)), min_size=2, max_size=4, unique=True
+    )
+    return concatenate([draw(measurements(name)) for name in draw(names)])
 
 
 def same(data, again):
@@ -526,7 +530,7 @@ def test_written_files_read_back_bit_by_bit(tmp_path, chain, data, comments):
 
 def sockets(data):
     """All of them, so that one row is enough for each."""
-    return {name.rpartition("@")[2] for name in data.of("fixed-point")}
+    return {name.rpartition("@")[2] for name in targets_of(data, "fixed-point")}
 
 
 def test_what_is_written(tmp_path, chain):
@@ -1060,11 +1064,10 @@ def test_missing_file(tmp_path, chain, refused):
 
 
 def test_every_measurement_model_has_a_file_format():
-    models = list(MEASUREMENT_MODELS)
-    assert list(LAYOUT) == list(COMPONENTS) == list(VALUES) == models
     setup = Setup(camera=CameraSetup("hand", (500.0, 500.0), (320.0, 240.0)))
-    for name, components in COMPONENTS.items():
-        assert LAYOUT[name] == (len(VALUES[name]), len(components))
+    for name in MEASUREMENT_MODELS:
+        components = components_of(name)
+        assert tuple(components) == declared(name).components
         model = measurement_model(name, setup)
         units = {}
         for quantity in model.quantities:
@@ -1073,7 +1076,7 @@ def test_every_measurement_model_has_a_file_format():
         assert [kind.si for kind in components.values()] == [
             units[i] for i in range(len(components))
         ]
-        assert model.width == len(VALUES[name])
+        assert model.width == len(declared(name).values)
 
 
 # --- models without a tracker ------------------------------------------------------
@@ -1142,7 +1145,7 @@ def test_columns_of_models(write, chain, model, text, values, sigma, target):
     data = read_measurements(write("\n".join(lines)), chain, model=model)
     assert data.model == model
     assert data.values.tolist() == values
-    assert data.values.shape == (2, LAYOUT[model][0])
+    assert data.values.shape == (2, len(declared(model).values))
     assert (data.sigma is None) == (sigma is None)
     assert sigma is None or np.allclose(data.sigma, sigma, rtol=1e-15, atol=0.0)
     assert (data.target, data.payload) == (target, ("", ""))
@@ -1305,7 +1308,7 @@ def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
     data = relative(target=(target,) * 3, start=start)
     if target == "a":
         # A name that others have is not taken.
-        data = Measurements.concatenate(
+        data = concatenate(
             [data, relative(target=("a/3",) * 3, start=np.full((3, 3), 0.05))]
         )
         names += ("a/3",) * 3

@@ -14,7 +14,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import CurvedModel
-from calib_pin.measurement_models.camera import CameraModel, camera
+from calib_pin.measurement_models.camera import CameraModel
 from calib_pin.measurement_models.camera_start import IMAGES, ROWS, Rays
 from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.pinhole import distort, turning_radius, undistort
@@ -56,7 +56,7 @@ def setup_of(
 
 
 def model_of(mount: str, points: Floats, *arguments: object) -> CameraModel:
-    return camera(setup_of(mount, points, *arguments), ())  # type: ignore[arg-type]
+    return CameraModel.from_setup(setup_of(mount, points, *arguments), ())  # type: ignore[arg-type]
 
 
 def zero(model: CameraModel) -> Floats:
@@ -141,7 +141,7 @@ def test_axes_of_the_image() -> None:
     plain = replace(SEEN, distortion=(0.0,) * 5)
     points = {"axis": (0.0, 0.0, 2.0), "right": (0.2, 0, 2.0), "down": (0.0, 0.2, 2.0)}
     targets = {name: PointSetup(xyz) for name, xyz in points.items()}
-    model = camera(Setup(camera=plain, targets=targets), ())
+    model = CameraModel.from_setup(Setup(camera=plain, targets=targets), ())
     pixels = model.predict(np.tile(np.eye(4), (3, 1, 1)), zero(model), list(targets))
     np.testing.assert_allclose(pixels, [[640, 480], [730, 480], [640, 571]])
 
@@ -197,7 +197,7 @@ def test_distortion_that_folds_back() -> None:
     given = replace(SEEN, distortion=tuple(barrel), size=(4000.0, 4000.0))
     points = np.array([[0.99, 0.0, 1.0], [1.01, 0.0, 1.0], [0.8, 0.8, 1.0]])
     targets = {f"p{k}": PointSetup(tuple(p)) for k, p in enumerate(points.tolist())}
-    model = camera(Setup(camera=given, targets=targets), ())
+    model = CameraModel.from_setup(Setup(camera=given, targets=targets), ())
     T = np.tile(np.eye(4), (3, 1, 1))
     seen = model.observable(T, zero(model), list(targets))
     assert seen.tolist() == [True, False, False]
@@ -218,7 +218,9 @@ def test_the_edges_of_the_image() -> None:
         # Twice the principal point.
         (None, [False, True, True, False]),
     ):
-        model = camera(Setup(camera=replace(plain, size=size), targets=targets), ())
+        model = CameraModel.from_setup(
+            Setup(camera=replace(plain, size=size), targets=targets), ()
+        )
         seen = model.observable(np.tile(np.eye(4), (4, 1, 1)), zero(model), [*targets])
         assert seen.tolist() == expected
 
@@ -296,7 +298,7 @@ def test_parameters() -> None:
     assert not any(p.free for p in known.parameters)
     assert known.targets == ("p0", "p1", "p2") and known.missing == ""
     assert (known.width, known.contact, known.relative) == (2, False, False)
-    assert known.measuring_frame and known.sees_tool
+    assert known.external and known.sees_tool
 
 
 def test_own_parameters_move_into_the_references() -> None:
@@ -322,10 +324,10 @@ def test_only_points_that_rows_name_count() -> None:
     setup = setup_of("hand", GRID[:4])
     targets = {**setup.targets, "p9": PointSetup()}
     setup = replace(setup, targets=targets)
-    assert camera(setup, ()).targets == ("p0", "p1", "p2", "p3", "p9")
+    assert CameraModel.from_setup(setup, ()).targets == ("p0", "p1", "p2", "p3", "p9")
     # A wrong name is met by all that are right.
-    assert len(camera(setup, ("p0", "q")).points) == 5
-    model = camera(setup, ("p2", "p0"))
+    assert len(CameraModel.from_setup(setup, ("p0", "q")).points) == 5
+    model = CameraModel.from_setup(setup, ("p2", "p0"))
     assert model.targets == ("p0", "p2") and model.missing == ""
     # What is set aside may name others.
     T = np.tile(np.eye(4), (2, 1, 1))
@@ -490,7 +492,7 @@ def test_a_single_point_needs_no_name() -> None:
     ],
 )
 def test_points_without_a_place(targets: dict[str, PointSetup], text: str) -> None:
-    model = camera(Setup(camera=SEEN, targets=targets), ("a", "b"))
+    model = CameraModel.from_setup(Setup(camera=SEEN, targets=targets), ("a", "b"))
     assert model.missing.startswith(text) and model.missing.endswith("(--setup)")
     data = Measurements(
         ("j",), np.zeros((2, 1)), "camera", np.zeros((2, 2)), None, ("a", "b")
@@ -500,20 +502,20 @@ def test_points_without_a_place(targets: dict[str, PointSetup], text: str) -> No
 
 
 def test_without_any_points() -> None:
-    model = camera(Setup(camera=SEEN), ())
+    model = CameraModel.from_setup(Setup(camera=SEEN), ())
     assert model.missing == "give the xyz under 'targets' in a setup file (--setup)"
 
 
 def test_without_a_camera(refused: Callable[..., Any]) -> None:
     needed = "'camera'", "--setup", "mount, focal and center"
     with refused(OptionError, needed, file="s.yaml"):
-        camera(Setup(file="s.yaml"), ())
+        CameraModel.from_setup(Setup(file="s.yaml"), ())
 
 
 @pytest.mark.parametrize("focal", [(0.0, 900.0), (900.0, -1.0), (np.nan, 900.0)])
 def test_focal_lengths_are_positive(focal: tuple[float, float]) -> None:
     with pytest.raises(OptionError, match="focal lengths of the camera are positive"):
-        camera(Setup(camera=replace(SEEN, focal=focal)), ())
+        CameraModel.from_setup(Setup(camera=replace(SEEN, focal=focal)), ())
 
 
 def test_the_pose_of_the_camera_is_the_tool() -> None:

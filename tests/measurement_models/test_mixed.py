@@ -22,6 +22,7 @@ from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurement_models.mount import Mounted
+from calib_pin.measurement_models.side_by_side import by_part, concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import (
     CameraSetup,
@@ -82,9 +83,9 @@ def test_names_and_quantities(equipped: Setup) -> None:
     ]
     assert model.targets[:3] == ("position:probe", "position:nest", "pose:")
     assert "fixed-point:nest@left/1" in model.targets
-    assert model.measuring_frame and not model.contact and not model.relative
+    assert model.external and not model.contact and not model.relative
     contacts = mixed(equipped, "fixed-point", "sphere-contact")
-    assert contacts.contact and not contacts.measuring_frame
+    assert contacts.contact and not contacts.external
     assert mixed(equipped, "pose", "relative-distance").relative
 
 
@@ -148,7 +149,7 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
     seen: list[int] = []
     names = [p.name for p in model.parameters]
     for name, part in model.parts.items():
-        rows, of_part = data.by_part[name]
+        rows, of_part = by_part(data)[name]
         assert of_part.model == name and of_part.values.shape[1] == part.width
         assert len(of_part) == len(rows) > 0
         columns = [names.index(p.name) for p in part.parameters]
@@ -218,7 +219,7 @@ def test_stated_sigmas_are_those_of_their_rows(simulated: Simulated) -> None:
     position, _ = simulated("position", setup, 4)
     fixed, _ = simulated("fixed-point", setup, 4)
     stated = replace(position.data, sigma=np.full((4, 3), 2e-5))
-    data = Measurements.concatenate([stated, fixed.data])
+    data = concatenate([stated, fixed.data])
     problem = make_problem(ARM, data, setup)
     assert not data.stated
     expected = np.full((8, 6), np.inf)
@@ -235,7 +236,7 @@ def rows_of_all(simulated: Simulated, setup: Setup, **models: int) -> Measuremen
     for model, count in models.items():
         problem, _ = simulated(model.replace("_", "-"), setup, count)
         parts.append(problem.data)
-    return Measurements.concatenate(parts)
+    return concatenate(parts)
 
 
 @pytest.mark.parametrize("order", [1, -1])
@@ -396,12 +397,12 @@ def test_pose_of_a_frame() -> None:
     expected = frame.pose
     for k in range(6):
         expected = expected * pin.exp6(np.eye(6)[k] * own[k])
-    moved = frame.about(own)
+    moved = frame.rebased(own)
     np.testing.assert_allclose(moved.pose.homogeneous, expected.homogeneous, atol=1e-14)
     step = 1e-6
     for k in range(6):
         shift = step * np.eye(6)[k]
-        ahead, behind = (frame.about(own + s).pose for s in (shift, -shift))
+        ahead, behind = (frame.rebased(own + s).pose for s in (shift, -shift))
         twist = pin.log6(behind.actInv(ahead)).vector / (2.0 * step)
         np.testing.assert_allclose(frame.twists(own)[:, k], twist, atol=1e-9)
     stated = frame.stated()

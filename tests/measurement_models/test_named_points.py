@@ -18,8 +18,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.named_points import split_names
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.tool_point import split_names
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem

@@ -13,7 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.student import student_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.gains import gains
 from calib_pin.validation.model_errors import ModelErrors
@@ -87,7 +87,7 @@ def test_what_cannot_be_predicted_settles_it() -> None:
 
 def test_rows_of_a_mix_count_by_what_they_have() -> None:
     poses, points = measured(5).data, measured(7, "position").data
-    mixed = Measurements.concatenate([points, poses])
+    mixed = concatenate([points, poses])
     setup = replace(SETUP, tool_frame=FrameSetup((0.05, 0.08, 0.1)))
     problem = nominal_problem(calib_pin.load_chain("space6"), mixed.model, setup)
     problem = replace(problem, data=mixed)

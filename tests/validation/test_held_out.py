@@ -13,6 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -46,13 +47,13 @@ def test_a_copy_of_what_was_fitted_checks_nothing() -> None:
     assert [f.code for f in found.findings] == ["repeated-validation"]
     assert {g.method for g in found.gains} == {"press"}
     # Some of it does not spoil the rest.
-    mixed = Measurements.concatenate([rows.rows(np.arange(5)), new])
+    mixed = concatenate([rows.rows(np.arange(5)), new])
     found = check(CHAIN, rows, SETUP, model, 0, validation=mixed, method="file")
     (part,) = found.parts
     np.testing.assert_array_equal(part.positions, np.arange(5, 17))
     assert found.findings[0].message.startswith("5 of 17 ")
     assert found.gains[0].configurations == 12
-    few = Measurements.concatenate([rows, new.rows(np.arange(4))])
+    few = concatenate([rows, new.rows(np.arange(4))])
     assert check(CHAIN, rows, SETUP, model, 0, validation=few).method == "none"
 
 
@@ -172,6 +173,6 @@ def test_a_model_with_no_row_to_fit_is_refused() -> None:
         files=("poses.csv",) * 10,
         lines=np.arange(2, 12),
     )
-    both = Measurements.concatenate([points, poses])
+    both = concatenate([points, poses])
     with pytest.raises(InputError, match=r"poses.csv:2: no 'pose' measurement"):
         calib_pin.calibrate(CHAIN, both, SETUP)

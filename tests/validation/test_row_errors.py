@@ -10,6 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
@@ -96,7 +97,7 @@ def test_of_distances_there_are_no_displacements() -> None:
 def test_a_mix_has_the_displacements_of_what_measures_positions() -> None:
     chain, positions = measured("position")
     _, distances = measured("plane-distance", 10)
-    mixed = Measurements.concatenate([positions, replace(distances, sigma=None)])
+    mixed = concatenate([positions, replace(distances, sigma=None)])
     setup = Setup(planes=WALL, parameters=("joint-offset",))
     result = calib_pin.calibrate(chain, mixed, setup, validate=False)
     found = result.fitted.displacements

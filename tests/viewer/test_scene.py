@@ -15,11 +15,13 @@ from calib_pin.io.urdf import load_chain, load_robot, parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
-from calib_pin.measurement_models.features import Plane, Point
+from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import Payload
 from calib_pin.validation.evaluation import prepared
@@ -221,7 +223,7 @@ def test_other_measurements_have_sizes_only(
     model = replace(ranger, measurement=mixed)
     seen = rows.rows(sizes.shown).rows(np.arange(3))
     tracked = measured_rows(replace(ranger, measurement=Position()), 4)
-    errors = stage_errors(prepared(model, Measurements.concatenate([tracked, seen])))
+    errors = stage_errors(prepared(model, concatenate([tracked, seen])))
     assert np.isfinite(errors.vectors).all(axis=1).tolist() == [True] * 4 + [False] * 3
     position, distance = errors.quantities.values()
     assert position.shown.tolist() == [True] * 4 + [False] * 3

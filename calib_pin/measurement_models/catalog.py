@@ -1,0 +1,70 @@
+"""The measurement models that there are, by the names that users write."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+
+from calib_pin.errors import require_known
+from calib_pin.measurement_models.base import DeclaredModel
+from calib_pin.measurement_models.camera import CameraModel
+from calib_pin.measurement_models.contact import PlaneContact, SphereContact
+from calib_pin.measurement_models.declaration import Declaration
+from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
+from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.measurement_models.position import Position
+from calib_pin.observations import PLUS
+from calib_pin.plugins import members
+
+__all__ = ["MEASUREMENT_MODELS", "declared", "tracked"]
+
+
+def _fault(name: str, model: object) -> str:
+    """Why an object of another package cannot be a member; empty where it can."""
+    if not (isinstance(model, type) and issubclass(model, DeclaredModel)):
+        return "it is no DeclaredModel"
+    stated = getattr(model, "declaration", None)
+    if not isinstance(stated, Declaration):
+        return "it has no declaration"
+    return "" if stated.name == name else f"it declares the name '{stated.name}'"
+
+
+MEASUREMENT_MODELS: Mapping[str, type[DeclaredModel]] = members(
+    "calib_pin.measurement_models",
+    {
+        model.declaration.name: model
+        for model in (
+            Position,
+            Pose,
+            PlaneDistance,
+            PointDistance,
+            RelativeDistance,
+            FixedPoint,
+            PlaneContact,
+            SphereContact,
+            CameraModel,
+        )
+    },
+    _fault,
+)
+"""The measurement models by name: those that come with calib-pin, then others."""
+
+
+def declared(name: str) -> Declaration:
+    """The declaration of a measurement model, by its name.
+
+    Raises:
+        OptionError: If there is none; names the nearest.
+    """
+    require_known("measurement model", name, MEASUREMENT_MODELS)
+    return MEASUREMENT_MODELS[name].declaration
+
+
+def tracked(model: str) -> set[str]:
+    """What of the tool the models of a name follow, see `Declaration.tracks`.
+
+    Args:
+        model: Name of a measurement model, or of several with a plus between them.
+    """
+    return {str(declared(name).tracks) for name in model.split(PLUS)}

@@ -1,0 +1,157 @@
+"""What a measurement model is, stated once: its columns, residual, target and scope.
+
+Files, messages, simulation, planning and reports ask the declaration for the property
+that matters to them, never for the name of a model.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Literal
+
+import numpy as np
+
+from calib_pin.kinematics.spatial import Floats
+
+__all__ = ["INSTRUMENT", "Declaration", "Inference", "Naming", "Quantity"]
+
+QUATERNION = ("qx", "qy", "qz", "qw")
+"""Columns of the values that hold an orientation."""
+
+ROTATION_VECTOR = ("rx", "ry", "rz")
+"""Components of the residual of an orientation."""
+
+INSTRUMENT = "the unit and the calibration of the instrument"
+"""Where the lengths of an instrument that measures lengths come from."""
+
+
+@dataclass(frozen=True)
+class Quantity:
+    """One physical quantity within the residual.
+
+    Attributes:
+        name: Name in reports, such as `position`.
+        unit: `m`, `rad` or `px`.
+        columns: The residual components that belong to it.
+        sigma: Standard deviation assumed where none is stated.
+        noise: Name under which a setup states another; default its name.
+    """
+
+    name: str
+    unit: str
+    columns: slice
+    sigma: float
+    noise: str = ""
+
+    def errors(self, residual: Floats) -> Floats:
+        """Size of the error of each row that has this quantity, (N, d) -> (n,).
+
+        The others have NaN.
+        """
+        sizes = np.linalg.norm(residual[:, self.columns], axis=1)
+        return np.asarray(sizes[~np.isnan(sizes)])
+
+
+@dataclass(frozen=True)
+class Naming:
+    """What the `target` of a measurement names.
+
+    Attributes:
+        noun: What it is called in messages, such as `socket`.
+        required: Whether every measurement has to name one, all or none of a file, or
+            whether that is left to the model.
+        configurations: Configurations that every unknown target needs to tell anything.
+    """
+
+    noun: str = "target"
+    required: Literal["every", "all or none", "no"] = "no"
+    configurations: int = 1
+
+
+@dataclass(frozen=True)
+class Inference:
+    """How the columns of a file show that it is of a model.
+
+    Of the models with one phrase, the first in the catalog that has an orientation as
+    the file does is the one.
+
+    Attributes:
+        phrase: What such a file has, as in "both a position and a distance".
+        complete: Whether only all columns together show it: of names as short as `u`
+            one may stand for something else.
+    """
+
+    phrase: str
+    complete: bool = False
+
+
+@dataclass(frozen=True)
+class Declaration:
+    """What users and other rooms may know of a measurement model.
+
+    Attributes:
+        name: Name as users write it.
+        help: One line for users.
+        components: Names of the residual components; `sigma_<component>` is a column.
+        quantities: The quantities of the residual, in order.
+        oriented: Whether an orientation is measured beside the other columns, in any of
+            the ways in which a file may state it; its components are `rx ry rz`.
+        contact: Whether nothing is measured but that the residual is zero, up to noise.
+            Measurements then are configurations at which the tool touches something.
+        relative: Whether a measurement starts at one configuration and ends at another,
+            so that poses are those of the tool in the tool at its start.
+        external: Whether the instrument stands outside, with a measurement frame of its
+            own. Then the base frame is unknown unless the setup says otherwise.
+        tracks: What of the tool an external instrument follows; empty for none. One
+            that follows nothing (a camera) keeps frames of its own among others.
+        naming: What `target` names.
+        inference: How columns show this model; None where only its name does.
+        yardstick: Where measured lengths come from; empty where none are measured.
+        unmeasurable: Why a configuration cannot be measured, after a colon.
+    """
+
+    name: str
+    help: str
+    components: tuple[str, ...]
+    quantities: tuple[Quantity, ...]
+    oriented: bool = False
+    contact: bool = False
+    relative: bool = False
+    external: bool = False
+    tracks: Literal["", "point", "pose"] = ""
+    naming: Naming = Naming()
+    inference: Inference | None = None
+    yardstick: str = ""
+    unmeasurable: str = (
+        "the tool does not come into contact from there within the joint limits"
+    )
+
+    @property
+    def units(self) -> Mapping[str, str]:
+        """The unit of each residual component."""
+        return {
+            name: quantity.unit
+            for quantity in self.quantities
+            for name in self.components[quantity.columns]
+        }
+
+    @property
+    def columns(self) -> Mapping[str, str]:
+        """The measured columns and their units, beside those of an orientation."""
+        turned = ROTATION_VECTOR if self.oriented else ()
+        return {
+            name: unit
+            for name, unit in self.units.items()
+            if not self.contact and name not in turned
+        }
+
+    @property
+    def values(self) -> tuple[str, ...]:
+        """The columns of `Measurements.values`."""
+        return (*self.columns, *(QUATERNION if self.oriented else ()))
+
+    @property
+    def plannable(self) -> bool:
+        """Whether each configuration is measured by itself and without contact."""
+        return not self.contact and not self.relative

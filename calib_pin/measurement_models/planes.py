@@ -1,0 +1,103 @@
+"""Planes that are measured against, and how they turn."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.measurement_models.features import nuisances, triple
+from calib_pin.parameters import Parameter
+from calib_pin.setup import PlaneSetup
+
+__all__ = ["Plane", "turned_planes"]
+
+
+@dataclass(frozen=True)
+class Plane:
+    """Reference of a plane `n . p + f = 0` in the measuring frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        normal: Unit normal n, shape (3,); None until it is registered.
+        offset: Offset f [m].
+        estimate: Whether the plane is estimated.
+    """
+
+    name: str
+    normal: Floats | None = None
+    offset: float = 0.0
+    estimate: bool = True
+
+    section = "planes"
+
+    @property
+    def placed(self) -> bool:
+        """Whether it is given or registered."""
+        return self.normal is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<plane>.plane.u|v|f`."""
+        units = (("u", "rad"), ("v", "rad"), ("f", "m"))
+        return nuisances(self.name, "plane", ((c, u, self.estimate) for c, u in units))
+
+    @cached_property
+    def tangents(self) -> Floats:
+        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
+        assert self.normal is not None
+        # Of components that are equal but for rounding, the first.
+        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
+        first = np.cross(self.normal, helper)
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.normal, first)])
+
+    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
+        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+
+        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
+
+        Returns:
+            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+        """
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
+        halfway = second @ self.normal
+        normal = first @ halfway
+        by_u = np.cross(t_1, normal)
+        by_v = first @ np.cross(t_2, halfway)
+        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
+
+    def turned_many(self, own: Floats) -> Floats:
+        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
+        assert self.normal is not None
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        # Element by element: a product of matrices may round by the place of a row.
+        t_1, t_2 = self.tangents
+        u, v = own[:, :1], own[:, 1:2]
+        normals = np.sin(v) * t_1 + np.cos(v) * (
+            np.cos(u) * self.normal - np.sin(u) * t_2
+        )
+        return np.column_stack([normals, self.offset + own[:, 2]])
+
+    def rebased(self, own: Floats) -> Plane:
+        """Turned and shifted by (u, v, f)."""
+        normal, offset, _ = self.turned(own)
+        return replace(self, normal=normal, offset=offset)
+
+    def stated(self) -> PlaneSetup:
+        """Its normal and offset."""
+        normal = triple(self.normal)
+        assert normal is not None
+        return PlaneSetup(normal, float(self.offset), self.estimate)
+
+
+def turned_planes(planes: Sequence[Plane], own: Floats) -> Floats:
+    """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
+    parts = [own[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
+    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
+    return np.stack(turned, axis=1)

@@ -244,4 +244,4 @@ def test_80_columns_and_no_number_cut(moved):
     assert "…" not in text and text.isascii()
     assert not re.search(r" $", text, re.MULTILINE)
     assert f"{np.degrees(-123.456):+.0f}" in text
-    assert re.sub(r"\s", "", found.first.file) in re.sub(r"\s", "", text)
+    assert re.sub(r"\s", "", found.first.provenance.file) in re.sub(r"\s", "", text)

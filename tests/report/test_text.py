@@ -404,10 +404,13 @@ def test_a_search_and_what_it_reveals() -> None:
     text = format_report(
         changed(
             result,
-            solver=replace(result.solver, name="hybrid"),
-            evaluator="kernel",
-            evaluations=1234,
-            history=(3.0, 2.0),
+            solver=replace(
+                result.solver,
+                name="hybrid",
+                evaluator="kernel",
+                evaluations=1234,
+                history=(3.0, 2.0),
+            ),
             identifiability=ranks,
         )
     )

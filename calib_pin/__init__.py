@@ -18,19 +18,23 @@ from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
+    from calib_pin.control.compensation import compensate
     from calib_pin.errors import CalibPinError
     from calib_pin.io.collision import load_collisions
     from calib_pin.io.measurements import read_measurements, write_measurements
+    from calib_pin.io.result_file import read_result
     from calib_pin.io.results import read_calibration, write_urdf
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, robot_file
     from calib_pin.kinematics.chain import Chain
     from calib_pin.observations import Measurements
     from calib_pin.planning.plan import plan
+    from calib_pin.report.page_file import report
     from calib_pin.report.text import format_report
     from calib_pin.setup import Setup
     from calib_pin.simulation import draw_errors, simulate
     from calib_pin.validation.assessment import identify
+    from calib_pin.validation.comparison import compare
     from calib_pin.validation.evaluation import evaluate
     from calib_pin.validation.result import CalibrationResult
 
@@ -41,6 +45,8 @@ __all__ = [
     "Measurements",
     "Setup",
     "calibrate",
+    "compare",
+    "compensate",
     "draw_errors",
     "evaluate",
     "format_report",
@@ -50,7 +56,9 @@ __all__ = [
     "plan",
     "read_calibration",
     "read_measurements",
+    "read_result",
     "read_setup",
+    "report",
     "robot_file",
     "simulate",
     "write_measurements",
@@ -64,6 +72,8 @@ _HOMES = {
     "Measurements": "observations",
     "Setup": "setup",
     "calibrate": "calibration",
+    "compare": "validation.comparison",
+    "compensate": "control.compensation",
     "draw_errors": "simulation",
     "evaluate": "validation.evaluation",
     "format_report": "report.text",
@@ -73,7 +83,9 @@ _HOMES = {
     "plan": "planning.plan",
     "read_calibration": "io.results",
     "read_measurements": "io.measurements",
+    "read_result": "io.result_file",
     "read_setup": "io.setup",
+    "report": "report.page_file",
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",

@@ -13,25 +13,32 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.setup_variants import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import among, targets_of
 from calib_pin.observations import AT, Measurements
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
-from calib_pin.validation.assessment import estimates, fitted_ranks
+from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_split import split
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors
 from calib_pin.validation.model_selection import select_model
+from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.result import (
     CalibratedModel,
     CalibrationResult,
     Ladder,
+    SolverSummary,
+    Statistics,
+    ToolAccuracy,
     UrdfResult,
+    Validation,
 )
 from calib_pin.validation.row_errors import RowErrors
 from calib_pin.validation.splits import FOLDS
@@ -172,7 +179,7 @@ def _result(
         unseen = _row_errors(model, held_out.measurements, checked)
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
-    history = () if fitted.evolution is None else fitted.evolution.best_history.tolist()
+    names = [parameter.name for parameter in parameters]
     return CalibrationResult(
         model=CalibratedModel.create(model.problem, model.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
@@ -182,41 +189,54 @@ def _result(
         groups=groups,
         identifiability=fitted_ranks(fitted),
         errors=judgement.errors,
-        validation=held_out.method,
         training=len(training),
-        validated=sum(len(part.before) for part in held_out.counted),
-        chi2=chi2,
-        dof=fitted.dof,
-        sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
-        stated_sigma=training.stated,
-        outliers=fitted.outliers,
-        solver=fitted.solver,
-        evaluator=fitted.evaluator,
-        history=tuple(history),
-        status=fitted.result.status,
-        at_bounds=tuple(
-            fitted.problem.parameters[k].name for k in sorted(fitted.problem.held_at)
+        validation=Validation(
+            method=held_out.method,
+            count=sum(len(part.before) for part in held_out.counted),
+            placed=checked.registered if checked else (),
+            skipped=held_out.skipped,
         ),
-        iterations=fitted.result.nit,
-        evaluations=fitted.result.nfev,
-        seed=seed,
-        covariance=fitted.covariance,
-        fitted=_row_errors(model, model.weighted(training), errors),
+        solver=_solver_summary(fitted, seed),
+        statistics=Statistics(
+            chi2=chi2,
+            dof=fitted.dof,
+            sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
+            stated_sigma=training.stated,
+            noise=fitted.noise,
+            outliers=fitted.outliers,
+            displaced=_displaced(model, seed),
+            gains=held_out.gains,
+        ),
+        accuracy=ToolAccuracy(
+            tip=tip_accuracy(fitted, model.problem, model.theta, seed),
+            measured=judgement.measured,
+            workspace=judgement.workspace,
+        ),
+        covariance=NamedArray.of(fitted.covariance, names, names),
+        fitted=_row_errors(model, model.weighted(training), errors, leverages(fitted)),
         unseen=unseen,
-        tip=tip_accuracy(fitted, model.problem, model.theta, seed),
         files=files,
         ladder=ladder,
         urdf=urdf,
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
-        placed=checked.registered if checked else (),
-        skipped=held_out.skipped,
-        gains=held_out.gains,
         findings=judgement.findings,
-        noise=fitted.noise,
-        measured=judgement.measured,
-        workspace=judgement.workspace,
-        displaced=_displaced(model, seed),
+    )
+
+
+def _solver_summary(fitted: Fit, seed: int) -> SolverSummary:
+    history = () if fitted.evolution is None else fitted.evolution.best_history.tolist()
+    return SolverSummary(
+        name=fitted.solver,
+        evaluator=fitted.evaluator,
+        status=fitted.result.status.value,
+        iterations=fitted.result.nit,
+        evaluations=fitted.result.nfev,
+        history=tuple(history),
+        at_bounds=tuple(
+            fitted.problem.parameters[k].name for k in sorted(fitted.problem.held_at)
+        ),
+        seed=seed,
     )
 
 
@@ -290,7 +310,10 @@ def _displaced(model: FittedModel, seed: int) -> float | None:
 
 
 def _row_errors(
-    model: FittedModel, measurements: Measurements, errors: ModelErrors
+    model: FittedModel,
+    measurements: Measurements,
+    errors: ModelErrors,
+    leverage: Floats | None = None,
 ) -> RowErrors:
     """Errors with their measurements, in the order of their files."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
@@ -300,4 +323,5 @@ def _row_errors(
         measurements.rows(errors.positions),
         errors.before,
         errors.after,
+        leverage,
     )

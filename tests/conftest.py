@@ -49,7 +49,7 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import draw_errors, exact_problem, simulate
-from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 
 def example_robots() -> list[Path]:
@@ -368,7 +368,7 @@ def measured(
 
 
 @pytest.fixture(scope="session")
-def recorded() -> Callable[..., CalibrationRecord]:
+def recorded() -> Callable[..., CalibrationResult]:
     """Calibration of a simulated robot: `recorded(chain, model, seed, changes, ...)`.
 
     The robot is always the same, but for changes of its parameters by name. A true
@@ -385,7 +385,7 @@ def recorded() -> Callable[..., CalibrationRecord]:
         truth: Setup | None = None,
         count: int = 60,
         noise: float = 1e-4,
-    ) -> CalibrationRecord:
+    ) -> CalibrationResult:
         problem = nominal_problem(chain, model, truth or setup or Setup())
         drawn = draw_errors(problem.parameters, np.random.default_rng(0))
         theta = np.where(problem.parameters.nuisance, 0.0, drawn)
@@ -394,21 +394,14 @@ def recorded() -> Callable[..., CalibrationRecord]:
         rng = np.random.default_rng(1000 + seed)
         rows = simulate(problem, theta, rng, count=count, noise=noise)
         result = calibrate(chain, rows, setup or Setup(), validate=False)
-        return CalibrationRecord(
-            file=f"{seed}.json",
-            model=result.model,
-            verdict=result.verdict,
-            reason=result.reason,
-            parameters=result.parameters,
-            groups=result.groups,
-            errors=result.errors,
-            validation=result.validation,
-            predicted=None if result.tip is None else result.tip.rms,
-            predicted_robot=None if result.tip is None else result.tip.of_robot,
-            noise=result.sigma0 if result.stated_sigma else None,
-            rows=result.training,
-            hashes=(f"rows {seed}",),
-            created="2026-03-01T10:00:00+00:00",
+        return replace(
+            result,
+            files=("rows.csv",),
+            provenance=Provenance(
+                created="2026-03-01T10:00:00+00:00",
+                file=f"{seed}.json",
+                hashes=(f"rows {seed}",),
+            ),
         )
 
     return make

@@ -31,8 +31,8 @@ def measured(
 def test_five_folds_by_default() -> None:
     chain, rows = measured(60)
     result = calib_pin.calibrate(chain, rows)
-    assert (result.verdict, result.validation) == ("good", "5-fold")
-    assert (result.training, result.validated) == (60, 60)
+    assert (result.verdict, result.validation.method) == ("good", "5-fold")
+    assert (result.training, result.validation.count) == (60, 60)
     (errors,) = result.errors
     assert errors.validation_before is not None
     assert errors.validation_after is not None
@@ -43,7 +43,11 @@ def test_rows_marked_for_validation_are_not_fitted() -> None:
     chain, rows = measured(60)
     marked = replace(rows, validate=np.arange(60) >= 40)
     first = calib_pin.calibrate(chain, marked)
-    assert (first.validation, first.training, first.validated) == ("set", 40, 20)
+    assert (first.validation.method, first.training, first.validation.count) == (
+        "set",
+        40,
+        20,
+    )
     # Whatever stands in those rows, the fit is the same.
     spoiled = rows.values.copy()
     spoiled[40:] += 0.01
@@ -56,14 +60,18 @@ def test_a_validation_file_takes_the_place_of_folds() -> None:
     result = calib_pin.calibrate(
         chain, rows.rows(np.arange(50)), validation=rows.rows(np.arange(50, 80))
     )
-    assert (result.validation, result.training, result.validated) == ("file", 50, 30)
+    assert (result.validation.method, result.training, result.validation.count) == (
+        "file",
+        50,
+        30,
+    )
 
 
 def test_holdout_sets_a_part_aside() -> None:
     chain, rows = measured(60)
     result = calib_pin.calibrate(chain, rows, holdout=0.25)
-    assert result.validation == "holdout"
-    assert (result.training, result.validated) == (45, 15)
+    assert result.validation.method == "holdout"
+    assert (result.training, result.validation.count) == (45, 15)
     other = calib_pin.calibrate(chain, rows, holdout=0.25, seed=1)
     assert not np.array_equal(result.model.theta, other.model.theta)
 
@@ -72,8 +80,8 @@ def test_repetitions_never_stand_on_both_sides() -> None:
     chain, rows = measured(30)
     twice = rows.rows(np.repeat(np.arange(30), 2))
     result = calib_pin.calibrate(chain, twice, holdout=0.3)
-    assert result.training + result.validated == 60
-    assert result.training % 2 == result.validated % 2 == 0
+    assert result.training + result.validation.count == 60
+    assert result.training % 2 == result.validation.count % 2 == 0
 
 
 @pytest.mark.parametrize("holdout", [0.0, 1.0, -0.5, np.nan])
@@ -122,7 +130,7 @@ def test_worse_on_unseen_rows() -> None:
 def test_too_few_rows_for_folds_are_not_validated() -> None:
     chain, rows = measured(10)
     result = calib_pin.calibrate(chain, rows)
-    assert (result.validation, result.validated) == ("none", 0)
+    assert (result.validation.method, result.validation.count) == ("none", 0)
     assert result.errors[0].validation_after is None
 
 
@@ -131,8 +139,8 @@ def test_an_outlier_is_named() -> None:
     values = rows.values.copy()
     values[17, 1] += 0.003
     result = calib_pin.calibrate(chain, replace(rows, values=values))
-    assert [outlier.row for outlier in result.outliers] == [17]
-    assert result.outliers[0].place == "row 17"
+    assert [outlier.row for outlier in result.statistics.outliers] == [17]
+    assert result.statistics.outliers[0].place == "row 17"
 
 
 def test_stated_sigmas_stand_until_the_rows_contradict_them() -> None:
@@ -145,14 +153,20 @@ def test_stated_sigmas_stand_until_the_rows_contradict_them() -> None:
         )
         for sigma in (None, np.full((60, 3), 5e-5), np.full((60, 3), 5e-4))
     )
-    assert not assumed.stated_sigma and right.stated_sigma and tenfold.stated_sigma
+    assert (
+        not assumed.statistics.stated_sigma
+        and right.statistics.stated_sigma
+        and tenfold.statistics.stated_sigma
+    )
     # The true noise is a tenth of what is stated: chi-square shows it.
-    assert tenfold.sigma0 == pytest.approx(0.1, rel=0.15)
-    assert right.sigma0 == pytest.approx(1.0, rel=0.15)
-    contradicted = [result.noise[0].contradicted for result in (right, tenfold)]
+    assert tenfold.statistics.sigma0 == pytest.approx(0.1, rel=0.15)
+    assert right.statistics.sigma0 == pytest.approx(1.0, rel=0.15)
+    contradicted = [
+        result.statistics.noise[0].contradicted for result in (right, tenfold)
+    ]
     assert contradicted == [False, True]
     # The covariance follows the statement where it stands, else the rows.
-    for result, expected in ((right, 1.0 / right.sigma0), (tenfold, 1.0)):
+    for result, expected in ((right, 1.0 / right.statistics.sigma0), (tenfold, 1.0)):
         pairs = zip(assumed.parameters, result.parameters, strict=True)
         ratios = [
             b.sigma / a.sigma
@@ -167,8 +181,10 @@ def test_bounded_parameters_are_named() -> None:
     chain, rows = measured(60)
     setup = Setup(bounds={"joint_3.placement.*": 1e-5})
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
-    assert result.at_bounds
-    assert all(name.startswith("joint_3.placement.") for name in result.at_bounds)
+    assert result.solver.at_bounds
+    assert all(
+        name.startswith("joint_3.placement.") for name in result.solver.at_bounds
+    )
 
 
 def test_evaluate_registers_a_chain_but_not_a_model() -> None:
@@ -284,8 +300,10 @@ def test_chi_square_counts_what_its_degrees_of_freedom_count() -> None:
     stated = replace(rows, sigma=np.full((60, 3), 5e-5))
     setup = Setup(prior={"*.placement.*": 1e-3})
     result = calib_pin.calibrate(chain, stated, setup, validate=False)
-    assert result.sigma0 == pytest.approx(np.sqrt(result.chi2 / result.dof))
-    assert result.sigma0 == pytest.approx(1.0, abs=0.2)
+    assert result.statistics.sigma0 == pytest.approx(
+        np.sqrt(result.statistics.chi2 / result.statistics.dof)
+    )
+    assert result.statistics.sigma0 == pytest.approx(1.0, abs=0.2)
 
 
 def test_one_bad_row_makes_no_outliers_of_the_others() -> None:
@@ -294,7 +312,7 @@ def test_one_bad_row_makes_no_outliers_of_the_others() -> None:
     values[17, 1] += 0.02
     stated = replace(rows, values=values, sigma=np.full((60, 3), 5e-5))
     result = calib_pin.calibrate(chain, stated, validate=False)
-    assert [outlier.row for outlier in result.outliers] == [17]
+    assert [outlier.row for outlier in result.statistics.outliers] == [17]
 
 
 def test_a_plane_with_a_single_row_stops_no_validation() -> None:
@@ -314,7 +332,7 @@ def test_a_plane_with_a_single_row_stops_no_validation() -> None:
     kept = np.setdiff1d(np.arange(120), of_b[1:])
     unknown = replace(setup, planes={})
     result = calib_pin.calibrate(chain, rows.rows(kept), unknown)
-    assert result.validation == "none"
+    assert result.validation.method == "none"
 
 
 def test_distances_beyond_those_of_a_simulation() -> None:

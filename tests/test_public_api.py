@@ -6,6 +6,7 @@ import inspect
 import re
 import subprocess
 import sys
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -28,12 +29,15 @@ def test_all_is_sorted_and_complete() -> None:
     assert calib_pin.__all__ == sorted(set(calib_pin.__all__))
     assert set(calib_pin.__all__) == set(calib_pin._HOMES)
     assert dir(calib_pin) == calib_pin.__all__
-    assert 12 <= len(calib_pin.__all__) <= 20
+    assert 12 <= len(calib_pin.__all__) <= 24
 
 
 @pytest.mark.parametrize("name", calib_pin.__all__)
 def test_every_name_is_there_and_documented(name: str) -> None:
     value = getattr(calib_pin, name)
+    if inspect.ismodule(value):
+        # The package `report` was imported before and stands for its function.
+        value = getattr(import_module(f"calib_pin.{calib_pin._HOMES[name]}"), name)
     assert value.__name__ == name
     assert value.__module__ == f"calib_pin.{calib_pin._HOMES[name]}"
     text = inspect.getdoc(value)
@@ -113,3 +117,25 @@ def test_a_calibration_loads_neither_scipy_nor_what_draws() -> None:
     heavy = {"scipy", "sklearn", "numba", "matplotlib", "jinja2", "viser"}
     assert heavy.isdisjoint(loaded)
     assert "calib_pin.report.html" not in loaded
+
+
+@pytest.mark.parametrize("first", ["calib_pin.report", "import calib_pin.report.text"])
+def test_report_can_be_called_whatever_was_imported_before(first: str) -> None:
+    shown = python(
+        f"import calib_pin\n{first}\n"
+        "try:\n    calib_pin.report('/no/such/folder/c.json', 'page.html')\n"
+        "except calib_pin.CalibPinError as error:\n    print(error)"
+    )
+    assert shown == "/no/such/folder/c.json: no such file"
+
+
+def test_a_result_loads_no_solver() -> None:
+    loaded = set(
+        python("import calib_pin.validation.result, sys; print(*sys.modules)").split()
+    )
+    solvers = {
+        "calib_pin.solvers",
+        "calib_pin.estimation.fit",
+        "calib_pin.estimation.solve",
+    }
+    assert not loaded & {*solvers, "scipy.optimize", "numba", "matplotlib"}

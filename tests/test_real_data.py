@@ -76,7 +76,7 @@ def test_ur10_with_a_network(
         calib_pin.Setup(learned="network"),
         validation=ur10_rows("validate", chain),
     )
-    assert (result.verdict, result.validated) == ("good", 2000)
+    assert (result.verdict, result.validation.count) == ("good", 2000)
     after = result.errors[0].validation_after
     assert after is not None and after.mean <= 0.15e-3
     # The URDF is that of the geometry alone.
@@ -223,7 +223,7 @@ def test_panda_at_places_it_has_not_seen(
 ) -> None:
     """Another tool leaves 0.619 mm with 48 parameters; the robot must not shrink."""
     result = calib_pin.calibrate(*panda, calib_pin.Setup(distances=FIFTY))
-    assert (result.verdict, result.validated) == ("good", 120)
+    assert (result.verdict, result.validation.count) == ("good", 120)
     error = result.errors[0]
     before, after = error.validation_before, error.validation_after
     assert before is not None and before.mean > 8e-3
@@ -258,7 +258,7 @@ def test_panda_leaves_out_one_place_after_the_other(
     chain, rows = panda
     everything = replace(rows, validate=np.zeros(len(rows), bool))
     result = calib_pin.calibrate(chain, everything, calib_pin.Setup(distances=FIFTY))
-    assert (result.verdict, result.validation) == ("good", "leave-one-place-out")
+    assert (result.verdict, result.validation.method) == ("good", "leave-one-place-out")
     after = result.errors[0].validation_after
     assert after is not None and after.mean < 0.9e-3
     unseen = [d for d in result.distances if not d.fitted]

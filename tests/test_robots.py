@@ -270,7 +270,7 @@ def test_heavy6_measurements_calibrate() -> None:
     found = calibrate(chain, rows, read_setup(folder / "setup.yaml"), validate=False)
     assert found.verdict == "good"
     assert found.identifiability.rank == found.identifiability.structural_rank == 38
-    assert 0.9 < found.sigma0 < 1.1
+    assert 0.9 < found.statistics.sigma0 < 1.1
 
 
 def test_space6_beams_meet_the_plane(rng: np.random.Generator) -> None:

@@ -13,6 +13,7 @@ from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.identify import identify
 from calib_pin.cli.plan import plan
+from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
@@ -27,6 +28,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     plan: "Choose optimal calibration configurations.",
     compensate: "Find joint commands that reach targets on the real robot.",
     compare: "Print the difference between two calibrations of a robot.",
+    report: "Write the page and figures of a calibration again.",
     view: "Show a robot, its errors and a plan in the browser.",
     robots: "List the bundled robots.",
 }

@@ -51,9 +51,10 @@ def compare(
     differ by more than three standard deviations. Exit status 2: one of the
     calibrations must not be trusted.
     """
+    from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.comparisons import comparison_document
-    from calib_pin.io.documents import encode
-    from calib_pin.io.records import read_record
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.result_file import read_result
     from calib_pin.io.staging import write_files
     from calib_pin.report.comparison_text import comparison_report
     from calib_pin.validation.comparison import compare as run
@@ -64,7 +65,7 @@ def compare(
     require_distinct(files)
     pictures = figure_files(figures, figure_format, "comparison")
     check_outputs(pictures, files, force)
-    A, B = map(read_record, files)
+    A, B = map(read_result, files)
     found = run(A, B, seed=seed)
     drawn = draw_comparison(found) if pictures else []
     contents = figure_contents(drawn, pictures)
@@ -76,4 +77,4 @@ def compare(
     pictured = told_figures(contents, pictures)
     if not json:
         say_written(pictured)
-    return 0 if A.trusted and B.trusted else 2
+    return 0 if {A.verdict, B.verdict} <= set(TRUSTED) else 2

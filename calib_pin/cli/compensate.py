@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated, Any
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -110,7 +110,8 @@ def compensate(
 
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.errors import OptionError, require_known
-    from calib_pin.io.documents import encode
+    from calib_pin.io.documents import compensation_document
+    from calib_pin.io.json_text import encode
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
@@ -182,8 +183,9 @@ def compensate(
     with write_files(contents, force=force):
         if json:
             made = output if written else None
-            document = _document(found, model, asked, doubts, made)
-            document["model_errors"] = accuracy
+            document = compensation_document(
+                found, model.chain, asked, doubts, made, accuracy
+            )
             say(encode(document).decode())
         elif not quiet:
             if doubts:
@@ -242,61 +244,3 @@ def _run(
         orientation=asked.oriented and not position,
         progress=progress,
     )
-
-
-def _document(
-    found: Compensation,
-    model: CalibratedModel,
-    asked: Targets,
-    doubts: list[str],
-    output: Path | None,
-) -> dict[str, Any]:
-    """The summary as JSON."""
-    import numpy as np
-
-    lines, reached = asked.lines, found.reached
-    parts = ("position",) + (("orientation",) if found.oriented else ())
-    sizes = {
-        "position": (found.position_before, found.position),
-        "orientation": (found.orientation_before, found.orientation),
-    }
-
-    def spread(values: np.ndarray) -> dict[str, float] | None:
-        known = values[np.isfinite(values)]
-        if not len(known):
-            return None
-        return {"mean": float(known.mean()), "max": float(known.max())}
-
-    units = {"position": "m", "orientation": "rad"}
-    corrections = np.abs(found.corrections)
-    return {
-        "verdict": {
-            "status": "untrusted" if doubts else "good",
-            "reason": doubts[0] if doubts else "",
-        },
-        "kind": "motion" if asked.T is None else "targets",
-        "rows": len(found),
-        "reached": int(reached.sum()),
-        "unreachable": [
-            {"line": int(lines[k]), **{p: float(sizes[p][1][k]) for p in parts}}
-            for k in np.flatnonzero(~reached)
-        ],
-        "corrections": {
-            name: {"unit": "rad" if turns else "m", **(spread(column) or {})}
-            for name, turns, column in zip(
-                model.chain.joints, model.chain.revolute, corrections.T, strict=True
-            )
-        },
-        "errors": {
-            p: {
-                "unit": units[p],
-                "nominal": spread(sizes[p][0][reached]),
-                "compensated": spread(sizes[p][1][reached]),
-            }
-            for p in parts
-        },
-        "at_limit": lines[reached & found.at_limit].tolist(),
-        "outside_trained_region": lines[reached & found.outside].tolist(),
-        "jumps": lines[found.jumps].tolist() if asked.T is None else [],
-        "written": None if output is None else str(output),
-    }

@@ -55,9 +55,10 @@ def evaluate(
     the output says so. A calibration is used as it is unless --register is given. Exit
     status 2: the measurements are too few, or the calibration must not be trusted.
     """
-    from dataclasses import asdict, replace
+    from dataclasses import replace
 
-    from calib_pin.io.documents import encode
+    from calib_pin.io.documents import evaluation_document
+    from calib_pin.io.json_text import encode
     from calib_pin.kinematics.chain import Chain
     from calib_pin.report.accuracy import evaluated
     from calib_pin.validation.evaluation import evaluate as run
@@ -83,18 +84,7 @@ def evaluate(
     if doubts:
         evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
     if json:
-        errors = {
-            name: {"unit": unit, **asdict(accuracy)}
-            for name, unit, accuracy in evaluation.errors
-        }
-        document = {
-            "rows": evaluation.rows,
-            "registered": evaluation.registered,
-            "outside_trained_region": evaluation.outside,
-            "placed": list(evaluation.placed),
-            "verdict": {"status": evaluation.verdict, "reason": evaluation.reason},
-            "errors": errors,
-        }
+        document = evaluation_document(evaluation)
         typer.echo(encode(document).decode(), nl=False)
     else:
         show(evaluated(evaluation))

@@ -55,7 +55,8 @@ def identify(
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.documents import encode, identification_document
+    from calib_pin.io.documents import identification_document
+    from calib_pin.io.json_text import encode
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
@@ -79,8 +80,7 @@ def identify(
         verdict, reason = "good", ""
     better = suggestions(chain, require_model(stated), stated, found, seed=seed)
     if json:
-        document = identification_document(found, better)
-        document["verdict"] = {"status": verdict, "reason": reason}
+        document = identification_document(found, better, verdict, reason)
         typer.echo(encode(document).decode(), nl=False)
     else:
         doubts = [] if verdict in TRUSTED else [judged(reason, verdict)]

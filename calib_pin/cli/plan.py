@@ -193,7 +193,8 @@ def plan(
 
     from calib_pin.cli.limits import parse_limits
     from calib_pin.errors import OptionError, require_known
-    from calib_pin.io.documents import encode, plan_document
+    from calib_pin.io.documents import plan_document
+    from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (
         check_columns,
         encode_configurations,

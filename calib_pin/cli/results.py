@@ -11,7 +11,6 @@ from calib_pin.cli.files import check_outputs, exists
 from calib_pin.cli.printing import notice
 
 if TYPE_CHECKING:
-    from calib_pin.io.documents import Provenance
     from calib_pin.kinematics.chain import Robot
     from calib_pin.planning.suggestions import Suggestion
     from calib_pin.report.figures import Drawn
@@ -40,6 +39,7 @@ class ResultFiles(NamedTuple):
     nominal: Path
     residual_model: Path
     json: Path
+    measurements: Path
     report: Path
 
 
@@ -54,12 +54,13 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
         OptionError: If a file stands in the place of the folder.
     """
     from calib_pin.errors import OptionError
-    from calib_pin.io.residual_model import FILE_NAME
+    from calib_pin.io import measurement_errors, residual_model
     from calib_pin.io.result_folder import DOCUMENT, NOMINAL, REPORT, urdf_name
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    names = urdf_name(robot), NOMINAL, FILE_NAME, DOCUMENT, REPORT
+    learned, measured = residual_model.FILE_NAME, measurement_errors.FILE_NAME
+    names = urdf_name(robot), NOMINAL, learned, DOCUMENT, measured, REPORT
     return ResultFiles(*(folder / name for name in names))
 
 
@@ -113,15 +114,17 @@ def result_contents(
         pictures: Figures that go into files of their own.
         remedies: Suggested measurements.
     """
-    from calib_pin.io.documents import calibration_document, encode
+    from calib_pin.io.calibration_document import calibration_document, provenance
     from calib_pin.io.journal import inside, listed, sha256
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.measurement_errors import encode_errors
     from calib_pin.io.residual_model import encode_residual_model, reference
     from calib_pin.io.result_folder import run_id
     from calib_pin.io.results import encode_urdf
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, _provenance(run), remedies=remedies)
+    document = calibration_document(result, provenance(*run), remedies=remedies)
     document["run"] = run_id(document, encode_residual_model(result.model))
     contents = {files.nominal: result.model.chain.robot.source}
     if result.verdict == "no-gain":
@@ -133,6 +136,7 @@ def result_contents(
         document["residual_model"] = reference(learned)
         contents[files.residual_model] = learned
     page = html_report(result, document, figures=figures, remedies=remedies)
+    contents[files.measurements] = encode_errors(result, document["run"])
     contents |= {files.report: page, **pictures}
     document["files"] = {
         name: None if path == files.report else sha256(data)
@@ -182,21 +186,3 @@ def write_results(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "
             "error behind that joint is in frames.tool of calibration.json"
         )
-
-
-def _provenance(run: Run) -> Provenance:
-    from datetime import UTC, datetime
-    from importlib.metadata import version
-
-    from calib_pin.io.documents import Provenance
-
-    return Provenance(
-        command=run.words,
-        created=datetime.now(UTC).isoformat(timespec="seconds"),
-        seconds=run.seconds,
-        versions={
-            "calib_pin": version("calib-pin"),
-            "pinocchio": version("pin"),
-            "numpy": version("numpy"),
-        },
-    )

@@ -11,10 +11,11 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.predicted_tip import TipAccuracy, rms
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["LEVER", "TipAccuracy", "tip_accuracy", "without_frames"]
+__all__ = ["LEVER", "tip_accuracy", "without_frames"]
 
 SAMPLES = 300
 """Configurations of the workspace."""
@@ -96,38 +97,6 @@ class TipByCount:
                 yield int(count), self.weight * float(np.sqrt(np.sum(W * (tests @ W))))
 
 
-@dataclass(frozen=True)
-class TipAccuracy:
-    """The error of the tip that the noise of the measurements leaves.
-
-    It is the standard deviation of the tool in the measuring frame by the covariance
-    of what was estimated; what stayed at nominal is not in it, nor what no parameter
-    of the model describes.
-
-    Attributes:
-        q: Random configurations within the joint limits, shape (N, n) [rad, m].
-        points: Tool positions in the base link, shape (N, 3) [m].
-        position: Standard deviation of these, the root of the sum over the axes,
-            shape (N,) [m].
-        orientation: That of the rotation vectors, shape (N,) [rad].
-        of_robot: Root-mean-square of both with what a displacement of base and tool
-            can absorb taken away [m] and [rad].
-        by_count: Root-mean-square of `position` with fewer measurements.
-    """
-
-    q: Floats
-    points: Floats
-    position: Floats
-    orientation: Floats
-    of_robot: tuple[float, float]
-    by_count: TipByCount
-
-    @property
-    def rms(self) -> tuple[float, float]:
-        """Of position [m] and orientation [rad] over the workspace."""
-        return _rms(self.position), _rms(self.orientation)
-
-
 @serial_blas
 def tip_accuracy(
     fitted: Fit, problem: Problem, theta: Floats, seed: int
@@ -162,14 +131,14 @@ def tip_accuracy(
         points=T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3],
         position=position,
         orientation=orientation,
-        of_robot=(_rms(alone[0]), _rms(alone[1])),
+        of_robot=(rms(alone[0]), rms(alone[1])),
         by_count=TipByCount(
             problem=some,
             theta=theta,
             robot=fitted.directions.robot,
             of_tip=J[:, :3],
             weight=fitted.unit,
-            last=(len(problem.data), _rms(position)),
+            last=(len(problem.data), rms(position)),
         ),
     )
 
@@ -198,7 +167,3 @@ def without_frames(twists: Floats, J: Floats) -> Floats:
     # 1e-4 leaves them digits enough.
     absorbed = np.linalg.pinv(F.T @ F, rcond=1e-13, hermitian=True) @ (F.T @ rows)
     return np.asarray(twists - frames @ absorbed)
-
-
-def _rms(sizes: Floats) -> float:
-    return float(np.sqrt(np.mean(sizes**2)))

@@ -5,7 +5,6 @@ Whatever is wrong with it becomes one line that names the file.
 
 from __future__ import annotations
 
-import json
 import math
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
@@ -14,12 +13,15 @@ from reprlib import repr
 from typing import Any
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.io.documents import FORMAT, VERSION, Json, require_format
 from calib_pin.io.files import read_bytes
+from calib_pin.io.json_text import Json, decode, require_format
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import Accuracy, QuantityErrors
 
 __all__ = ["numbers", "read_document", "reading", "stated_errors", "text"]
+
+FORMAT, VERSION = "calib-pin/calibration", 1
+"""What is read; the newest version."""
 
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
@@ -38,7 +40,7 @@ def read_document(
         InputError: If the file is not such a document or of a later version.
     """
     try:
-        document = json.loads(read(path).decode("utf-8-sig"))
+        document = decode(read(path))
     except RecursionError as error:
         raise InputError("not a calibration of calib-pin", file=path) from error
     except ValueError as error:

@@ -4,17 +4,14 @@ from __future__ import annotations
 
 from dataclasses import asdict
 
-from calib_pin.io.documents import Json
-from calib_pin.validation.calibration_record import CalibrationRecord
+from calib_pin.io.documents import stated
+from calib_pin.io.json_text import Json
 from calib_pin.validation.comparison import BOUND, Comparison
 from calib_pin.validation.parameter_changes import Difference
-from calib_pin.validation.result import Accuracy
+from calib_pin.validation.result import Accuracy, CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
-__all__ = ["FORMAT", "VERSION", "comparison_document"]
-
-FORMAT = "calib-pin/comparison"
-VERSION = 1
+__all__ = ["comparison_document"]
 
 
 def comparison_document(found: Comparison) -> Json:
@@ -25,8 +22,7 @@ def comparison_document(found: Comparison) -> Json:
     """
     names = {"base": None, "tool": None} | {d.frame: d for d in found.displacements}
     return {
-        "format": FORMAT,
-        "version": VERSION,
+        **stated("comparison"),
         "a": _record(found.first),
         "b": _record(found.second),
         "same": {
@@ -62,16 +58,16 @@ def comparison_document(found: Comparison) -> Json:
     }
 
 
-def _record(record: CalibrationRecord) -> Json:
+def _record(record: CalibrationResult) -> Json:
     return {
-        "file": record.file,
-        "created": record.created,
+        "file": record.provenance.file,
+        "created": record.provenance.created,
         "verdict": {"status": record.verdict, "reason": record.reason},
         "model": record.model.measurement.name,
         "parameters": list(record.model.setup.parameters),
         "residual_model": record.model.setup.learned,
-        "training": record.rows,
-        "validation": record.validation,
+        "training": record.training,
+        "validation": record.validation.method,
         "errors": {
             error.name: {
                 "unit": error.unit,

@@ -1,150 +1,100 @@
-"""`calibration.json`: a result as a JSON document, section 8 of the contract."""
+"""The documents that commands print as JSON; each states its format and version."""
 
 from __future__ import annotations
 
-import hashlib
-import json
-import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from pathlib import Path
-from typing import Any
 
-import pinocchio as pin
+import numpy as np
 
-from calib_pin.errors import InputError
-from calib_pin.estimation.evidence import ExpectedAccuracy
-from calib_pin.io.files import read_blocks
-from calib_pin.io.journal import sha256
-from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models import Feature, MeasurementModel
-from calib_pin.measurement_models.features import Frame
+from calib_pin.control.compensation import Compensation
+from calib_pin.io.json_text import Json, plain
+from calib_pin.io.targets import Targets
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.result import (
-    Accuracy,
-    CalibrationResult,
-    CoupledGroup,
-    Identification,
-    Ladder,
-    QuantityErrors,
-    UrdfResult,
-)
+from calib_pin.validation.result import Evaluation, Identification
 
 __all__ = [
-    "FORMAT",
-    "VERSION",
-    "Json",
-    "Provenance",
-    "calibration_document",
-    "encode",
+    "compensation_document",
+    "evaluation_document",
     "identification_document",
+    "identification_parts",
     "plan_document",
-    "require_format",
+    "stated",
 ]
 
-FORMAT = "calib-pin/calibration"
-VERSION = 1
 
-Json = dict[str, Any]
-
-
-@dataclass(frozen=True)
-class Provenance:
-    """How a result came about.
-
-    Attributes:
-        command: The command line.
-        created: Time of writing, ISO 8601.
-        seconds: Time the solver took.
-        versions: Version of each package by name.
-    """
-
-    command: tuple[str, ...]
-    created: str
-    seconds: float
-    versions: Mapping[str, str]
-
-
-def encode(document: Mapping[str, Any]) -> bytes:
-    """JSON text of a document; numbers that are not finite become null."""
-    text = json.dumps(_finite(document), indent=1, allow_nan=False, ensure_ascii=False)
-    # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
-    return text.encode("utf-8", "backslashreplace") + b"\n"
-
-
-def require_format(
-    document: object, what: str, name: str, newest: int, file: str | Path
-) -> Json:
-    """A document of one of our formats, of a version that can be read.
+def stated(kind: str, version: int = 1) -> Json:
+    """The first keys of a document.
 
     Args:
-        document: What the file holds.
-        what: What it is called in messages.
-        name: Name of the format.
-        newest: Newest version that can be read.
-        file: The file.
-
-    Raises:
-        InputError: If it is anything else.
+        kind: What it is of, such as `plan`.
+        version: Version of its format.
     """
-    if not isinstance(document, dict) or document.get("format") != name:
-        raise InputError(f"not a {what} of calib-pin", file=file)
-    version = document.get("version")
-    if type(version) is not int or not 1 <= version <= newest:
-        raise InputError(
-            f"a {what} of another version",
-            file=file,
-            value=version,
-            allowed=f"1 to {newest}",
-        )
-    return document
+    return {"format": f"calib-pin/{kind}", "version": version}
 
 
-def identification_document(
+def identification_parts(
     found: Identification, remedies: Sequence[Suggestion] = ()
 ) -> Json:
     """The parts `parameters` and `identifiability` of section 8 of the contract.
 
     Args:
-        found: What can be known.
-        remedies: What would tell more.
+        found: The identifiability of a robot.
+        remedies: Suggested measurements.
     """
-    ranks = found.identifiability
     return {
-        "parameters": [
-            {**asdict(parameter), "groups": list(parameter.groups)}
-            for parameter in found.parameters
-        ],
+        "parameters": plain(found.parameters),
         "identifiability": {
-            "parameters": ranks.parameters,
-            "rank": ranks.rank,
-            "structural_rank": ranks.structural_rank,
-            "robot_rank": ranks.robot_rank,
-            "structural_gap": ranks.gap,
-            "everett": ranks.everett,
-            "weak": ranks.weak,
-            "revealed": ranks.revealed,
-            "scale_observable": ranks.scale_observable,
-            "condition": ranks.condition,
-            "singular_values": list(ranks.singular_values),
-            "structural_singular_values": list(ranks.structural_values),
-            "observability": ranks.observability,
-            "coupled": [_group(group) for group in found.groups],
-            "correlated": [
-                {"first": first, "second": second, "correlation": value}
-                for first, second, value in ranks.correlated
-            ],
-            "remedies": [asdict(remedy) for remedy in remedies],
+            **plain(found.identifiability),
+            "coupled": plain(found.groups),
+            "remedies": plain(remedies),
+        },
+    }
+
+
+def identification_document(
+    found: Identification, remedies: Sequence[Suggestion], verdict: str, reason: str
+) -> Json:
+    """The identifiability of a robot.
+
+    Args:
+        found: It.
+        remedies: Suggested measurements.
+        verdict: Verdict of the fit that it is of; `good` without one.
+        reason: Why; empty where there is nothing to say.
+    """
+    return {
+        **stated("identification"),
+        **identification_parts(found, remedies),
+        "verdict": {"status": verdict, "reason": reason},
+    }
+
+
+def evaluation_document(found: Evaluation) -> Json:
+    """The accuracy of a robot on measurements."""
+    return {
+        **stated("evaluation"),
+        "rows": found.rows,
+        "registered": found.registered,
+        "outside_trained_region": found.outside,
+        "placed": list(found.placed),
+        "verdict": {"status": found.verdict, "reason": found.reason},
+        "errors": {
+            name: {"unit": unit, **asdict(accuracy)}
+            for name, unit, accuracy in found.errors
         },
     }
 
 
 def plan_document(plan: Plan) -> Json:
-    """A plan: its configurations, what they reach, and what they will tell."""
+    """A plan: its configurations, what they reach, and the expected result."""
     predicted = plan.predicted
     return {
+        **stated("plan"),
         "joints": list(plan.problem.error.chain.joints),
         "configurations": plan.q.tolist(),
         "target": list(plan.target),
@@ -155,7 +105,7 @@ def plan_document(plan: Plan) -> Json:
         "measured": plan.measured,
         "candidates": plan.candidates,
         "collisions": {"checked": plan.checked, "blocked_moves": list(plan.blocked)},
-        "steps": [asdict(step) for step in plan.steps],
+        "steps": plain(plan.steps),
         "predicted": {
             "rank": predicted.directions.count,
             "structural_rank": plan.rank,
@@ -165,242 +115,75 @@ def plan_document(plan: Plan) -> Json:
                 {"name": p.name, "unit": p.unit, "sigma": p.sigma, "status": p.status}
                 for p in plan.parameters
             ],
-            "coupled": [_group(group) for group in plan.groups],
+            "coupled": plain(plan.groups),
         },
     }
 
 
-def calibration_document(
-    result: CalibrationResult,
-    provenance: Provenance,
-    residual_model: Mapping[str, str] | None = None,
-    remedies: Sequence[Suggestion] = (),
+def compensation_document(
+    found: Compensation,
+    chain: Chain,
+    asked: Targets,
+    doubts: Sequence[str],
+    output: Path | None,
+    accuracy: Mapping[str, Mapping[str, object]],
 ) -> Json:
-    """A result as the JSON document of version 1.
+    """The summary of a compensation.
 
     Args:
-        result: The result.
-        provenance: How it came about.
-        residual_model: Where what was learned is written, see `io.residual_model`.
-        remedies: What would tell more of the robot.
-
-    Raises:
-        InputError: If a measurement file cannot be read again for its hash.
+        found: The commands.
+        chain: The nominal chain.
+        asked: The targets.
+        doubts: Why the calibration must not be trusted; empty where it may.
+        output: File that the commands were written to; None for none.
+        accuracy: Accuracy of the calibration, see `io.results.read_accuracy`.
     """
-    model, robot = result.model, result.model.chain.robot
-    free = model.error.parameters.free
-    frames, sections = _instrument(model.measurement, result.reference.measurement)
-    return {
-        "format": FORMAT,
-        "version": VERSION,
-        "verdict": {"status": result.verdict, "reason": result.reason},
-        "findings": [asdict(finding) for finding in result.findings],
-        "robot": {
-            "name": robot.name,
-            "file": robot.file,
-            "sha256": sha256(robot.source),
-            "base": model.chain.base,
-            "tip": model.chain.tip,
-            "joints": list(model.chain.joints),
-        },
-        "measurements": {
-            "files": [
-                {"file": file, "sha256": _sha256_of(file)} for file in result.files
-            ],
-            "model": model.measurement.name,
-            "targets": list(model.measurement.targets),
-            "training": result.training,
-            "validation": result.validated,
-            "placed_by_validation": list(result.placed),
-        },
-        **identification_document(result, remedies),
-        "errors": {e.name: _errors(e, result.validation) for e in result.errors},
-        "predicted": _predicted(result),
-        "statistics": {
-            "chi2": result.chi2,
-            "dof": result.dof,
-            "sigma0": result.sigma0,
-            "stated_sigma": result.stated_sigma,
-            "chi2_interval": list(chi2_interval(result.dof)) if result.dof > 0 else [],
-            "noise": [asdict(component) for component in result.noise],
-            "outliers": [asdict(outlier) for outlier in result.outliers],
-            "displaced": result.displaced,
-            "gains": [asdict(gain) for gain in result.gains],
-        },
-        "solver": {
-            "name": result.solver,
-            "evaluator": result.evaluator,
-            "status": result.status.value,
-            "iterations": result.iterations,
-            "evaluations": result.evaluations,
-            "history": list(result.history),
-            "at_bounds": list(result.at_bounds),
-            "seconds": provenance.seconds,
-            "seed": result.seed,
-        },
-        "frames": {
-            "base": {
-                **_frame(model.error.base),
-                "estimated": bool(free[:6].any()),
-                "reference": _frame(result.reference.error.base),
-            },
-            "tool": {
-                **_frame(model.tool),
-                "estimated": bool(free[-6:].any()),
-                "reference": _frame(result.reference.error.tool),
-            },
-            **frames,
-        },
-        **sections,
-        "distances": [asdict(distance) for distance in result.distances],
-        "residual_model": None if residual_model is None else dict(residual_model),
-        "model_ladder": None if result.ladder is None else _ladder(result.ladder),
-        "urdf": None if result.urdf is None else _urdf(result.urdf, result.validation),
-        "setup": setup_document(model.setup),
-        "setup_file": _setup_file(model.setup.file),
-        "provenance": {
-            **provenance.versions,
-            "command": list(provenance.command),
-            "created": provenance.created,
-        },
-    }
-
-
-def _predicted(result: CalibrationResult) -> Json | None:
-    """Errors of the tool to expect: what noise leaves by the fit, and all of them."""
-    stages = {"measured": result.measured, "workspace": result.workspace}
-    known = {name: _expected(found) for name, found in stages.items() if found}
-    if result.tip is None:
-        return {"position": None, "orientation": None, **known} if known else None
-    (position, orientation), alone = result.tip.rms, result.tip.of_robot
-    return {
-        "position": position,
-        "orientation": orientation,
-        "robot": {"position": alone[0], "orientation": alone[1]},
-        **known,
-    }
-
-
-def _expected(found: ExpectedAccuracy) -> Json:
+    lines, reached = asked.lines, found.reached
+    units = {"position": "m", "orientation": "rad"}
+    parts = [part for part in units if part == "position" or found.oriented]
     sizes = {
-        stage: dict(zip(("position", "orientation"), size, strict=True))
-        for stage, size in (
-            ("nominal", found.nominal),
-            ("calibrated", found.calibrated),
-            ("bound", found.bound),
-            ("unmodeled", found.unmodeled),
-        )
+        "position": (found.position_before, found.position),
+        "orientation": (found.orientation_before, found.orientation),
     }
-    return {**sizes, "better": found.better, "share": found.share}
-
-
-def _urdf(urdf: UrdfResult, method: str) -> Json:
+    corrections = np.abs(found.corrections)
     return {
-        "reason": urdf.reason,
-        "errors": {e.name: _errors(e, method) for e in urdf.errors},
-    }
-
-
-def _ladder(ladder: Ladder) -> Json:
-    return {
-        "chosen": ladder.rungs[ladder.chosen].name,
-        "rungs": [
-            {
-                **asdict(rung),
-                "parameters": list(rung.parameters),
-                "errors": {
-                    name: {"unit": unit, "mean": mean}
-                    for name, unit, mean in rung.errors
-                },
-            }
-            for rung in ladder.rungs
-        ],
-    }
-
-
-def _group(group: CoupledGroup) -> Json:
-    return {
-        "group": group.number,
-        "expression": group.expression,
-        "unit": group.unit,
-        "value": group.value,
-        "sigma": group.sigma,
-        "terms": [
-            {"parameter": name, "coefficient": coefficient}
-            for name, coefficient in group.terms
-        ],
-    }
-
-
-def _setup_file(file: str) -> Json | None:
-    return {"file": file, "sha256": _sha256_of(file)} if file else None
-
-
-def _sha256_of(file: str) -> str:
-    # A pipe cannot be read twice.
-    if not Path(file).is_file():
-        return ""
-    digest = hashlib.sha256()
-    for block in read_blocks(file, 1 << 20):
-        digest.update(block)
-    return digest.hexdigest()
-
-
-def _frame(pose: pin.SE3) -> Json:
-    return {
-        "xyz": pose.translation.tolist(),
-        "rpy": pin.rpy.matrixToRpy(pose.rotation).tolist(),
-    }
-
-
-def _instrument(
-    fitted: MeasurementModel, reference: MeasurementModel
-) -> tuple[Json, Json]:
-    """What rows refer to: frames by name, and the other sections.
-
-    Points of the tool and planes have a section in every document.
-    """
-    frames: Json = {}
-    sections: Json = {"targets": {}, "planes": {}}
-    for feature, start in zip(fitted.features, reference.features, strict=True):
-        values, flags = _stated(feature)
-        entry = {**values, **flags, "reference": _stated(start)[0]}
-        if isinstance(feature, Frame):
-            frames[f"{feature.name}.{feature.kind}"] = entry
-        elif feature.section == "camera":  # There is one at most.
-            sections[feature.section] = entry
-        else:
-            sections.setdefault(feature.section, {})[feature.name] = entry
-    return frames, sections
-
-
-def _stated(feature: Feature) -> tuple[Json, Json]:
-    """Values of a feature, and what of it was estimated."""
-    stated = asdict(feature.stated())
-    flags = {key: stated.pop(key) for key in [*stated] if key.startswith("estimate")}
-    return stated, {k.replace("estimate", "estimated"): v for k, v in flags.items()}
-
-
-def _errors(errors: QuantityErrors, method: str) -> Json:
-    def plain(accuracy: Accuracy | None) -> Json | None:
-        return None if accuracy is None else asdict(accuracy)
-
-    return {
-        "unit": errors.unit,
-        "training": {"before": plain(errors.before), "after": plain(errors.after)},
-        "validation": {
-            "method": method,
-            "before": plain(errors.validation_before),
-            "after": plain(errors.validation_after),
+        **stated("compensation"),
+        "verdict": {
+            "status": "untrusted" if doubts else "good",
+            "reason": doubts[0] if doubts else "",
         },
+        "kind": "motion" if asked.T is None else "targets",
+        "rows": len(found),
+        "reached": int(reached.sum()),
+        "unreachable": [
+            {"line": int(lines[k]), **{p: float(sizes[p][1][k]) for p in parts}}
+            for k in np.flatnonzero(~reached)
+        ],
+        "corrections": {
+            name: {"unit": "rad" if turns else "m", **(_spread(column) or {})}
+            for name, turns, column in zip(
+                chain.joints, chain.revolute, corrections.T, strict=True
+            )
+        },
+        "errors": {
+            p: {
+                "unit": units[p],
+                "nominal": _spread(sizes[p][0][reached]),
+                "compensated": _spread(sizes[p][1][reached]),
+            }
+            for p in parts
+        },
+        "at_limit": lines[reached & found.at_limit].tolist(),
+        "outside_trained_region": lines[reached & found.outside].tolist(),
+        "jumps": lines[found.jumps].tolist() if asked.T is None else [],
+        "written": None if output is None else str(output),
+        "model_errors": dict(accuracy),
     }
 
 
-def _finite(value: Any) -> Any:
-    if isinstance(value, float):
-        return value if math.isfinite(value) else None
-    if isinstance(value, Mapping):
-        return {str(key): _finite(item) for key, item in value.items()}
-    if isinstance(value, list | tuple):
-        return [_finite(item) for item in value]
-    return value
+def _spread(values: Floats) -> dict[str, float] | None:
+    """Mean and largest of the known values; None where none is known."""
+    known = values[np.isfinite(values)]
+    if not len(known):
+        return None
+    return {"mean": float(known.mean()), "max": float(known.max())}

@@ -19,9 +19,9 @@ from pathlib import Path
 from typing import Any
 
 from calib_pin.errors import InputError
-from calib_pin.io.documents import Json, require_format
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
+from calib_pin.io.json_text import Json, require_format
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection, restore

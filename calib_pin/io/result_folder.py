@@ -16,9 +16,9 @@ from typing import Any
 
 from calib_pin.errors import InputError
 from calib_pin.io.calibration_file import read_document
-from calib_pin.io.documents import Json, encode
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import inside, settled, sha256
+from calib_pin.io.json_text import Json, encode
 from calib_pin.io.residual_model import FILE_NAME
 
 __all__ = [

@@ -82,10 +82,10 @@ def subject(result: CalibrationResult) -> Line:
     model, count = result.model, result.training
     measured = f"{count} measurement{'s' if count != 1 else ''}"
     search = ""
-    if result.history:
-        search = (
-            f"; {result.solver}, {result.evaluations} evaluations ({result.evaluator})"
-        )
+    if result.solver.history:
+        solver = result.solver
+        search = f"; {solver.name}, {solver.evaluations} evaluations"
+        search += f" ({solver.evaluator})"
     return Line(
         f"{chain_words(model.chain)}; {model.measurement.name}, {measured} fitted"
         f"{search}",
@@ -107,10 +107,10 @@ def accuracy(result: CalibrationResult) -> Iterator[Block]:
         yield ladder_table(result.ladder)
     yield accuracy_table(result.errors)
     said = []
-    if result.validation != "none":
-        which = HELD_OUT.get(result.validation, FOLDS)
-        said.append(f"Validation measurements ({result.validation}): {which}.")
-    if result.ladder is not None and result.validation not in HELD_OUT:
+    if result.validation.method != "none":
+        which = HELD_OUT.get(result.validation.method, FOLDS)
+        said.append(f"Validation measurements ({result.validation.method}): {which}.")
+    if result.ladder is not None and result.validation.method not in HELD_OUT:
         said.append(
             "The same folds selected the model; separate measurements (--validation) "
             "are a stricter check."
@@ -138,14 +138,14 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         for kind, names in owners.items()
     ]
     yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
-    if result.placed:
-        names = ", ".join(result.placed)
-        if len(result.placed) > 2 * LISTED_OWNERS:
-            names = f"{len(result.placed)} of them"
+    if result.validation.placed:
+        names = ", ".join(result.validation.placed)
+        if len(result.validation.placed) > 2 * LISTED_OWNERS:
+            names = f"{len(result.validation.placed)} of them"
         yield f"Estimated from the validation measurements: {names}."
-    if result.skipped:
-        reasons = " and ".join(dict.fromkeys(result.skipped))
-        count = len(result.skipped)
+    if result.validation.skipped:
+        reasons = " and ".join(dict.fromkeys(result.validation.skipped))
+        count = len(result.validation.skipped)
         folds = "fold was" if count == 1 else "folds were"
         yield f"{count} {folds} skipped, because in the fit to the others: {reasons}."
 
@@ -193,7 +193,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
     for error in result.urdf.errors:
         found = error.validation_after or error.after
         means.append(f"{error.name} {amount(found.mean, error.unit)}")
-    which = "fitted" if result.validation == "none" else "validation"
+    which = "fitted" if result.validation.method == "none" else "validation"
     yield Line(
         f"{said}It holds the best geometry without: mean error on {which} "
         f"measurements {', '.join(means)}. `calib-pin compensate` uses everything.",

@@ -10,10 +10,13 @@ import numpy as np
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import SIZES, amount, known, listed, sizes, uncertain
 from calib_pin.units import DISPLAY
-from calib_pin.validation.calibration_record import CalibrationRecord
 from calib_pin.validation.comparison import BOUND, Comparison
-from calib_pin.validation.parameter_changes import Difference
-from calib_pin.validation.result import Accuracy
+from calib_pin.validation.parameter_changes import (
+    Difference,
+    robot_groups,
+    robot_parameters,
+)
+from calib_pin.validation.result import Accuracy, CalibrationResult
 
 __all__ = ["accuracies", "parameter_changes", "tip_differences"]
 
@@ -71,7 +74,7 @@ def _how(found: Comparison) -> Iterator[str]:
         p.status
         for record in (found.first, found.second)
         for p in record.parameters
-        if p.name in record.of_robot
+        if p.name in robot_parameters(record)
     }
     if "weak" in statuses:
         yield "It excludes weakly observable directions, which were held at nominal."
@@ -160,7 +163,7 @@ def _counted(found: Comparison) -> Iterator[str]:
         first, second = found.sums_alone
         yield f"{first} combinations are identified in A only, {second} in B only."
     if any(
-        len(record.groups) > len(record.robot_groups)
+        len(record.groups) > len(robot_groups(record))
         for record in (found.first, found.second)
     ):
         yield "Combinations with terms of base, tool or instrument are left out."
@@ -191,13 +194,13 @@ def accuracies(found: Comparison) -> Iterator[Block]:
                     shown = part = ""
     titles = ("measurements", "of", *SIZES)
     yield Table("Accuracy", columns("", titles, {"of": "word"}), rows)
-    said = ", ".join(f"{label} {record.validation}" for label, record in pair)
+    said = ", ".join(f"{label} {record.validation.method}" for label, record in pair)
     if not found.same_rows:
         said += ". The measurements differ: the numbers are not strictly comparable"
     yield Line(f"Validation: {said}.", "note")
 
 
-def _of(record: CalibrationRecord, name: str, unit: str, which: str) -> Accuracy | None:
+def _of(record: CalibrationResult, name: str, unit: str, which: str) -> Accuracy | None:
     """The accuracy of a quantity on fitted or validation measurements, if known."""
     for error in record.errors:
         if (error.name, error.unit) == (name, unit):

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 
+from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.report.accuracy import chain_words, judged
 from calib_pin.report.blocks import Block, Facts, Line
 from calib_pin.report.comparison_tables import (
@@ -13,8 +14,8 @@ from calib_pin.report.comparison_tables import (
 )
 from calib_pin.report.tables import amount, number
 from calib_pin.units import DISPLAY
-from calib_pin.validation.calibration_record import CalibrationRecord
-from calib_pin.validation.comparison import Comparison
+from calib_pin.validation.comparison import Comparison, stated_noise
+from calib_pin.validation.result import CalibrationResult
 
 __all__ = ["comparison_report"]
 
@@ -23,8 +24,8 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""
     pair = (("A", found.first), ("B", found.second))
     for label, record in pair:
-        if not record.trusted:
-            said = f"{label} ({record.file}): {record.reason}"
+        if record.verdict not in TRUSTED:
+            said = f"{label} ({record.provenance.file}): {record.reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
     yield from _doubts(found)
@@ -62,7 +63,7 @@ def _verdict(found: Comparison) -> Line:
 
 def _cause(found: Comparison) -> str:
     """The cause of a drift, as far as it is known."""
-    trusted = found.first.trusted and found.second.trusted
+    trusted = {found.first.verdict, found.second.verdict} <= set(TRUSTED)
     if found.same_rows or not found.same_parameters or not trusted:
         return "The two disagree on the tool point, which differs by"
     if not found.described:
@@ -123,7 +124,7 @@ def _doubts(found: Comparison) -> Iterator[Line]:
     elif (
         found.drifted
         and found.same_parameters
-        and None not in (found.first.noise, found.second.noise)
+        and None not in (stated_noise(found.first), stated_noise(found.second))
         and not found.described
     ):
         yield Line(
@@ -134,11 +135,12 @@ def _doubts(found: Comparison) -> Iterator[Line]:
         )
 
 
-def _origin(record: CalibrationRecord) -> str:
+def _origin(record: CalibrationResult) -> str:
     setup = record.model.setup
     kinds = [*setup.parameters, *([setup.learned] if setup.learned else [])]
-    day = f"; {record.created[:10]}" if record.created else ""
+    created, file = record.provenance.created, record.provenance.file
+    day = f"; {created[:10]}" if created else ""
     return (
-        f"{record.file}: {record.model.measurement.name}, {record.rows} measurements, "
+        f"{file}: {record.model.measurement.name}, {record.training} measurements, "
         f"{' + '.join(kinds)}{day}"
     )

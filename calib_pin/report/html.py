@@ -173,13 +173,13 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
             remark=f"95 % below {quantity(after.p95, unit).text}, "
             f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
         )
-    if result.workspace is not None and result.verdict != "no-gain":
+    if result.accuracy.workspace is not None and result.verdict != "no-gain":
         yield _Tile(
             label="expected tool-point error over the workspace, rms",
-            before=quantity(result.workspace.nominal[0], "m"),
-            after=quantity(result.workspace.calibrated[0], "m"),
+            before=quantity(result.accuracy.workspace.nominal[0], "m"),
+            after=quantity(result.accuracy.workspace.calibrated[0], "m"),
             unit=DISPLAY["m"][0],
-            remark=f"better than nominal: {percent(result.workspace.better)}",
+            remark=f"better than nominal: {percent(result.accuracy.workspace.better)}",
         )
 
 
@@ -197,7 +197,7 @@ def _sections(
             *beyond(result),
         ],
         "identifiability": list(_known(result, remedies)),
-        "parameters": list(listed("at a bound", result.at_bounds)),
+        "parameters": list(listed("at a bound", result.solver.at_bounds)),
         "residuals": list(_residuals(result)),
         "provenance": list(_provenance(document)),
     }
@@ -239,12 +239,12 @@ def _known(
 
 def _residuals(result: CalibrationResult) -> Iterator[Block]:
     yield from noise(result)
-    if result.outliers:
-        count = len(result.outliers)
+    if result.statistics.outliers:
+        count = len(result.statistics.outliers)
         yield Line(f"{count} of {result.training} measurements are outliers.")
         yield outlier_table(result, LISTED)
-        if len(result.outliers) > LISTED:
-            more = len(result.outliers) - LISTED
+        if len(result.statistics.outliers) > LISTED:
+            more = len(result.statistics.outliers) - LISTED
             yield Line(f"{more} more are in calibration.json.", "note")
     else:
         yield Line("No measurement is an outlier.")

@@ -18,24 +18,31 @@ LISTED = 5
 def statistics(result: CalibrationResult) -> Iterator[Block]:
     """Chi-square, and whether it confirms the standard deviations."""
     learned = result.model.setup.learned is not None
-    sigmas = "stated" if result.stated_sigma else "assumed"
-    entries = [("chi-square", f"{number(result.chi2)} with {result.dof} dof")]
+    sigmas = "stated" if result.statistics.stated_sigma else "assumed"
+    entries = [
+        (
+            "chi-square",
+            f"{number(result.statistics.chi2)} with {result.statistics.dof} dof",
+        )
+    ]
     remark = ""
-    if result.dof > 0:
-        low, high = chi2_interval(result.dof)
+    if result.statistics.dof > 0:
+        low, high = chi2_interval(result.statistics.dof)
         where = "inside"
-        if result.chi2 < low:
+        if result.statistics.chi2 < low:
             where, remark = "below", "sigma may be too large."
-        elif result.chi2 > high:
+        elif result.statistics.chi2 > high:
             where = "above"
             remark = "sigma too small, outliers, or unmodeled errors."
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
-    if result.dof > 0:
-        entries.append(("sigma0", f"{number(result.sigma0)} times the {sigmas} sigma"))
+    if result.statistics.dof > 0:
+        entries.append(
+            ("sigma0", f"{number(result.statistics.sigma0)} times the {sigmas} sigma")
+        )
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
-    if remark and result.stated_sigma and not learned:
+    if remark and result.statistics.stated_sigma and not learned:
         said = f"Chi-square {where} its 95 % interval: {remark}"
         yield Line(said, indent=True)
 

@@ -246,7 +246,7 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
         result: The result.
         most: Number of outliers that are listed.
     """
-    found, errors = result.outliers, result.fitted
+    found, errors = result.statistics.outliers, result.fitted
     kept = found[:most]
     cells = [
         [

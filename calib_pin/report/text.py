@@ -56,5 +56,5 @@ def report(
     yield from statistics(result)
     yield from outliers(result)
     yield from identified(result, fitted=True, remedies=remedies)
-    yield from listed("at a bound", result.at_bounds)
+    yield from listed("at a bound", result.solver.at_bounds)
     yield from correlated(result)

@@ -38,7 +38,7 @@ TONES = {"error": "bad", "warning": "strong", "info": "note"}
 
 def set_aside(result: CalibrationResult) -> Iterator[Line]:
     """The measurements set aside, and how far they would move the tool point."""
-    rows = [outlier for outlier in result.outliers if outlier.weight == 0.0]
+    rows = [outlier for outlier in result.statistics.outliers if outlier.weight == 0.0]
     if not rows:
         return
     were = "measurement was" if len(rows) == 1 else "measurements were"
@@ -47,10 +47,10 @@ def set_aside(result: CalibrationResult) -> Iterator[Line]:
         _named(words) for words in ([row.place for row in rows], [*causes]) if words
     )
     with_them = ""
-    if result.displaced is not None:
+    if result.statistics.displaced is not None:
         them = "it" if len(rows) == 1 else "them"
         unit, factor = DISPLAY["m"]
-        off = significant(factor * result.displaced)
+        off = significant(factor * result.statistics.displaced)
         with_them = f"; with {them} the tool point would move by {off} {unit}"
     yield Line(
         f"{len(rows)} of {result.training} {were} set aside ({named}){with_them}.",
@@ -82,8 +82,8 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     known = [
         (where, accuracy)
         for where, accuracy in (
-            ("where measured", result.measured),
-            ("over the workspace", result.workspace),
+            ("where measured", result.accuracy.measured),
+            ("over the workspace", result.accuracy.workspace),
         )
         if accuracy is not None
     ]
@@ -132,7 +132,7 @@ def percent(part: float) -> str:
 
 def noise(result: CalibrationResult) -> Iterator[Block]:
     """The noise of every quantity, stated or assumed and estimated."""
-    found = result.noise
+    found = result.statistics.noise
     if not found:
         return
     pure = any(part.pure is not None for part in found)
@@ -203,7 +203,7 @@ def _probability(p: float) -> str:
 
 def outliers(result: CalibrationResult) -> Iterator[Block]:
     """Outliers with their weights, the worst of them by name."""
-    found = result.outliers
+    found = result.statistics.outliers
     if not found:
         return
     caused = any(row.cause for row in found)

@@ -8,7 +8,7 @@ from typing import Protocol
 
 import numpy as np
 
-from calib_pin.estimation.directions import Directions
+from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
@@ -21,10 +21,12 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
 from calib_pin.validation.result import (
+    Correlation,
     CoupledGroup,
     Identifiability,
     Identification,
     ParameterEstimate,
+    Term,
 )
 
 __all__ = [
@@ -33,6 +35,7 @@ __all__ = [
     "estimates",
     "fitted_ranks",
     "identify",
+    "leverages",
     "registration_reason",
     "structural_ranks",
 ]
@@ -152,7 +155,7 @@ def estimates(
                 unit=combination.unit,
                 value=float(row @ theta),
                 sigma=sigma,
-                terms=tuple((parameters[k].name, c) for k, c in combination.terms),
+                terms=tuple(Term(parameters[k].name, c) for k, c in combination.terms),
             )
         )
 
@@ -251,7 +254,7 @@ def _deviation(fitted: Estimated | None, row: Floats) -> float | None:
     return sigma if np.isfinite(sigma) else None
 
 
-def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
+def _correlated(fitted: Fit) -> Iterator[Correlation]:
     """Pairs of identifiable sums of the robot whose estimates move together."""
     parameters = fitted.problem.parameters
     rows, names = [], []
@@ -272,7 +275,18 @@ def _correlated(fitted: Fit) -> Iterator[tuple[str, str, float]]:
     for i in range(len(names)):
         for j in range(i):
             if abs(correlation[i, j]) > CORRELATED:
-                yield names[j], names[i], float(correlation[i, j])
+                yield Correlation(names[j], names[i], float(correlation[i, j]))
+
+
+def leverages(fitted: Fit) -> Floats:
+    """The leverage of every measurement in a fit, of very many their mean, (N,)."""
+    problem, jac = fitted.problem, fitted.result.jac
+    half = half_covariance(jac, fitted.directions.basis, problem.parameters)
+    count, components = len(problem.data), problem.components
+    if problem.many:
+        return np.full(count, half.shape[1] / max(count, 1))
+    found = (jac[: count * components] @ half) ** 2
+    return np.asarray(found.reshape(count, -1).sum(axis=1))
 
 
 def chi2_interval(dof: int) -> tuple[float, float]:

@@ -11,17 +11,25 @@ import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.validation.calibration_record import CalibrationRecord
 from calib_pin.validation.parameter_changes import (
     Difference,
     differences,
     known_alone,
+    robot_parameters,
     sums_alone,
 )
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.result import CalibratedModel, CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift, tip_drift
 
-__all__ = ["BOUND", "Comparison", "Displacement", "compare"]
+__all__ = [
+    "BOUND",
+    "Comparison",
+    "Displacement",
+    "compare",
+    "described",
+    "stated_noise",
+    "unknown_ends",
+]
 
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.
@@ -45,6 +53,13 @@ NEGLIGIBLE = 1e-6
 
 SAME = 1e-9
 """Largest difference between places of one nominal robot, or of a frame [m, rad]."""
+
+
+DESCRIBED = 1.2
+"""Errors left of a fit, in stated standard deviations, up to which they are noise."""
+
+ORIENTED = ("orientation", "pixel")
+"""Quantities that depend on how the tool is turned, whatever point of it is seen."""
 
 
 @dataclass(frozen=True)
@@ -81,8 +96,8 @@ class Comparison:
         drift: How far the tips are apart.
     """
 
-    first: CalibrationRecord
-    second: CalibrationRecord
+    first: CalibrationResult
+    second: CalibrationResult
     same_nominal: bool
     differences: tuple[Difference, ...]
     alone: tuple[tuple[str, ...], tuple[str, ...]]
@@ -105,20 +120,19 @@ class Comparison:
         """Whether both describe the errors of one nominal robot in the same way."""
         first, second = self.first, self.second
         learned = first.model.setup.learned, second.model.setup.learned
-        alike = first.of_robot == second.of_robot and learned[0] == learned[1]
-        return self.same_nominal and alike
+        alike = robot_parameters(first) == robot_parameters(second)
+        return self.same_nominal and alike and learned[0] == learned[1]
 
     @property
     def same_rows(self) -> bool:
         """Whether both were fitted to the same measurement files."""
-        return bool(self.first.hashes) and set(self.first.hashes) == set(
-            self.second.hashes
-        )
+        first, second = _hashes(self.first), _hashes(self.second)
+        return bool(first) and first == second
 
     @property
     def shared_rows(self) -> bool:
         """Whether a measurement file stands in both."""
-        return bool(set(self.first.hashes) & set(self.second.hashes))
+        return bool(_hashes(self.first) & _hashes(self.second))
 
     @property
     def described(self) -> bool:
@@ -130,24 +144,20 @@ class Comparison:
         return (
             self.same_parameters
             and not self.same_rows
-            and self.first.described
-            and self.second.described
+            and described(self.first)
+            and described(self.second)
         )
 
     @property
     def oriented(self) -> bool:
         """Whether orientations can be compared: the rows of both tell them."""
-        return self.first.oriented and self.second.oriented
+        return _oriented(self.first) and _oriented(self.second)
 
     @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        first, second = (
-            record.predicted_robot
-            if len(self.drift.absorbed) == 2 and record.predicted_robot is not None
-            else record.predicted
-            for record in (self.first, self.second)
-        )
+        alone = len(self.drift.absorbed) == 2
+        first, second = (_predicted(r, alone) for r in (self.first, self.second))
         if first is None or second is None:
             return None
         return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])
@@ -171,7 +181,7 @@ class Comparison:
 
 @serial_blas
 def compare(
-    first: CalibrationRecord, second: CalibrationRecord, *, seed: int = 0
+    first: CalibrationResult, second: CalibrationResult, *, seed: int = 0
 ) -> Comparison:
     """Compare two calibrations of one robot.
 
@@ -185,7 +195,7 @@ def compare(
     """
     _require_comparable(first, second)
     same = _same_nominal(first.model, second.model)
-    ends = zip(first.unknown_ends, second.unknown_ends, strict=True)
+    ends = zip(unknown_ends(first), unknown_ends(second), strict=True)
     base, tool = (any(pair) for pair in ends)
     both, reverse = (first, second), (second, first)
     return Comparison(
@@ -200,7 +210,7 @@ def compare(
     )
 
 
-def _require_comparable(first: CalibrationRecord, second: CalibrationRecord) -> None:
+def _require_comparable(first: CalibrationResult, second: CalibrationResult) -> None:
     """Complain about robots whose tips have nothing in common."""
     A, B = first.model.chain, second.model.chain
     kinds = (
@@ -210,6 +220,7 @@ def _require_comparable(first: CalibrationRecord, second: CalibrationRecord) -> 
         )
     )
     mine, other = (", ".join(names) for names in kinds)
+    known = first.provenance.file or "the first"
     for what, a, b in (
         ("chain starts at", A.base, B.base),
         ("chain ends at", A.tip, B.tip),
@@ -217,8 +228,8 @@ def _require_comparable(first: CalibrationRecord, second: CalibrationRecord) -> 
     ):
         if a != b:
             raise InputError(
-                f"cannot be compared with {first.file}: its {what} {b}, there {a}",
-                file=second.file,
+                f"cannot be compared with {known}: its {what} {b}, there {a}",
+                file=second.provenance.file or None,
             )
 
 
@@ -241,10 +252,10 @@ def _same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
 
 
 def _displacements(
-    first: CalibrationRecord, second: CalibrationRecord
+    first: CalibrationResult, second: CalibrationResult
 ) -> Iterator[Displacement]:
     A, B = first.model, second.model
-    told = first.oriented and second.oriented
+    told = _oriented(first) and _oriented(second)
     frames: tuple[tuple[str, pin.SE3, pin.SE3, bool], ...] = (
         ("base", A.error.base, B.error.base, True),
         ("tool", A.tool, B.tool, told),
@@ -258,3 +269,50 @@ def _displacements(
 
 def _same(a: pin.SE3, b: pin.SE3) -> bool:
     return np.allclose(a.homogeneous, b.homogeneous, rtol=0.0, atol=SAME)
+
+
+def _hashes(result: CalibrationResult) -> frozenset[str]:
+    """SHA-256 of the measurement files; of a pipe there is none."""
+    return frozenset(filter(None, result.provenance.hashes))
+
+
+def described(result: CalibrationResult) -> bool:
+    """Whether the errors left are the stated noise, and nothing more."""
+    noise = stated_noise(result)
+    return noise is not None and noise <= DESCRIBED
+
+
+def stated_noise(result: CalibrationResult) -> float | None:
+    """Errors that are left, in stated standard deviations; None for assumed ones."""
+    statistics = result.statistics
+    known = statistics.stated_sigma and not math.isnan(statistics.sigma0)
+    return statistics.sigma0 if known else None
+
+
+def _oriented(result: CalibrationResult) -> bool:
+    """Whether the measurements tell how the tool is turned."""
+    return any(error.name in ORIENTED for error in result.errors)
+
+
+def _predicted(result: CalibrationResult, alone: bool) -> tuple[float, float] | None:
+    """Error of the tip that noise leaves, rms [m] and [rad]; None if unknown.
+
+    Args:
+        result: The calibration.
+        alone: Whether to take away what a displacement of base and tool can absorb;
+            older files do not say what is left then.
+    """
+    tip = result.accuracy.tip
+    if tip is None:
+        return None
+    return tip.of_robot if alone and np.isfinite(tip.of_robot).all() else tip.rms
+
+
+def unknown_ends(result: CalibrationResult) -> tuple[bool, bool]:
+    """Whether something at the base, and at the tool, was estimated."""
+    free = {p.name for p in result.parameters if p.status != "fixed"}
+    own = [p for p in result.model.measurement.parameters if p.name in free]
+    return (
+        any(n.startswith("base.frame.") for n in free) or any(p.outer for p in own),
+        any(n.startswith("tool.frame.") for n in free) or any(not p.outer for p in own),
+    )

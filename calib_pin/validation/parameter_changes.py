@@ -6,10 +6,20 @@ import math
 from collections.abc import Iterator
 from dataclasses import dataclass
 
-from calib_pin.validation.calibration_record import CalibrationRecord
-from calib_pin.validation.result import CoupledGroup, ParameterEstimate
+from calib_pin.validation.result import (
+    CalibrationResult,
+    CoupledGroup,
+    ParameterEstimate,
+)
 
-__all__ = ["Difference", "differences", "known_alone", "sums_alone"]
+__all__ = [
+    "Difference",
+    "differences",
+    "known_alone",
+    "robot_groups",
+    "robot_parameters",
+    "sums_alone",
+]
 
 RESOLUTION = 1e-9
 """Least standard deviation of a difference [SI]: of noise-free data only rounding."""
@@ -46,8 +56,22 @@ class Difference:
         return abs(self.change) / self.sigma
 
 
+def robot_parameters(result: CalibrationResult) -> frozenset[str]:
+    """Names of the parameters that belong to the robot, not to a measurement."""
+    return frozenset(p.name for p in result.model.error.parameters if not p.nuisance)
+
+
+def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
+    """Linear combinations without a term of base, tool or instrument.
+
+    The others deviate from where these were registered, each time anew.
+    """
+    known = robot_parameters(result)
+    return tuple(g for g in result.groups if {term[0] for term in g.terms} <= known)
+
+
 def differences(
-    first: CalibrationRecord, second: CalibrationRecord
+    first: CalibrationResult, second: CalibrationResult
 ) -> tuple[Difference, ...]:
     """What both know of the robot, most significant first.
 
@@ -57,33 +81,33 @@ def differences(
     return tuple(sorted(found, key=lambda d: d.significance, reverse=True))
 
 
-def known_alone(record: CalibrationRecord, other: CalibrationRecord) -> tuple[str, ...]:
+def known_alone(record: CalibrationResult, other: CalibrationResult) -> tuple[str, ...]:
     """Robot parameters that are known here and not in another calibration."""
     known = {p.name for p in other.parameters if p.sigma is not None}
+    alone = robot_parameters(record) - known
     return tuple(
-        p.name
-        for p in record.parameters
-        if p.sigma is not None and p.name in record.of_robot - known
+        p.name for p in record.parameters if p.sigma is not None and p.name in alone
     )
 
 
-def sums_alone(record: CalibrationRecord, other: CalibrationRecord) -> int:
+def sums_alone(record: CalibrationResult, other: CalibrationResult) -> int:
     """Number of sums of robot parameters that are known here only."""
-    return sum(_partner(group, other) is None for group in record.robot_groups)
+    return sum(_partner(group, other) is None for group in robot_groups(record))
 
 
 def _parameters(
-    first: CalibrationRecord, second: CalibrationRecord
+    first: CalibrationResult, second: CalibrationResult
 ) -> Iterator[Difference]:
     others = {p.name: p for p in second.parameters}
+    both = robot_parameters(first) & robot_parameters(second)
     for mine in first.parameters:
         other = others.get(mine.name)
-        if other is not None and mine.name in first.of_robot & second.of_robot:
+        if other is not None and mine.name in both:
             yield from _difference(mine.name, mine, other)
 
 
-def _sums(first: CalibrationRecord, second: CalibrationRecord) -> Iterator[Difference]:
-    for mine in first.robot_groups:
+def _sums(first: CalibrationResult, second: CalibrationResult) -> Iterator[Difference]:
+    for mine in robot_groups(first):
         other = _partner(mine, second)
         if other is not None:
             yield from _difference(mine.expression, mine, other, mine.terms)
@@ -101,10 +125,10 @@ def _difference(
         yield Difference(name, first.unit, first.value, second.value, sigma, terms)
 
 
-def _partner(group: CoupledGroup, record: CalibrationRecord) -> CoupledGroup | None:
+def _partner(group: CoupledGroup, record: CalibrationResult) -> CoupledGroup | None:
     """The sum of the same terms in another calibration."""
     mine = dict(group.terms)
-    for other in record.robot_groups:
+    for other in robot_groups(record):
         theirs = dict(other.terms)
         if mine.keys() == theirs.keys() and all(
             math.isclose(mine[name], theirs[name], rel_tol=1e-6, abs_tol=1e-9)

@@ -2,36 +2,35 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, field, replace
+from dataclasses import dataclass, field
+from html import escape
+from importlib import import_module
+from typing import Any, NamedTuple
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
-from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.evidence import (
-    ExpectedAccuracy,
-    Finding,
-    Gain,
-    Outlier,
-    VarianceComponent,
-)
-from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tip_accuracy import TipAccuracy
-from calib_pin.kinematics.chain import Chain
+from calib_pin.errors import OptionError
+from calib_pin.estimation.evidence import Finding, Outlier
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MeasurementModel
-from calib_pin.observations import Measurements
-from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import Setup
-from calib_pin.solvers import Status
+from calib_pin.units import DISPLAY
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.summaries import (
+    Ladder,
+    Provenance,
+    Rung,
+    SolverSummary,
+    Statistics,
+    ToolAccuracy,
+    Validation,
+)
 
 __all__ = [
     "Accuracy",
     "CalibratedModel",
     "CalibrationResult",
+    "Correlation",
     "CoupledGroup",
     "Evaluation",
     "FoundDistance",
@@ -40,9 +39,15 @@ __all__ = [
     "Ladder",
     "Outlier",
     "ParameterEstimate",
+    "Provenance",
     "QuantityErrors",
     "Rung",
+    "SolverSummary",
+    "Statistics",
+    "Term",
+    "ToolAccuracy",
     "UrdfResult",
+    "Validation",
 ]
 
 
@@ -111,16 +116,31 @@ class ParameterEstimate:
     groups: tuple[int, ...]
 
 
+class Term(NamedTuple):
+    """A term of a linear combination of parameters."""
+
+    parameter: str
+    coefficient: float
+
+
 @dataclass(frozen=True)
 class CoupledGroup:
-    """A sum of parameters that is known although its terms are not."""
+    """An identifiable linear combination of parameters, whose terms are not."""
 
-    number: int
+    number: int = field(metadata={"key": "group"})
     expression: str
     unit: str
     value: float
     sigma: float | None
-    terms: tuple[tuple[str, float], ...]
+    terms: tuple[Term, ...]
+
+
+class Correlation(NamedTuple):
+    """Two estimates that move together; a combination is named by its formula."""
+
+    first: str
+    second: str
+    correlation: float
 
 
 @dataclass(frozen=True)
@@ -173,15 +193,17 @@ class Identifiability:
     rank: int
     structural_rank: int
     robot_rank: int
-    gap: float
+    gap: float = field(metadata={"key": "structural_gap"})
     everett: int
     condition: float
     singular_values: tuple[float, ...]
-    structural_values: tuple[float, ...]
+    structural_values: tuple[float, ...] = field(
+        metadata={"key": "structural_singular_values"}
+    )
     observability: dict[str, float]
     weak: int
     revealed: int
-    correlated: tuple[tuple[str, str, float], ...]
+    correlated: tuple[Correlation, ...]
     scale_observable: bool = True
 
 
@@ -201,147 +223,6 @@ class Identification:
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step of the model ladder, judged by cross-validation.
-
-    Attributes:
-        name: What it adds.
-        parameters: Names of its parameterizations.
-        learned: Its residual model, None for none.
-        rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Name, unit and mean error on unseen rows of every quantity.
-        score: Mean error on unseen rows, root mean square of the components in standard
-            deviations; NaN where it could not be tried.
-        deviation: Standard error of the score.
-        helps: Whether it lowers the errors of the rungs that it stands on by more than
-            the standard error of the difference.
-        reason: Why it could not be tried; empty where it was.
-    """
-
-    name: str
-    parameters: tuple[str, ...]
-    learned: str | None
-    rank: int = 0
-    errors: tuple[tuple[str, str, float], ...] = ()
-    score: float = float("nan")
-    deviation: float = float("nan")
-    helps: bool = False
-    reason: str = ""
-
-
-@dataclass(frozen=True)
-class Ladder:
-    """The model ladder.
-
-    Attributes:
-        rungs: All of them, simplest first.
-        chosen: Position of the one that is kept.
-    """
-
-    rungs: tuple[Rung, ...]
-    chosen: int
-
-
-@dataclass(frozen=True)
-class CalibratedModel:
-    """A robot with its calibration: what predicts measurements and corrects commands.
-
-    Attributes:
-        error: Error model about the fitted base and tool frame.
-        measurement: Measurement model about the fitted instrument.
-        theta: Values of the error model's parameters, shape (P,), frames at zero.
-        setup: The setup it was fitted with.
-    """
-
-    error: ErrorModel
-    measurement: MeasurementModel
-    theta: Floats
-    setup: Setup
-
-    @staticmethod
-    def create(problem: Problem, theta: Floats) -> CalibratedModel:
-        """The model of a problem at parameter values, shape (P,).
-
-        Frames and instrument move into their references; the robot keeps its values.
-        """
-        moved, values = problem.rebased(theta)
-        return CalibratedModel(
-            error=moved.error,
-            measurement=moved.measurement,
-            theta=moved.split(values)[0],
-            setup=moved.setup,
-        )
-
-    @property
-    def chain(self) -> Chain:
-        """The nominal chain."""
-        return self.error.chain
-
-    @serial_blas
-    def poses(self, q: Floats) -> Floats:
-        """Predicted tool poses in the measuring frame, shape (N, n) -> (N, 4, 4)."""
-        return self.error.poses(q, self.theta)
-
-    def outside(self, q: Floats) -> NDArray[np.bool_]:
-        """Where a learned correction fades, being far from its training, shape (N,).
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-        """
-        learned = self.error.learned
-        if not isinstance(learned, LearnedCorrection):
-            return np.zeros(len(q), bool)
-        return ~learned.model.region.inside(q)
-
-    @property
-    def geometric(self) -> bool:
-        """Whether there is nothing but geometry, which a URDF can hold."""
-        moved = self.theta[self.error.joint_corrections].any()
-        return self.error.learned is None and not moved
-
-    @property
-    def without_corrections(self) -> CalibratedModel:
-        """The model without what a URDF cannot hold: of a true robot, its geometry.
-
-        Of a fit that is no use, see `CalibrationResult.geometry`.
-        """
-        theta = self.theta.copy()
-        theta[self.error.joint_corrections] = 0.0
-        return replace(self, error=replace(self.error, learned=None), theta=theta)
-
-    def urdf_corrections(self) -> dict[str, pin.SE3]:
-        """Right-multiplied corrections of the URDF's joint origins, by joint name."""
-        products = self.error.corrections(self.theta)
-        names = [*self.chain.joints, self.chain.tip_joint]
-        return {
-            name: product
-            for name, product in zip(names, products[1:-1], strict=True)
-            if name is not None and product != pin.SE3.Identity()
-        }
-
-    @property
-    def tool_carries_tip(self) -> bool:
-        """Whether the tool frame holds an error that the URDF has no place for."""
-        tip = self.error.corrections(self.theta)[-2]
-        return self.chain.tip_joint is None and tip != pin.SE3.Identity()
-
-    @property
-    def tool(self) -> pin.SE3:
-        """The tool in the tip frame of the corrected URDF.
-
-        An error behind the last joint has no place in a URDF whose tip is that
-        joint's own link; the tool frame carries it.
-        """
-        if self.chain.tip_joint is not None:
-            return self.error.tool
-        return self.error.corrections(self.theta)[-2] * self.error.tool
-
-    def problem(self, data: Measurements) -> Problem:
-        """The problem of other rows about this calibration."""
-        return Problem(self.error, self.measurement, data, self.setup)
-
-
-@dataclass(frozen=True)
 class UrdfResult:
     """The geometry alone, of a calibration that is more than a URDF can hold.
 
@@ -356,9 +237,83 @@ class UrdfResult:
     reason: str
 
 
+class Tables:
+    """A result as arrays with names and as tables."""
+
+    model: CalibratedModel
+    verdict: str
+    reason: str
+    parameters: tuple[ParameterEstimate, ...]
+    errors: tuple[QuantityErrors, ...]
+    fitted: RowErrors
+    unseen: RowErrors | None
+
+    @property
+    def residuals(self) -> NamedArray:
+        """Predicted minus measured by the calibrated robot, shape (N, d), SI units.
+
+        A row for each fitted measurement, by its file and line; NaN for a component
+        that a measurement does not have.
+        """
+        places = [self.fitted.rows.place(k) for k in range(len(self.fitted))]
+        return NamedArray.of(self.fitted.after, places, self.fitted.components)
+
+    @property
+    def jacobian(self) -> NamedArray:
+        """The derivative of `residuals` by the parameters, shape (N d, P), SI units.
+
+        It is taken at the calibrated robot, about its own frames and instrument. A row
+        for each component of a measurement; zero for a component that it does not have.
+        """
+        rows, instrument = self.fitted.rows, self.model.measurement.parameters
+        problem = self.model.problem(rows)
+        theta = np.append(self.model.theta, np.zeros(len(instrument)))
+        _, J = problem.linearize_rows(theta)
+        sigma = problem.sigma.reshape(-1, 1)
+        J = J[: len(sigma)] * np.where(np.isfinite(sigma), sigma, 0.0)
+        components = self.fitted.components
+        names = [f"{rows.place(k)} {c}" for k in range(len(rows)) for c in components]
+        return NamedArray.of(J, names, [p.name for p in self.parameters])
+
+    def to_frame(self) -> Any:
+        """The measurements as a pandas data frame, with the columns of the file.
+
+        Raises:
+            OptionError: If pandas is not installed.
+        """
+        try:
+            pandas = import_module("pandas")
+        except ImportError as error:
+            raise OptionError("to_frame needs pandas: pip install pandas") from error
+        parts = {"train": self.fitted, "validate": self.unseen}
+        frames = [
+            pandas.DataFrame(p.table(n)) for n, p in parts.items() if p is not None
+        ]
+        return pandas.concat(frames, ignore_index=True)
+
+    def _repr_html_(self) -> str:
+        """Verdict, accuracy and identifiable parameters, for notebooks."""
+        rows: list[tuple[str, ...]] = [("mean error", "nominal", "calibrated", "")]
+        for error in self.errors:
+            unit, factor = DISPLAY[error.unit]
+            before = error.validation_before or error.before
+            after = error.validation_after or error.after
+            sizes = (f"{factor * accuracy.mean:.4g}" for accuracy in (before, after))
+            rows.append((error.name, *sizes, unit))
+        rows.append(("parameter", "value", "std. dev.", ""))
+        for p in self.parameters:
+            if p.sigma is not None:
+                unit, factor = DISPLAY.get(p.unit, (p.unit, 1.0))
+                value, sigma = f"{factor * p.value:+.4f}", f"{factor * p.sigma:.2g}"
+                rows.append((p.name, value, sigma, unit))
+        table = "".join(f"<tr><td>{'<td>'.join(map(escape, row))}" for row in rows)
+        said = f"<b>{self.verdict.upper()}</b>: {escape(self.reason)}"
+        return f"<p>{said}</p><table>{table}</table>"
+
+
 @dataclass(frozen=True)
-class CalibrationResult(Identification):
-    """Everything a calibration found.
+class CalibrationResult(Tables, Identification):
+    """Everything a calibration found, made by a fit or read from a file.
 
     Attributes:
         model: The calibrated robot.
@@ -367,45 +322,21 @@ class CalibrationResult(Identification):
         verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
         reason: Why, in one sentence with numbers.
         errors: Accuracy by quantity.
-        validation: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
-        training: Number of fitted rows.
-        validated: Number of rows of the validation.
-        chi2: Sum of squared whitened residuals.
-        dof: Residual components minus rank.
-        sigma0: Standard deviation of unit weight.
-        stated_sigma: Whether the rows state their standard deviations.
-        outliers: Rows that do not fit.
-        solver: Name of the solver.
-        evaluator: What evaluated the rows, see `solve.Solved`.
-        history: Best cost of every generation, if it searched by evolution: half the
-            sum of squared whitened residuals of the rows that the search looks at, a
-            sample with `hybrid` and thousands of rows.
-        status: How the solver ended.
-        at_bounds: Names of the parameters that stand at a bound.
-        iterations: Steps of the solver.
-        evaluations: Evaluations of the cost; an evolution counts its members.
-        seed: Seed of configurations and splits.
-        covariance: Of the parameters, shape (P, P).
-        fitted: Errors of the fitted rows.
-        unseen: Errors of the rows of the validation; None without one.
-        tip: How well the fit knows where the tip is; None where it has no redundancy.
+        training: Number of fitted measurements.
+        validation: How the fit was checked.
+        solver: How the solver ended.
+        statistics: The statistics of the residuals.
+        accuracy: The expected errors of the tool.
+        covariance: Of the parameters, shape (P, P), with their names.
+        fitted: Errors of the fitted measurements.
+        unseen: Errors of the validation measurements; None without a validation.
         files: Measurement files.
-        ladder: The model ladder, if one was climbed.
+        ladder: The model selection, if there was one.
         urdf: The geometry alone, where the model is more than that.
         rejected: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
-        placed: Names of places that only the rows of the validation name: they stand
-            where these rows put them.
-        skipped: Why parts of a cross-validation were left out: what was fitted without
-            them says nothing of the robot.
-        noise: Variance components.
-        gains: Paired tests on held-out configurations, the first of all quantities.
-        measured: Accuracy to expect where it was measured.
-        workspace: Accuracy to expect over the workspace.
         findings: What is wrong with the data or the result.
-        displaced: How far the tool would be off from here, root mean square over the
-            workspace, with what was set aside fitted like the rest [m]; None where
-            nothing was.
+        provenance: How it came about.
     """
 
     model: CalibratedModel
@@ -413,43 +344,25 @@ class CalibrationResult(Identification):
     verdict: str
     reason: str
     errors: tuple[QuantityErrors, ...]
-    validation: str
     training: int
-    validated: int
-    chi2: float
-    dof: int
-    sigma0: float
-    stated_sigma: bool
-    outliers: tuple[Outlier, ...]
-    solver: str
-    evaluator: str
-    history: tuple[float, ...]
-    status: Status
-    at_bounds: tuple[str, ...]
-    iterations: int
-    evaluations: int
-    seed: int
-    covariance: Floats = field(repr=False)
+    validation: Validation
+    solver: SolverSummary
+    statistics: Statistics
+    accuracy: ToolAccuracy
+    covariance: NamedArray = field(repr=False)
     fitted: RowErrors = field(repr=False)
     unseen: RowErrors | None = field(repr=False)
-    tip: TipAccuracy | None = field(repr=False)
     files: tuple[str, ...] = ()
     ladder: Ladder | None = None
     urdf: UrdfResult | None = None
     rejected: str = ""
     distances: tuple[FoundDistance, ...] = ()
-    placed: tuple[str, ...] = ()
-    skipped: tuple[str, ...] = ()
-    noise: tuple[VarianceComponent, ...] = ()
-    gains: tuple[Gain, ...] = ()
-    measured: ExpectedAccuracy | None = None
-    workspace: ExpectedAccuracy | None = None
     findings: tuple[Finding, ...] = ()
-    displaced: float | None = None
+    provenance: Provenance = field(default_factory=Provenance)
 
     @property
     def geometry(self) -> CalibratedModel | None:
-        """What a corrected URDF gets: the best geometry; None where there is none.
+        """The geometry that a corrected URDF gets; None where there is none.
 
         Without a gain the URDF stays as it is.
         """

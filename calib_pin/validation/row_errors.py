@@ -2,7 +2,9 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 
@@ -11,7 +13,10 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import Measurements
 
-__all__ = ["RowErrors"]
+__all__ = ["AXES", "RowErrors"]
+
+AXES = ("x", "y", "z")
+"""Names of the components of a vector."""
 
 
 @dataclass(frozen=True)
@@ -28,7 +33,8 @@ class RowErrors:
         sigma: Standard deviations, shape (N, d); infinite for what a row lacks.
         points: Where the calibrated robot has its tool, in the base link, shape (N, 3)
             [m].
-        to_base: Rotation from the measuring frame to the base link, shape (3, 3).
+        to_base: Rotation from the measurement frame to the base link, shape (3, 3).
+        leverage: Leverage in the fit, 0 to d, shape (N,); NaN where it was not fitted.
     """
 
     rows: Measurements
@@ -38,6 +44,7 @@ class RowErrors:
     sigma: Floats
     points: Floats
     to_base: Floats
+    leverage: Floats
 
     @staticmethod
     def of(
@@ -46,6 +53,7 @@ class RowErrors:
         rows: Measurements,
         before: Floats,
         after: Floats,
+        leverage: Floats | None = None,
     ) -> RowErrors:
         """Errors of rows that a fitted problem has, or of others.
 
@@ -55,6 +63,7 @@ class RowErrors:
             rows: The N rows.
             before: Their errors with the nominal robot, shape (N, d).
             after: Those with the calibrated one, shape (N, d).
+            leverage: Their leverage in the fit, shape (N,); None where none is fitted.
         """
         error, of_error = problem.error, problem.split(theta)[0]
         T = error.poses(rows.q, of_error, error.basis(rows.q, rows.payload))
@@ -68,11 +77,54 @@ class RowErrors:
             sigma=replace(problem, data=rows).sigma,
             points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
             to_base=np.asarray(to_base.rotation),
+            leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
         )
 
     def __len__(self) -> int:
         """Number of measurements."""
         return len(self.rows)
+
+    @property
+    def components(self) -> tuple[str, ...]:
+        """Names of the residual components, such as `position.x`."""
+        return tuple(
+            f"{quantity.name}.{axis}" if len(axes) > 1 else quantity.name
+            for quantity in self.quantities
+            for axes in [AXES[: quantity.columns.stop - quantity.columns.start]]
+            for axis in axes
+        )
+
+    def table(self, name: str) -> dict[str, Sequence[Any]]:
+        """Cells of the columns of `measurements.csv`, SI units; NaN where none is.
+
+        Args:
+            name: The set, `train` or `validate`.
+        """
+        rows = self.rows
+        found: dict[str, Sequence[Any]] = {
+            "set": [name] * len(self),
+            "file": rows.files,
+            "line": rows.lines.tolist(),
+            "target": rows.target,
+            "payload": rows.payload,
+        }
+
+        def add(names: Iterable[str], values: Floats) -> None:
+            found.update(zip(names, values.T.tolist(), strict=True))
+
+        add((f"joint.{joint}" for joint in rows.joints), rows.q)
+        if rows.start.size:
+            add((f"start.{joint}" for joint in rows.joints), rows.start)
+        width = rows.values.shape[1]
+        add((f"measured.{k + 1}" for k in range(width)), rows.values)
+        add(("weight", "leverage"), np.column_stack([rows.weight, self.leverage]))
+        add((f"tool.{axis}" for axis in AXES), self.points)
+        stages = {"before": self.before, "after": self.after, "sigma": self.sigma}
+        if rows.sigma is not None:
+            stages["stated"] = rows.sigma
+        for stage, values in stages.items():
+            add((f"{component}.{stage}" for component in self.components), values)
+        return found
 
     def sizes(self, quantity: Quantity) -> tuple[Floats, Floats]:
         """Sizes of the errors of a quantity before and after, shape (N,) each.

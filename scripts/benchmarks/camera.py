@@ -70,9 +70,9 @@ def _calibrate(chain: Chain, data: Measurements, setup: Setup, intrinsics: str) 
     found = calib_pin.calibrate(chain, data, setup, validate=False)
     seconds = time.perf_counter() - start
     print(
-        f"intrinsics {intrinsics:<10}{seconds:9.2f} s{found.iterations:5} steps"
+        f"intrinsics {intrinsics:<10}{seconds:9.2f} s{found.solver.iterations:5} steps"
         f"{found.identifiability.rank:5} of {len(found.parameters)} parameters"
-        f"{found.sigma0:9.4f} sigma0"
+        f"{found.statistics.sigma0:9.4f} sigma0"
     )
 
 

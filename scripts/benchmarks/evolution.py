@@ -146,8 +146,11 @@ def _calibrated(problem: Problem, solver: SolverSetup) -> tuple[float, str]:
     found = calib_pin.calibrate(
         problem.error.chain, problem.data, setup, validate=False, seed=2
     )
-    each = (time.process_time() - start) / found.evaluations
-    return 0.5 * found.chi2, f"{1e6 * each:.1f} us each" if found.history else ""
+    each = (time.process_time() - start) / found.solver.evaluations
+    return (
+        0.5 * found.statistics.chi2,
+        f"{1e6 * each:.1f} us each" if found.solver.history else "",
+    )
 
 
 def _loops(ranger: Ranger) -> tuple[float, str]:

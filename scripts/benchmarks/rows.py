@@ -115,7 +115,7 @@ def _measure(size: int) -> dict[str, object]:
         "seconds": seconds,
         "memory": 1024 * resource.getrusage(resource.RUSAGE_SELF).ru_maxrss,
         "passes": passes,
-        "sigma0": found.sigma0,
+        "sigma0": found.statistics.sigma0,
     }
 
 

@@ -60,7 +60,7 @@ class Figure:
 
 def figures(result: Any, _: object) -> list[Figure]:
     names = [name for name in NAMES["calibration"] if name != "model-ladder"]
-    return [Figure(name, repr(result.chi2)) for name in names]
+    return [Figure(name, repr(result.statistics.chi2)) for name in names]
 
 
 @pytest.fixture

@@ -43,7 +43,7 @@ def test_it_is_the_error_that_fits_have() -> None:
     for seed in range(14):
         problem, truth, rows = simulated(seed, 30)
         result = fit(rows)
-        tip = result.tip
+        tip = result.accuracy.tip
         assert tip is not None
         true = problem.error.poses(tip.q, truth[: len(problem.error.screws)])
         found = result.model.poses(tip.q)
@@ -64,7 +64,7 @@ def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
     """What is said of some of the rows is what a fit of as many says."""
     *_, rows = simulated(1, 80)
     rows = rows if stated else replace(rows, sigma=None)
-    tip = fit(rows).tip
+    tip = fit(rows).accuracy.tip
     assert tip is not None
     counts, errors = tip.by_count.curve
     assert counts[-1] == 80 and (np.diff(counts) > 0).all()
@@ -72,7 +72,9 @@ def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
     assert errors[-1] == pytest.approx(tip.rms[0])
     k = int(np.searchsorted(counts, 35))
     few = [
-        fit(rows.rows(np.random.default_rng(n).permutation(80)[: int(counts[k])])).tip
+        fit(
+            rows.rows(np.random.default_rng(n).permutation(80)[: int(counts[k])])
+        ).accuracy.tip
         for n in range(3)
     ]
     refits = [part.rms[0] for part in few if part is not None]
@@ -82,8 +84,8 @@ def test_it_falls_with_the_number_of_rows(stated: bool) -> None:
 def test_very_many_rows_are_sampled() -> None:
     *_, rows = simulated(2, 2000, model="position")
     result = fit(rows)
-    assert result.tip is not None
-    counts, errors = result.tip.by_count.curve
+    assert result.accuracy.tip is not None
+    counts, errors = result.accuracy.tip.by_count.curve
     assert counts[-2] <= 400 < counts[-1] == 2000
     # Five times as many rows, the root of five better.
     ratio = errors[-2] / errors[-1]
@@ -93,7 +95,7 @@ def test_very_many_rows_are_sampled() -> None:
 def test_points_are_those_of_the_tool_in_the_base_link() -> None:
     *_, rows = simulated(3, 30)
     result = fit(rows)
-    tip, model = result.tip, result.model
+    tip, model = result.accuracy.tip, result.model
     assert tip is not None
     T = model.error.base.inverse().homogeneous @ model.poses(tip.q)
     np.testing.assert_allclose(tip.points, T[:, :3, 3], atol=1e-12)
@@ -102,8 +104,8 @@ def test_points_are_those_of_the_tool_in_the_base_link() -> None:
 
 def test_without_redundancy_nothing_is_predicted() -> None:
     *_, rows = simulated(4, 5)
-    assert fit(rows).tip is None
-    assert fit(replace(rows, sigma=None)).tip is None
+    assert fit(rows).accuracy.tip is None
+    assert fit(replace(rows, sigma=None)).accuracy.tip is None
 
 
 def test_what_frames_absorb_is_taken_away() -> None:
@@ -112,7 +114,7 @@ def test_what_frames_absorb_is_taken_away() -> None:
     for seed in range(8):
         problem, truth, rows = simulated(seed, 30)
         result = fit(rows)
-        tip = result.tip
+        tip = result.accuracy.tip
         assert tip is not None
         assert tip.of_robot[0] < tip.rms[0]
         true = problem.error.poses(tip.q, truth[: len(problem.error.screws)])
@@ -128,7 +130,7 @@ def test_a_far_first_guess_predicts_the_same() -> None:
     *_, rows = simulated(2, 40)
     far = FrameSetup((0.5, 0.1, -0.2), (1.0, -0.3, 0.4), estimate=True)
     found = [
-        calib_pin.calibrate(CHAIN, rows, setup, validate=False).tip
+        calib_pin.calibrate(CHAIN, rows, setup, validate=False).accuracy.tip
         for setup in (Setup(), Setup(base_frame=far))
     ]
     near, other = found

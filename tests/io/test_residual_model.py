@@ -14,7 +14,8 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.calibration_document import calibration_document
+from calib_pin.io.json_text import encode
 from calib_pin.io.residual_model import (
     FILE_NAME,
     encode_residual_model,
@@ -24,7 +25,7 @@ from calib_pin.io.residual_model import (
 from calib_pin.io.results import read_calibration
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel, CalibrationResult
+from calib_pin.validation.result import CalibratedModel, CalibrationResult, Provenance
 
 NOTHING = Provenance((), "", 0.0, {})
 TOOL = FrameSetup((0.05, 0.02, 0.1), (0.0, 0.0, 0.0))

@@ -105,8 +105,8 @@ def test_the_irreducible_model_fits_like_all_placement_errors() -> None:
     kept, full = (calibrated(rows, setup_of(full=full)) for full in (False, True))
     assert (kept.identifiability.rank, full.identifiability.rank) == (33, 33)
     # They differ in the second order of the errors only.
-    assert kept.chi2 == pytest.approx(full.chi2, rel=1e-4)
-    assert kept.verdict == "good" and 0.8 < kept.sigma0 < 1.2
+    assert kept.statistics.chi2 == pytest.approx(full.statistics.chi2, rel=1e-4)
+    assert kept.verdict == "good" and 0.8 < kept.statistics.sigma0 < 1.2
 
 
 @pytest.mark.slow

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -37,8 +38,27 @@ def words_of(found: Comparison) -> str:
     return " ".join(text_of(found).split())
 
 
-def second(found: Comparison, **changes: object) -> Comparison:
-    return replace(found, second=replace(found.second, **changes))
+def second(found: Comparison, **changes: Any) -> Comparison:
+    """A comparison with another second calibration."""
+    result = found.second
+    if "noise" in changes:
+        noise = changes.pop("noise")
+        known = {"stated_sigma": noise is not None, "sigma0": noise or 1.0}
+        statistics = replace(result.statistics, **known)
+        result = replace(result, statistics=statistics)
+    if "hashes" in changes:
+        provenance = replace(result.provenance, hashes=changes.pop("hashes"))
+        result = replace(result, provenance=provenance)
+    if "predicted" in changes:
+        sizes, tip = changes.pop("predicted"), None
+        if sizes is not None:
+            assert result.accuracy.tip is not None
+            p, o = (np.full(1, size) for size in sizes)
+            tip = replace(
+                result.accuracy.tip, position=p, orientation=o, of_robot=sizes
+            )
+        result = replace(result, accuracy=replace(result.accuracy, tip=tip))
+    return replace(found, second=replace(result, **changes))
 
 
 # --- the verdict -------------------------------------------------------------------
@@ -86,15 +106,15 @@ def test_a_move(moved):
             "The two disagree on the tool point, which differs by 0.",
         ),
         (
-            {"predicted": None, "predicted_robot": None},
+            {"predicted": None},
             r"The tool points are 0\.\d+ mm and 0\.\d+ deg rms apart; the files",
         ),
         (
-            {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0)},
+            {"predicted": (1.0, 1.0)},
             r"The robot changed, .*joint_4.*; the tool points differ",
         ),
         (
-            {"predicted": (1.0, 1.0), "predicted_robot": (1.0, 1.0), "noise": 2.0},
+            {"predicted": (1.0, 1.0), "noise": 2.0},
             "No drift beyond the noise of both",
         ),
     ],
@@ -211,11 +231,17 @@ def test_80_columns_and_no_number_cut(moved):
         moved,
         differences=(difference, *moved.differences),
         alone=((long,), ()),
-        first=replace(moved.first, file="a/very/long/path/" * 8 + "calibration.json"),
+        first=replace(
+            moved.first,
+            provenance=replace(
+                moved.first.provenance,
+                file="a/very/long/path/" * 8 + "calibration.json",
+            ),
+        ),
     )
     text = text_of(found)
     assert max(map(len, text.splitlines())) <= 80
     assert "…" not in text and text.isascii()
     assert not re.search(r" $", text, re.MULTILINE)
     assert f"{np.degrees(-123.456):+.0f}" in text
-    assert re.sub(r"\s", "", found.first.file) in re.sub(r"\s", "", text)
+    assert re.sub(r"\s", "", found.first.provenance.file) in re.sub(r"\s", "", text)

@@ -14,7 +14,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.documents import Provenance, calibration_document, encode
+from calib_pin.io.calibration_document import calibration_document
+from calib_pin.io.json_text import encode
 from calib_pin.io.urdf import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
@@ -26,7 +27,7 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.validation.result import CalibrationResult, Outlier
+from calib_pin.validation.result import CalibrationResult, Outlier, Provenance
 from calib_pin.validation.row_errors import RowErrors
 
 ARM = """<robot name="{0}">
@@ -205,7 +206,7 @@ def test_what_was_done(page: tuple[bytes, dict[str, Any]]) -> None:
 def test_outliers_by_row(arm: tuple[Chain, CalibrationResult]) -> None:
     chain, result = arm
     rows = tuple(Outlier(f"rows.csv:{k}", k % 30, 90.0 - 0.1 * k) for k in range(250))
-    many = replace(result, outliers=rows)
+    many = replace(result, statistics=replace(result.statistics, outliers=rows))
     text = Page(page_of(chain, many, figures=False)[0]).text
     assert "250 of 30 measurements are outliers." in text
     assert "rows.csv:199" in text and "rows.csv:200" not in text
@@ -276,6 +277,7 @@ def repeated(errors: RowErrors, count: int) -> RowErrors:
         before=errors.before[order] * rng.uniform(0.5, 1.5, (count, 1)),
         after=errors.after[order] * rng.uniform(0.5, 1.5, (count, 1)),
         sigma=errors.sigma[order],
+        leverage=errors.leverage[order],
         points=errors.points[order] + rng.normal(0.0, 0.3, (count, 3)),
     )
 

@@ -5,6 +5,7 @@ from __future__ import annotations
 import io
 import re
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 import pytest
@@ -126,9 +127,18 @@ def test_long_names_are_wrapped_and_not_cut():
 # --- content -----------------------------------------------------------------------
 
 
+def changed(result: CalibrationResult, **changes: Any) -> CalibrationResult:
+    """A result with other values, each in the group that holds it."""
+    for name in ("statistics", "solver", "accuracy", "validation"):
+        part = getattr(result, name)
+        own = {key: changes.pop(key) for key in [*changes] if hasattr(part, key)}
+        result = replace(result, **{name: replace(part, **own)})
+    return replace(result, **changes)
+
+
 def opening(result: CalibrationResult, **changes: object) -> list[str]:
     """Verdict and subject."""
-    text = format_report(replace(result, **changes))
+    text = format_report(changed(result, **changes))
     *verdict, subject = text.split("\n\n")[0].splitlines()
     return [" ".join(verdict), subject]
 
@@ -141,7 +151,10 @@ def test_verdicts(result):
     )
     nominal, calibrated = (
         f"{1e3 * size[0]:.3g} mm"
-        for size in (result.workspace.nominal, result.workspace.calibrated)
+        for size in (
+            result.accuracy.workspace.nominal,
+            result.accuracy.workspace.calibrated,
+        )
     )
     assert opening(result)[0] == (
         f"GOOD: position error {after} rms instead of {before} on 30 independent "
@@ -315,7 +328,7 @@ def test_weak_and_unidentifiable_parameters():
 
 def test_parameters_at_a_bound():
     result = solve(setup=Setup(bounds={"j2.placement.*": 1e-5}))
-    assert result.at_bounds
+    assert result.solver.at_bounds
     lines = section(format_report(result), "at a bound:")
     assert all(line.startswith("  j2.placement.") for line in lines[1:])
 
@@ -329,14 +342,14 @@ def test_parameters_at_a_bound():
     ],
 )
 def test_chi_square(result, factor, where, remark):
-    chi2 = factor * result.dof
-    text = format_report(replace(result, chi2=chi2, stated_sigma=True))
+    chi2 = factor * result.statistics.dof
+    text = format_report(changed(result, chi2=chi2, stated_sigma=True))
     lines = section(text, "Statistics")
-    assert f"with {result.dof} dof" in lines[1]
+    assert f"with {result.statistics.dof} dof" in lines[1]
     assert f"{where} its 95 % interval" in lines[2]
     assert ("Chi-square" in text) == bool(remark)
     assert remark in " ".join(text.split())
-    assumed = format_report(replace(result, chi2=chi2, stated_sigma=False))
+    assumed = format_report(changed(result, chi2=chi2, stated_sigma=False))
     assert f"{where} its 95 % interval" in assumed and "Chi-square" not in assumed
     assert "times the assumed sigma" in assumed
 
@@ -345,7 +358,7 @@ def test_correlations_and_outliers_are_counted(result):
     pairs = tuple((f"a{k}", f"b{k}", -0.99) for k in range(8))
     rows = tuple(Outlier(f"rows.csv:{k}", k, 1234.6 - k) for k in range(7))
     ranks = replace(result.identifiability, correlated=pairs)
-    text = format_report(replace(result, identifiability=ranks, outliers=rows))
+    text = format_report(changed(result, identifiability=ranks, outliers=rows))
     lines = section(text, "Correlations, abs(rho) > 0.95")
     assert lines[1] == "  -0.990  a0  |  b0"
     assert lines[-1] == "  and 3 more pairs in calibration.json"
@@ -354,7 +367,7 @@ def test_correlations_and_outliers_are_counted(result):
     assert lines[2].split() == ["rows.csv:0", "1234.6", "1.0"]
     assert lines[-1] == "  and 2 more in calibration.json"
     none = replace(result.identifiability, correlated=())
-    text = format_report(replace(result, identifiability=none, outliers=()))
+    text = format_report(changed(result, identifiability=none, outliers=()))
     assert "Correlations" not in text
     assert "Outliers" not in text
 
@@ -389,12 +402,15 @@ def test_a_search_and_what_it_reveals() -> None:
     result = solve()
     ranks = replace(result.identifiability, revealed=1)
     text = format_report(
-        replace(
+        changed(
             result,
-            solver="hybrid",
-            evaluator="kernel",
-            evaluations=1234,
-            history=(3.0, 2.0),
+            solver=replace(
+                result.solver,
+                name="hybrid",
+                evaluator="kernel",
+                evaluations=1234,
+                history=(3.0, 2.0),
+            ),
             identifiability=ranks,
         )
     )

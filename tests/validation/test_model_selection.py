@@ -250,7 +250,7 @@ def test_calibrating_with_the_ladder(chain: Chain) -> None:
     assert plain.ladder is None
     np.testing.assert_array_equal(result.model.theta, plain.model.theta)
     assert result.errors == plain.errors
-    assert (result.verdict, result.validation) == ("good", "5-fold")
+    assert (result.verdict, result.validation.method) == ("good", "5-fold")
     assert result.errors[0].validation_after is not None
     assert rung.errors[0][2] == result.errors[0].validation_after.mean
 
@@ -260,7 +260,7 @@ def test_unseen_rows_of_a_file_check_what_the_ladder_kept(chain: Chain) -> None:
     training, unseen = rows.rows(np.arange(30)), rows.rows(np.arange(30, 50))
     result = calib_pin.calibrate(chain, training, validation=unseen, ladder=True)
     assert result.ladder is not None
-    assert (result.validation, result.validated) == ("file", 20)
+    assert (result.validation.method, result.validation.count) == ("file", 20)
     # They have no part in the choice.
     alone = select_model(chain, training, Setup(), 0).selection
     assert alone == result.ladder

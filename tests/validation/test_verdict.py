@@ -70,7 +70,9 @@ def requires_named(
     alone = calib_pin.calibrate(job.chain, others, job.setup, validate=False)
     outcome = judged(job, result)
     assert result.verdict == "good", result.reason
-    assert [(o.row, o.weight < 0.5) for o in result.outliers] == [(row, True)]
+    assert [(o.row, o.weight < 0.5) for o in result.statistics.outliers] == [
+        (row, True)
+    ]
     assert outcome.actual <= 1.1 * judged(job, alone).actual
     assert outcome.actual <= 2.0 * outcome.predicted
 
@@ -226,7 +228,7 @@ def test_outliers_are_found_in_a_mix(row: int) -> None:
     column = 0 if row < 60 else 3
     values[row, column] += 0.02
     result = calib_pin.calibrate(job.chain, replace(rows, values=values), setup)
-    assert row in {outlier.row for outlier in result.outliers}
+    assert row in {outlier.row for outlier in result.statistics.outliers}
 
 
 def test_a_part_that_is_all_validation() -> None:
@@ -247,9 +249,9 @@ def test_predictions_do_not_depend_on_the_first_guess() -> None:
     far = calib_pin.calibrate(
         job.chain, rows, coverage.far(job.setup, stream(0, 3)), validate=False
     )
-    assert near.tip is not None and far.tip is not None
+    assert near.accuracy.tip is not None and far.accuracy.tip is not None
     # The solutions are the same up to the tolerance of the solver.
-    assert far.tip.rms == pytest.approx(near.tip.rms, rel=1e-4)
+    assert far.accuracy.tip.rms == pytest.approx(near.accuracy.tip.rms, rel=1e-4)
     assert judged(job, far).actual == pytest.approx(judged(job, near).actual, rel=1e-3)
 
 
@@ -313,7 +315,7 @@ def test_a_copy_of_the_training_file_is_no_validation() -> None:
     job = tracked()
     rows = job.measured(stream(0, 1))
     result = calib_pin.calibrate(job.chain, rows, job.setup, validation=rows)
-    assert result.validation != "file"
+    assert result.validation.method != "file"
     assert result.findings
 
 

@@ -15,7 +15,7 @@ __all__ = ["convergence"]
 
 def convergence(result: CalibrationResult) -> Drawn | None:
     """The best cost of every generation, where there were any."""
-    cost = np.array(result.history)
+    cost = np.array(result.solver.history)
     limits = log_limits(cost)
     if len(cost) < 2 or limits is None:
         return None
@@ -33,6 +33,6 @@ def convergence(result: CalibrationResult) -> Drawn | None:
         "Convergence of the search",
         f"Half the sum of squared normalized residuals of the best member fell from "
         f"{number(cost[0])} to {number(cost[-1])} in {len(cost) - 1} generations of "
-        f"{result.solver}. Where the curve ends flat, more would not have helped.",
+        f"{result.solver.name}. Where the curve ends flat, more would not have helped.",
         figure,
     )

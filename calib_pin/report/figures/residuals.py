@@ -71,7 +71,7 @@ def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
     Empty where these are not known.
     """
     rows = result.fitted
-    if not result.noise:
+    if not result.statistics.noise:
         return {}
     found = {}
     for quantity in rows.quantities:

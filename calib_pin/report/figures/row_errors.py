@@ -90,7 +90,9 @@ class _Pane:
 
 def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     """Sizes of the errors of every measurement: one row of panels per quantity."""
-    parts = [_panes("fitted", result.fitted, [o.row for o in result.outliers])]
+    parts = [
+        _panes("fitted", result.fitted, [o.row for o in result.statistics.outliers])
+    ]
     if result.unseen is not None:
         parts.append(_panes("validation", result.unseen, []))
     rows = [panes for panes in zip(*parts, strict=True) if panes[0].means]
@@ -101,7 +103,11 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
         "before (nominal robot)": SIGNS["before"],
         "after (calibrated)": SIGNS["after"],
     }
-    key(figure, {**entries, **({"outlier": RING} if result.outliers else {})}, 0.7)
+    key(
+        figure,
+        {**entries, **({"outlier": RING} if result.statistics.outliers else {})},
+        0.7,
+    )
     for k, panes in enumerate(rows):
         row = panels(figure, len(panes), HEAD + k * ROW, PANEL, right=0.3, gap=0.4)
         _scale(row, panes)
@@ -192,15 +198,15 @@ def _reading(
     if means := [number(mean) for mean in pane.means]:
         of = "fitted measurements"
         if pane.rows == "validation":
-            of = f"validation measurements ({result.validation})"
+            of = f"validation measurements ({result.validation.method})"
         yield (
             f"On {of} the mean {pane.quantity} error goes from {means[0]} to "
             f"{means[1]} {pane.unit}."
         )
     if len(rows[0]) > 1:
         yield "Fitted and validation measurements should look alike."
-    if result.outliers:
-        yield f"Rings mark {len(result.outliers)} outliers."
+    if result.statistics.outliers:
+        yield f"Rings mark {len(result.statistics.outliers)} outliers."
     if any(np.isinf(size).any() for row in rows for p in row for size in p.sizes):
         yield "Triangles at the upper edge are measurements that cannot be predicted."
     for p in rows[0]:

@@ -27,7 +27,7 @@ __all__ = ["drift_in_workspace", "tip_by_count", "tip_in_workspace"]
 
 def tip_by_count(result: CalibrationResult) -> Drawn | None:
     """The predicted tool-point uncertainty against the number of measurements."""
-    tip = result.tip
+    tip = result.accuracy.tip
     if tip is None:
         return None
     unit, factor = unit_of("m")
@@ -74,7 +74,7 @@ def tip_by_count(result: CalibrationResult) -> Drawn | None:
 
 def tip_in_workspace(result: CalibrationResult) -> Drawn | None:
     """The predicted tool-point uncertainty over the workspace, from three sides."""
-    tip = result.tip
+    tip = result.accuracy.tip
     if tip is None or len(tip.points) == 0 or not np.isfinite(tip.position).all():
         return None
     figure, words = _over_workspace(tip.points, tip.position, "uncertainty", ", rms")
@@ -91,10 +91,13 @@ def _left_out(result: CalibrationResult) -> str:
     said = "It excludes unmodeled errors"
     if weak := result.identifiability.weak:
         said += f" and the {weak} directions held at nominal"
-    if result.stated_sigma and result.chi2 > chi2_interval(result.dof)[1]:
+    if (
+        result.statistics.stated_sigma
+        and result.statistics.chi2 > chi2_interval(result.statistics.dof)[1]
+    ):
         said += (
             f"; it holds for the stated sigma, while the measurements scatter "
-            f"{number(result.sigma0)} times as much"
+            f"{number(result.statistics.sigma0)} times as much"
         )
     return f"{said}."
 

@@ -74,7 +74,9 @@ def run(number: int) -> Components:
     assert rows.sigma is not None
     rows = replace(rows, sigma=rows.sigma * np.repeat(factors, blocks))
     try:
-        noise_found = calib_pin.calibrate(job.chain, rows, setup, validate=False).noise
+        noise_found = calib_pin.calibrate(
+            job.chain, rows, setup, validate=False
+        ).statistics.noise
     except Exception as error:
         return Components(number, (), f"{type(error).__name__}: {error}")
     return Components(

@@ -100,10 +100,10 @@ def run(number: int) -> Coverage:
         return Coverage(number, kind, problem=f"{type(error).__name__}: {error}")
     inside, total = _covered(job, result)
     predicted = np.nan
-    if result.workspace is not None:
-        predicted = result.workspace.calibrated[0]
-    elif result.tip is not None:
-        predicted = result.tip.of_robot[0]
+    if result.accuracy.workspace is not None:
+        predicted = result.accuracy.workspace.calibrated[0]
+    elif result.accuracy.tip is not None:
+        predicted = result.accuracy.tip.of_robot[0]
     at = job.chain.random_configurations(WORKSPACE, stream(number, 99))
     ratio = (position_error(job, result.model, at) / predicted) ** 2
     return Coverage(number, kind, inside, total, ratio)

@@ -57,7 +57,9 @@ def _held_out(name: str, result: CalibrationResult, before: float) -> Iterator[L
 def _predicted(name: str, result: CalibrationResult) -> Line:
     """Error on held-out measurements by the one that was predicted."""
     text = f"{name}, found by predicted error"
-    ratios = [g.ratio for g in result.gains if g.quantity in ("all", "position")]
+    ratios = [
+        g.ratio for g in result.statistics.gains if g.quantity in ("all", "position")
+    ]
     return between(text, ratios[0], 1.0 / WITHIN, WITHIN) if ratios else missing(text)
 
 
@@ -141,11 +143,13 @@ def panda_2() -> Iterator[Line]:
         errors.append(accuracy.rms)
     text = "Panda 2, other places, error with by without 'high'"
     yield between(text, errors[0] / errors[1], -np.inf, 1.03)
-    words = [*(o.cause for o in everything.outliers)]
+    words = [*(o.cause for o in everything.statistics.outliers)]
     words += [finding.message for finding in everything.findings]
     named = any(DOUBTFUL in _words(word) for word in words)
-    count = sum(bool(doubtful[o.row]) for o in everything.outliers)
-    shown = f"{named}, {count} of {len(everything.outliers)} outliers are there"
+    count = sum(bool(doubtful[o.row]) for o in everything.statistics.outliers)
+    shown = (
+        f"{named}, {count} of {len(everything.statistics.outliers)} outliers are there"
+    )
     yield Line("Panda 2, 'high' is named", shown, "named", named)
     yield Line("Panda 2, verdict", f"{everything.verdict} {everything.reason}")
     yield from list(_held_out("Panda 2 without 'high'", alone, np.inf))[1:]

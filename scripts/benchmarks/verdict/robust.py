@@ -81,7 +81,7 @@ def run(number: int) -> Robust:
     off = replace(job.problem, data=bad).errors(job.theta) / job.noise
     sure = spoiled & (np.linalg.norm(off, axis=1) > SURE)
     names = np.zeros(len(rows), bool)
-    names[[outlier.row for outlier in result.outliers]] = True
+    names[[outlier.row for outlier in result.statistics.outliers]] = True
     return Robust(
         outcome=outcome,
         model=model,

@@ -100,14 +100,17 @@ def judged(
     q = job.chain.random_configurations(WORKSPACE, stream(job.number, 99))
     actual, nominal = position_error(job, result.model, q), position_error(job, None, q)
     predicted, better = np.nan, np.nan
-    if result.workspace is not None:
-        predicted, better = result.workspace.calibrated[0], result.workspace.better
-    elif result.tip is not None:
-        predicted = result.tip.of_robot[0]
+    if result.accuracy.workspace is not None:
+        predicted, better = (
+            result.accuracy.workspace.calibrated[0],
+            result.accuracy.workspace.better,
+        )
+    elif result.accuracy.tip is not None:
+        predicted = result.accuracy.tip.of_robot[0]
     measured, expected = np.nan, np.nan
-    if there is not None and result.measured is not None:
+    if there is not None and result.accuracy.measured is not None:
         measured = position_error(job, result.model, there)
-        expected = result.measured.calibrated[0]
+        expected = result.accuracy.measured.calibrated[0]
     return Outcome(
         number=job.number,
         kind=kind,

@@ -32,9 +32,12 @@ def calibrated() -> CalibrationResult:
     )
     return replace(
         result,
-        history=(50.0, 20.0, 5.0, 5.0),
+        solver=replace(result.solver, history=(50.0, 20.0, 5.0, 5.0)),
         ladder=Ladder(rungs, 1),
-        outliers=(Outlier("row 8", 7, 9.0), Outlier("row 4", 3, 8.0)),
+        statistics=replace(
+            result.statistics,
+            outliers=(Outlier("row 8", 7, 9.0), Outlier("row 4", 3, 8.0)),
+        ),
     )
 
 
@@ -70,7 +73,10 @@ def many(calibrated: CalibrationResult) -> Callable[[int], CalibrationResult]:
             name: getattr(rows, name)[chosen] * noise for name in ("before", "after")
         }
         errors["after"][count // 3] *= 500.0
-        parts = {name: getattr(rows, name)[chosen] for name in ("sigma", "points")}
+        parts = {
+            name: getattr(rows, name)[chosen]
+            for name in ("sigma", "points", "leverage")
+        }
         taller = replace(rows, rows=rows.rows.rows(chosen), **errors, **parts)
         return replace(calibrated, fitted=taller, unseen=taller, training=count)
 

@@ -25,7 +25,7 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures.correlations import correlations
 from calib_pin.report.figures.intervals import parameter_intervals
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult, Validation
 
 # What has a direction is drawn as arrows, the rest in color.
 DRAWN = [name for name in NAMES["calibration"] if name != "errors-in-workspace"]
@@ -164,11 +164,12 @@ def test_names_in_pictures(
 
 def one_row(result: CalibrationResult) -> CalibrationResult:
     rows = result.fitted
-    names = ("before", "after", "sigma", "points")
+    names = ("before", "after", "sigma", "points", "leverage")
     first = replace(
         rows, rows=rows.rows.rows([0]), **{k: getattr(rows, k)[:1] for k in names}
     )
-    return replace(result, fitted=first, unseen=first, outliers=())
+    none = replace(result.statistics, outliers=())
+    return replace(result, fitted=first, unseen=first, statistics=none)
 
 
 def without(result: CalibrationResult) -> CalibrationResult:
@@ -182,13 +183,12 @@ def without(result: CalibrationResult) -> CalibrationResult:
         parameters=(),
         groups=(),
         covariance=np.zeros((0, 0)),
-        sigma0=np.nan,
-        noise=(),
+        statistics=replace(result.statistics, sigma0=np.nan, noise=()),
         unseen=None,
-        validation="none",
-        tip=None,
+        validation=Validation("none", 0),
+        accuracy=replace(result.accuracy, tip=None),
         identifiability=ranks,
-        history=(),
+        solver=replace(result.solver, history=()),
         ladder=None,
     )
 
@@ -217,7 +217,9 @@ def test_any_errors_can_be_drawn(
     after: float,
 ) -> None:
     result = with_errors(without(calibrated), before=before, after=after)
-    for figure in calibration_figures(replace(result, noise=calibrated.noise)):
+    for figure in calibration_figures(
+        replace(result, statistics=calibrated.statistics)
+    ):
         ElementTree.fromstring(figure.svg())
 
 

@@ -19,7 +19,9 @@ def test_residuals_are_in_units_of_their_deviation(
     values = whitened(calibrated)
     rows = calibrated.fitted
     assert list(values) == ["position", "orientation"]
-    for noise, quantity in zip(calibrated.noise, rows.quantities, strict=True):
+    for noise, quantity in zip(
+        calibrated.statistics.noise, rows.quantities, strict=True
+    ):
         used = noise.factor * noise.given
         sizes = rows.after[:, quantity.columns] / used
         np.testing.assert_allclose(values[quantity.name], np.sort(sizes.ravel()))

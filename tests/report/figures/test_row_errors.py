@@ -63,7 +63,12 @@ def test_what_has_no_logarithm_stands_at_the_ends(
     after = calibrated.fitted.after.copy()
     after[5, :3], after[6, :3], after[9, :3] = np.inf, 0.0, np.nan
     fitted = replace(calibrated.fitted, after=after)
-    result = replace(calibrated, fitted=fitted, unseen=None, outliers=())
+    result = replace(
+        calibrated,
+        fitted=fitted,
+        unseen=None,
+        statistics=replace(calibrated.statistics, outliers=()),
+    )
     drawn = draw(errors_per_measurement, result)
     axes = drawn.figure.axes[0]
     at, _ = line(axes, "after")

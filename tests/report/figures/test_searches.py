@@ -23,17 +23,37 @@ def test_convergence_is_the_history(
     (axes,) = drawn.figure.axes
     assert np.asarray(axes.lines[0].get_ydata()).tolist() == [50.0, 20.0, 5.0, 5.0]
     assert axes.get_yscale() == "log" and "in 3 generations" in drawn.reading
-    assert convergence(replace(calibrated, history=())) is None
-    assert convergence(replace(calibrated, history=(np.inf, np.inf))) is None
-    assert convergence(replace(calibrated, history=(0.0, 0.0))) is None
-    drawn = draw(convergence, replace(calibrated, history=(np.inf, 3.0, 0.0)))
+    assert (
+        convergence(replace(calibrated, solver=replace(calibrated.solver, history=())))
+        is None
+    )
+    assert (
+        convergence(
+            replace(
+                calibrated, solver=replace(calibrated.solver, history=(np.inf, np.inf))
+            )
+        )
+        is None
+    )
+    assert (
+        convergence(
+            replace(calibrated, solver=replace(calibrated.solver, history=(0.0, 0.0)))
+        )
+        is None
+    )
+    drawn = draw(
+        convergence,
+        replace(
+            calibrated, solver=replace(calibrated.solver, history=(np.inf, 3.0, 0.0))
+        ),
+    )
     assert np.asarray(drawn.figure.axes[0].lines[0].get_xdata()).tolist() == [1]
 
 
 def test_tip_errors_are_in_millimeters(
     calibrated: CalibrationResult, draw: Callable[..., Drawn]
 ) -> None:
-    tip = calibrated.tip
+    tip = calibrated.accuracy.tip
     assert tip is not None
     counts, errors = tip.by_count.curve
     drawn = draw(tip_by_count, calibrated)
@@ -47,13 +67,18 @@ def test_tip_errors_are_in_millimeters(
     assert "0.1" in ticks and not any("10" in tick for tick in ticks)
     last = replace(tip, by_count=replace(tip.by_count, last=(1, 1e-3)))
     assert len(last.by_count.curve[0]) == 1
-    assert tip_by_count(replace(calibrated, tip=last)) is None
+    assert (
+        tip_by_count(
+            replace(calibrated, accuracy=replace(calibrated.accuracy, tip=last))
+        )
+        is None
+    )
 
 
 def test_the_workspace_shows_all_samples(
     calibrated: CalibrationResult, draw: Callable[..., Drawn]
 ) -> None:
-    tip = calibrated.tip
+    tip = calibrated.accuracy.tip
     assert tip is not None
     drawn = draw(tip_in_workspace, calibrated)
     assert f"rms {1e3 * tip.rms[0]:.4f} mm" in drawn.reading
@@ -62,7 +87,12 @@ def test_the_workspace_shows_all_samples(
         count = sum(len(p.get_path().vertices) for p in patches)
         assert count == 2 * 2 * len(tip.points), "a dot and its rim"
     endless = replace(tip, position=np.full(len(tip.points), np.inf))
-    assert tip_in_workspace(replace(calibrated, tip=endless)) is None
+    assert (
+        tip_in_workspace(
+            replace(calibrated, accuracy=replace(calibrated.accuracy, tip=endless))
+        )
+        is None
+    )
 
 
 def test_rungs_have_their_score_and_its_deviation(

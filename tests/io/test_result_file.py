@@ -15,12 +15,14 @@ import calib_pin
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.documents import Provenance, calibration_document, encode
-from calib_pin.io.records import read_record
+from calib_pin.io.calibration_document import calibration_document
+from calib_pin.io.json_text import encode
+from calib_pin.io.result_file import read_result
 from calib_pin.io.results import read_accuracy
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.comparison import DESCRIBED, compare, stated_noise
+from calib_pin.validation.result import CalibrationResult, Provenance
 
 
 @pytest.fixture(scope="module")
@@ -49,20 +51,21 @@ def test_all_comes_back(document, result):
         {"file": "a.csv", "sha256": "abc"},
         {"file": "/dev/stdin", "sha256": ""},
     ]
-    found = read_record(stored(document))
+    found = read_result(stored(document))
     assert found.parameters == result.parameters
     assert found.groups == result.groups
     assert found.errors == result.errors
-    assert found.predicted == result.tip.rms
-    assert found.predicted_robot == result.tip.of_robot
-    assert found.noise == result.sigma0
-    assert (found.validation, found.rows) == ("5-fold", 40)
+    assert found.accuracy.tip.rms == result.accuracy.tip.rms
+    assert found.accuracy.tip.of_robot == result.accuracy.tip.of_robot
+    assert stated_noise(found) == result.statistics.sigma0
+    assert (found.validation.method, found.training) == ("5-fold", 40)
     assert (found.verdict, found.reason) == ("good", result.reason)
-    assert result.reason and found.file == "c.json"
-    assert found.hashes == ("abc",)
-    assert found.created == "2026-03-01T10:00:00+00:00"
-    assert found.oriented and found.described
-    assert found.unknown_ends == (True, True)
+    assert result.reason and found.provenance.file == "c.json"
+    assert found.provenance.hashes == ("abc", "")
+    assert found.provenance.created == "2026-03-01T10:00:00+00:00"
+    assert stated_noise(found) < DESCRIBED
+    both = compare(found, found)
+    assert both.oriented and both.drift.absorbed == ("base", "tool")
 
 
 def test_older_files(document):
@@ -72,20 +75,20 @@ def test_older_files(document):
         del error["training"]["after"]["p95"]
         error["validation"]["after"]["max"] = None  # JSON has no infinity.
         error["validation"]["before"] = None
-    found = read_record(stored(document))
-    assert found.predicted is None and found.noise is None
-    assert found.created == "" and not found.described
+    found = read_result(stored(document))
+    assert found.accuracy.tip is None and stated_noise(found) is None
+    assert found.provenance.created == ""
     for error in found.errors:
         assert math.isnan(error.after.p95)
         assert math.isnan(error.validation_after.max)
         assert error.validation_before is None
     for predicted in (None, {"position": None, "orientation": 1e-4}):
         document["predicted"] = predicted
-        assert read_record(stored(document)).predicted is None
+        assert read_result(stored(document)).accuracy.tip is None
 
 
 def test_the_accuracy_is_that_of_the_record(document):
-    record = read_record(stored(document))
+    record = read_result(stored(document))
     for name, stated in read_accuracy("c.json").items():
         (error,) = (e for e in record.errors if e.name == name)
         after = error.validation_after
@@ -159,10 +162,10 @@ def test_damaged_and_edited_files(change, message, document, refused):
     change(document)
     file = stored(document)
     if not message:
-        assert read_record(file).hashes == ()
+        assert read_result(file).provenance.hashes == ()
         return
     with refused(InputError, file="c.json", reason=("damaged", message)):
-        read_record(file)
+        read_result(file)
 
 
 @pytest.mark.parametrize(
@@ -185,4 +188,16 @@ def test_other_files(content, fields, tmp_path, monkeypatch, refused):
     monkeypatch.chdir(tmp_path)
     Path("c.json").write_text(content)
     with refused(InputError, file="c.json", **fields):
-        read_record("c.json")
+        read_result("c.json")
+
+
+def test_a_folder_of_an_older_version(tmp_path):
+    """It has neither `measurements.csv` nor what came with it."""
+    folder = Path(__file__).parents[1] / "data" / "calibration-0.1"
+    found = read_result(folder)
+    assert (found.verdict, found.training) == ("good", 40)
+    assert found.identifiability.structural_rank == 34
+    assert len(found.fitted) == 40 and np.isnan(found.fitted.after).all()
+    assert found.unseen is None and np.isnan(found.covariance).all()
+    calib_pin.report(folder, tmp_path / "page.html")
+    assert b"GOOD" in (tmp_path / "page.html").read_bytes()

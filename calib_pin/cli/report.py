@@ -1,0 +1,84 @@
+"""`calib-pin report`: page and figures of a calibration again, from its files alone."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+from calib_pin.cli.figures import (
+    FigureFormat,
+    Figures,
+    draw_calibration,
+    figure_contents,
+    figure_files,
+    told_figures,
+)
+from calib_pin.cli.files import check_outputs
+from calib_pin.cli.options import OUTPUT, Force, Quiet
+from calib_pin.cli.printing import notice, progress_bar, say_written, show
+
+__all__ = ["report"]
+
+
+def report(
+    calibration: Annotated[
+        Path,
+        typer.Argument(
+            metavar="DIR|CALIBRATION", help="Folder of the results, or its .json file."
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        typer.Option(
+            "-o",
+            "--output",
+            metavar="PAGE",
+            help="The page; default report.html of the folder, which is replaced.",
+            rich_help_panel=OUTPUT,
+        ),
+    ] = None,
+    figures: Figures = None,
+    figure_format: FigureFormat = "png",
+    force: Force = False,
+    quiet: Quiet = False,
+) -> int:
+    """Write the page and the figures of a calibration again, from its files alone.
+
+    calibration.json, measurements.csv and the robot are all that it takes. Of a
+    calibration without measurements.csv, as older versions wrote it, there are no
+    figures of single measurements. Exit status 2: the calibration must not be trusted.
+    """
+    from calib_pin.estimation.evidence import TRUSTED
+    from calib_pin.io.measurement_errors import FILE_NAME
+    from calib_pin.io.result_file import document_file, read_remedies, read_written
+    from calib_pin.io.result_folder import REPORT
+    from calib_pin.io.staging import write_files
+    from calib_pin.report.html import html_report
+    from calib_pin.report.text import report as blocks
+
+    file = document_file(calibration)
+    result, document = read_written(file)
+    page = output or file.parent / REPORT
+    own = output is None and REPORT in document.get("files", {})
+    pictures = figure_files(figures, figure_format, "calibration")
+    inputs: list[str | Path | None] = [file, file.parent / FILE_NAME]
+    inputs.append(result.model.chain.robot.file)
+    check_outputs([page, *pictures], inputs, force or own)
+    if FILE_NAME not in document.get("files", {}):
+        notice(f"{file} has no {FILE_NAME}: nothing is known of single measurements")
+    remedies = read_remedies(document)
+    with progress_bar(quiet=quiet) as bar:
+        drawn = draw_calibration(result, bar)
+        contents = figure_contents(drawn, pictures)
+        text = html_report(result, document, figures=drawn, remedies=remedies)
+    with write_files({page: text, **contents}, force=force or own):
+        if not quiet:
+            show(blocks(result, remedies))
+    told = told_figures(contents, pictures)
+    if not quiet:
+        say_written([f"wrote {page}", *told])
+    elif result.verdict not in TRUSTED:
+        notice(f"{result.verdict}: {result.reason}")
+    return 0 if result.verdict in TRUSTED else 2

@@ -1,0 +1,215 @@
+"""JSON of plain data: one writer and one reader for all documents.
+
+Dataclasses, named tuples, mappings, tuples, arrays and numbers are written as they are
+declared; a field may state another key, `field(metadata={"key": ...})`. JSON knows
+neither infinity nor NaN: such numbers are null, and `infinite` at the end of a document
+names those that are infinite, so that all numbers come back exactly.
+"""
+
+from __future__ import annotations
+
+import json
+import math
+import re
+import sys
+import types
+from collections.abc import Iterator, Mapping
+from dataclasses import MISSING, Field, fields, is_dataclass
+from functools import cache
+from pathlib import Path
+from reprlib import repr
+from typing import Any, Literal, TypeVar, Union, get_args, get_origin, get_type_hints
+
+import numpy as np
+
+from calib_pin.errors import InputError
+
+__all__ = ["Json", "decode", "encode", "plain", "require_format", "typed"]
+
+Json = dict[str, Any]
+
+INFINITE = "infinite"
+"""Key of the infinite numbers, by their paths."""
+
+NUMBERS = re.compile(r"\[\n[^\[\]{}\"]*\]")
+"""A list of numbers: no text holds a line break."""
+
+_T = TypeVar("_T")
+
+
+def encode(document: Mapping[str, Any]) -> bytes:
+    """The JSON text of a document; lists of numbers stand on one line each."""
+    lost: dict[str, str] = {}
+    finite = dict(_finite(document, "", lost))
+    if lost:
+        finite[INFINITE] = lost
+    text = json.dumps(finite, indent=1, allow_nan=False, ensure_ascii=False)
+    text = NUMBERS.sub(lambda found: f"[{' '.join(found[0][1:-1].split())}]", text)
+    # Lone surrogates, of file names that are not UTF-8, become JSON's own escapes.
+    return text.encode("utf-8", "backslashreplace") + b"\n"
+
+
+def decode(data: bytes) -> Any:
+    """The content of a JSON text, with its infinite numbers.
+
+    Raises:
+        ValueError: If it is no such text.
+        RecursionError: If it is nested too deeply.
+    """
+    document = json.loads(data.decode("utf-8-sig"))
+    lost = document.get(INFINITE, {}) if isinstance(document, dict) else {}
+    for path, number in lost.items():
+        *way, last = path.split("/")[1:]
+        try:
+            place = document
+            for key in way:
+                place = place[_key(place, key)]
+            if place[_key(place, last)] is None and number in ("inf", "-inf"):
+                place[_key(place, last)] = float(number)
+        except (LookupError, TypeError) as error:
+            raise ValueError(f"'{INFINITE}' names no number: {path}") from error
+    return document
+
+
+def require_format(
+    document: object, what: str, name: str, newest: int, file: str | Path
+) -> Json:
+    """A document of one of our formats, of a version that can be read.
+
+    Args:
+        document: The content of the file.
+        what: What it is called in messages.
+        name: Name of the format.
+        newest: Newest version that can be read.
+        file: The file.
+
+    Raises:
+        InputError: If it is anything else.
+    """
+    if not isinstance(document, dict) or document.get("format") != name:
+        raise InputError(f"not a {what} of calib-pin", file=file)
+    version = document.get("version")
+    if type(version) is not int or not 1 <= version <= newest:
+        raise InputError(
+            f"a {what} of another version",
+            file=file,
+            value=version,
+            allowed=f"1 to {newest}",
+        )
+    return document
+
+
+def plain(value: Any) -> Any:
+    """Typed data as mappings, lists, texts and numbers."""
+    if is_dataclass(value):
+        return {_name(f): plain(getattr(value, f.name)) for f in fields(value)}
+    if isinstance(value, tuple) and hasattr(value, "_asdict"):
+        return plain(value._asdict())
+    if isinstance(value, Mapping):
+        return {str(key): plain(item) for key, item in value.items()}
+    if isinstance(value, list | tuple):
+        return [plain(item) for item in value]
+    return value.tolist() if isinstance(value, np.ndarray | np.generic) else value
+
+
+def typed(kind: type[_T], value: Any) -> _T:
+    """Plain data as a declared type; unknown keys are ignored.
+
+    Args:
+        kind: A dataclass.
+        value: A mapping by the keys of its fields.
+
+    Raises:
+        KeyError: If a field that has no default is missing.
+        TypeError, ValueError, AttributeError: If a value is not of its declared type.
+    """
+    result: _T = _typed(kind, value)
+    return result
+
+
+def _typed(kind: Any, value: Any) -> Any:
+    origin, of = get_origin(kind), get_args(kind)
+    if origin in (Union, types.UnionType):
+        if value is None and type(None) in of:
+            return None
+        known = [one for one in of if one is not type(None)]
+        # Of a number or a text, a text is what is no number.
+        kind = str if isinstance(value, str) and str in known else known[0]
+        return _typed(kind, value)
+    if is_dataclass(kind) or hasattr(kind, "_fields"):
+        return _record(kind, value)
+    if origin is tuple:
+        several = len(of) == 2 and of[1] is Ellipsis
+        kinds = of[:1] * len(value) if several else of
+        if isinstance(value, str) or len(value) != len(kinds):
+            raise ValueError(f"{repr(value)} stands in the place of a list")
+        return tuple(map(_typed, kinds, value))
+    if isinstance(origin, type) and issubclass(origin, Mapping):
+        return {str(key): _typed(of[1], item) for key, item in value.items()}
+    if origin is Literal:
+        if value not in of:
+            raise ValueError(f"{repr(value)} is none of {', '.join(map(str, of))}")
+        return value
+    return _scalar(kind, value)
+
+
+def _scalar(kind: Any, value: Any) -> Any:
+    """A number, a text or a flag; null is a number that nobody knows."""
+    if kind is float:
+        if value is None:
+            return math.nan
+        number = isinstance(value, float | int) and not isinstance(value, bool)
+        # Python reads NaN and numbers of any length, JSON knows none.
+        if not number or value != value or sys.float_info.max < abs(value) < math.inf:
+            raise ValueError(f"{repr(value)} stands in the place of a number")
+        return float(value)
+    if type(value) is not kind:
+        names = {int: "a whole number", str: "a name", bool: "true or false"}
+        raise ValueError(f"{repr(value)} stands in the place of {names[kind]}")
+    return value
+
+
+def _record(kind: Any, value: Any) -> Any:
+    hints = _hints(kind)
+    if not is_dataclass(kind):
+        return kind(*(_typed(hints[name], value[name]) for name in kind._fields))
+    found = {}
+    for part in fields(kind):
+        key = _name(part)
+        if (part.default, part.default_factory) == (MISSING, MISSING) or key in value:
+            found[part.name] = _typed(hints[part.name], value[key])
+    return kind(**found)  # type: ignore[operator]
+
+
+@cache
+def _hints(kind: Any) -> Mapping[str, Any]:
+    return get_type_hints(kind)
+
+
+def _name(part: Field[Any]) -> str:
+    return str(part.metadata.get("key", part.name))
+
+
+def _finite(value: Any, path: str, lost: dict[str, str]) -> Any:
+    """Plain data without the numbers that JSON does not know; these go to `lost`."""
+    if isinstance(value, float):
+        if math.isinf(value):
+            lost[path] = str(value)
+        return value if math.isfinite(value) else None
+    if isinstance(value, Mapping):
+        return {key: _finite(item, at, lost) for key, item, at in _below(value, path)}
+    if isinstance(value, list | tuple):
+        return [_finite(v, f"{path}/{k}", lost) for k, v in enumerate(value)]
+    return value
+
+
+def _below(value: Mapping[Any, Any], path: str) -> Iterator[tuple[str, Any, str]]:
+    for key, item in value.items():
+        at = str(key).replace("~", "~0").replace("/", "~1")  # A JSON pointer.
+        yield str(key), item, f"{path}/{at}"
+
+
+def _key(place: Any, key: str) -> Any:
+    if isinstance(place, list):
+        return int(key)
+    return key.replace("~1", "/").replace("~0", "~")

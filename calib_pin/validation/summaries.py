@@ -1,0 +1,177 @@
+"""The parts of a result: solver, statistics, validation, accuracy, model selection."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from calib_pin.estimation.evidence import (
+    ExpectedAccuracy,
+    Gain,
+    Outlier,
+    VarianceComponent,
+)
+from calib_pin.estimation.predicted_tip import TipAccuracy
+
+__all__ = [
+    "Ladder",
+    "Provenance",
+    "Rung",
+    "SolverSummary",
+    "Statistics",
+    "ToolAccuracy",
+    "Validation",
+]
+
+
+@dataclass(frozen=True)
+class Rung:
+    """One step of the model ladder, judged by cross-validation.
+
+    Attributes:
+        name: What it adds.
+        parameters: Names of its parameterizations.
+        learned: Its residual model, None for none.
+        rank: Practical rank of its fit; 0 where it could not be tried.
+        errors: Name, unit and mean error on unseen rows of every quantity.
+        score: Mean error on unseen rows, root mean square of the components in standard
+            deviations; NaN where it could not be tried.
+        deviation: Standard error of the score.
+        helps: Whether it lowers the errors of the rungs that it stands on by more than
+            the standard error of the difference.
+        reason: Why it could not be tried; empty where it was.
+    """
+
+    name: str
+    parameters: tuple[str, ...]
+    learned: str | None
+    rank: int = 0
+    errors: tuple[tuple[str, str, float], ...] = ()
+    score: float = float("nan")
+    deviation: float = float("nan")
+    helps: bool = False
+    reason: str = ""
+
+
+@dataclass(frozen=True)
+class Ladder:
+    """The model ladder.
+
+    Attributes:
+        rungs: All of them, simplest first.
+        chosen: Position of the one that is kept.
+    """
+
+    rungs: tuple[Rung, ...]
+    chosen: int
+
+
+@dataclass(frozen=True)
+class SolverSummary:
+    """How the solver ended.
+
+    Attributes:
+        name: Name of the solver.
+        evaluator: What evaluated the residuals, see `solve.Solved`.
+        status: One of `solvers.Status`, in words.
+        iterations: Steps of the solver.
+        evaluations: Evaluations of the cost; an evolution counts its members.
+        history: Best cost of every generation, if it searched by evolution: half the
+            sum of squared whitened residuals of the measurements that the search
+            looks at, a sample with `hybrid` and thousands of measurements.
+        at_bounds: Names of the parameters that stand at a bound.
+        seed: Seed of configurations and splits.
+    """
+
+    name: str
+    evaluator: str
+    status: str
+    iterations: int
+    evaluations: int
+    history: tuple[float, ...]
+    at_bounds: tuple[str, ...]
+    seed: int
+
+
+@dataclass(frozen=True)
+class Statistics:
+    """The statistics of the residuals.
+
+    Attributes:
+        chi2: Sum of squared whitened residuals.
+        dof: Residual components minus rank.
+        sigma0: Standard deviation of unit weight.
+        stated_sigma: Whether the measurements state their standard deviations.
+        noise: Variance components.
+        outliers: Measurements with residuals too large to be chance, worst first.
+        displaced: How far the tool would be off from here, root mean square over the
+            workspace, with the rejected measurements fitted like the rest [m]; None
+            where none was rejected.
+        gains: Paired tests on held-out configurations, the first of all quantities.
+    """
+
+    chi2: float
+    dof: int
+    sigma0: float
+    stated_sigma: bool
+    noise: tuple[VarianceComponent, ...] = ()
+    outliers: tuple[Outlier, ...] = ()
+    displaced: float | None = None
+    gains: tuple[Gain, ...] = ()
+
+
+@dataclass(frozen=True)
+class Validation:
+    """How the fit was checked on held-out measurements.
+
+    Attributes:
+        method: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
+        count: Number of validation measurements.
+        placed: Names of places that only validation measurements name, and that
+            were estimated from these.
+        skipped: Why folds of a cross-validation were skipped: a fit without them
+            says nothing of the robot.
+    """
+
+    method: str
+    count: int
+    placed: tuple[str, ...] = ()
+    skipped: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class ToolAccuracy:
+    """The expected errors of the tool.
+
+    Attributes:
+        tip: The predicted tool-point uncertainty over the workspace; None for a fit
+            without redundancy.
+        measured: The accuracy to expect where it was measured.
+        workspace: The accuracy to expect over the workspace.
+    """
+
+    tip: TipAccuracy | None = None
+    measured: ExpectedAccuracy | None = None
+    workspace: ExpectedAccuracy | None = None
+
+
+@dataclass(frozen=True)
+class Provenance:
+    """How a result came about.
+
+    Attributes:
+        command: The command line.
+        created: Time of writing, ISO 8601; empty where it is unknown.
+        seconds: Time the solver took.
+        versions: Version of each package by name.
+        file: The `calibration.json` that a result was read from.
+        hashes: SHA-256 of the measurement files; of a pipe there is none.
+    """
+
+    command: tuple[str, ...] = ()
+    created: str = ""
+    seconds: float = math.nan
+    versions: Mapping[str, str] = field(default_factory=dict)
+    file: str = ""
+    hashes: tuple[str, ...] = ()

@@ -24,27 +24,24 @@ from calib_pin.observations import AT, Measurements
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_split import split
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.named_array import NamedArray
-from calib_pin.validation.result import (
-    CalibratedModel,
-    CalibrationResult,
+from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.splits import FOLDS
+from calib_pin.validation.summaries import (
     Ladder,
     SolverSummary,
     Statistics,
     ToolAccuracy,
-    UrdfResult,
     Validation,
 )
-from calib_pin.validation.row_errors import RowErrors
-from calib_pin.validation.splits import FOLDS
 from calib_pin.validation.tip_drift import tip_drift
-
-__all__ = ["calibrate"]
 
 
 @serial_blas

@@ -12,16 +12,6 @@ from collections.abc import Iterable
 from pathlib import Path
 from typing import Self
 
-__all__ = [
-    "CalibPinError",
-    "InputError",
-    "OptionError",
-    "OutputError",
-    "RobotError",
-    "nearest",
-    "require_known",
-]
-
 
 class CalibPinError(Exception):
     """Base of every error that calib-pin raises on purpose."""

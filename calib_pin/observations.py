@@ -13,18 +13,6 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 
-__all__ = [
-    "AT",
-    "PART",
-    "PLUS",
-    "Measurements",
-    "fitted_and_held_out",
-    "require_alike",
-    "rows_by_part",
-    "stacked",
-    "trusted",
-]
-
 Floats = NDArray[np.float64]
 
 PLUS = "+"

@@ -17,8 +17,6 @@ from numpy.typing import NDArray
 from calib_pin.errors import OptionError, nearest
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Parameter", "ParameterSet", "matching"]
-
 
 @dataclass(frozen=True)
 class Parameter:

@@ -14,8 +14,6 @@ from typing import Any, TypeVar
 
 from calib_pin.errors import CalibPinError
 
-__all__ = ["extensions", "members"]
-
 T = TypeVar("T")
 
 

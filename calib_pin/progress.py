@@ -4,8 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 
-__all__ = ["Progress", "Stages", "named", "portion"]
-
 Progress = Callable[[float], None]
 """Called with the completed fraction, 0 to 1."""
 

@@ -22,9 +22,6 @@ from calib_pin.measurement_models.rows import absent, assumed_sigma, contact_row
 from calib_pin.observations import AT, PLUS, Measurements
 from calib_pin.parameters import ParameterSet
 
-__all__ = ["draw_errors", "exact_problem", "simulate"]
-
-
 LEG = 10
 """Rows that are measured from one start where configurations are drawn."""
 

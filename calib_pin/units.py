@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import math
 
-__all__ = ["DISPLAY"]
-
 DISPLAY = {
     "m": ("mm", 1e3),
     "rad": ("deg", 180.0 / math.pi),

@@ -31,7 +31,8 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.io.urdf import load_chain, parse_robot
+from calib_pin.io.urdf import load_chain
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.features import Frame
@@ -49,7 +50,8 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import draw_errors, exact_problem, simulate
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Provenance
 
 
 def example_robots() -> list[Path]:

@@ -11,7 +11,7 @@ import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 

@@ -24,7 +24,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.position import Position
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 ORIGIN = re.compile(rb"<origin\b[^>]*>")
 

@@ -18,8 +18,6 @@ from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
 
-__all__ = ["application"]
-
 COMMANDS: dict[Callable[..., int | None], str] = {
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
     identify: "Print which parameters are identifiable.",

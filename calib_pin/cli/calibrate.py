@@ -46,8 +46,6 @@ from calib_pin.cli.results import (
     write_results,
 )
 
-__all__ = ["calibrate"]
-
 
 def calibrate(
     context: typer.Context,

@@ -6,8 +6,6 @@ from typing import Any
 
 from typer.core import TyperCommand
 
-__all__ = ["Command"]
-
 
 class Command(TyperCommand):
     """A command whose help reads `ROBOT MEASUREMENTS...`, with options by topic."""

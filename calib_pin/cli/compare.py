@@ -19,8 +19,6 @@ from calib_pin.cli.files import check_outputs, require_distinct, require_file
 from calib_pin.cli.options import Force, Json, seed
 from calib_pin.cli.printing import say, say_written, show
 
-__all__ = ["compare"]
-
 WORKSPACE = "Workspace"
 """Heading of `--help`."""
 

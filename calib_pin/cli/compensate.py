@@ -27,9 +27,7 @@ from calib_pin.cli.printing import (
 if TYPE_CHECKING:
     from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
-    from calib_pin.validation.result import CalibratedModel
-
-__all__ = ["compensate"]
+    from calib_pin.validation.calibrated_model import CalibratedModel
 
 TARGETS = "Targets"
 """Heading of `--help`."""

@@ -26,8 +26,6 @@ from calib_pin.cli.options import (
 )
 from calib_pin.cli.printing import progress_bar, show, stage
 
-__all__ = ["evaluate"]
-
 
 def evaluate(
     robot: RobotOrCalibration,
@@ -61,8 +59,8 @@ def evaluate(
     from calib_pin.io.json_text import encode
     from calib_pin.kinematics.chain import Chain
     from calib_pin.report.accuracy import evaluated
+    from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.validation.evaluation import evaluate as run
-    from calib_pin.validation.result import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
     subject: Chain | CalibratedModel

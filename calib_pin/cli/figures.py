@@ -16,17 +16,6 @@ if TYPE_CHECKING:
     from calib_pin.validation.comparison import Comparison
     from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "FigureFormat",
-    "Figures",
-    "draw_calibration",
-    "draw_comparison",
-    "draw_plan",
-    "figure_contents",
-    "figure_files",
-    "told_figures",
-]
-
 FORMATS = ("png", "pdf", "svg")
 """Formats of pictures by the ending of their names."""
 

@@ -12,21 +12,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.observations import Measurements
     from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibratedModel
-
-__all__ = [
-    "check_outputs",
-    "exists",
-    "open_calibration",
-    "open_chain",
-    "open_measurements",
-    "open_setup",
-    "require_distinct",
-    "require_file",
-    "require_folders",
-    "require_joints_only",
-    "require_model",
-]
+    from calib_pin.validation.calibrated_model import CalibratedModel
 
 
 def open_setup(

@@ -26,8 +26,6 @@ from calib_pin.cli.options import (
 )
 from calib_pin.cli.printing import progress_bar, show
 
-__all__ = ["identify"]
-
 
 def identify(
     robot: RobotName,

@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
 
-__all__ = ["parse_limits"]
-
 
 def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:
     """Limits by joint name or glob [rad, m].

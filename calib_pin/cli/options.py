@@ -9,28 +9,6 @@ from typing import Annotated, Any, TypeVar
 
 import typer
 
-__all__ = [
-    "FIT",
-    "OUTPUT",
-    "ROBOT",
-    "Base",
-    "Force",
-    "Json",
-    "Model",
-    "Parameters",
-    "Quiet",
-    "RobotName",
-    "RobotOrCalibration",
-    "Seed",
-    "SetupFile",
-    "Tip",
-    "csv_file",
-    "listed",
-    "number",
-    "option",
-    "seed",
-]
-
 ROBOT = "Robot"
 FIT = "Fit"
 OUTPUT = "Output"

@@ -49,8 +49,6 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.collision import Collisions
     from calib_pin.setup import Setup
 
-__all__ = ["plan"]
-
 PLAN = "Plan"
 WORKSPACE = "Constraints"
 """Headings of `--help`."""

@@ -15,8 +15,6 @@ from calib_pin.progress import Progress, named
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
 
-__all__ = ["Bar", "notice", "progress_bar", "say", "say_written", "show", "stage"]
-
 Bar = Callable[[str, float | None], None]
 """Told the stage and the part that is done, 0 to 1; None where that is not known."""
 

@@ -19,8 +19,6 @@ from calib_pin.cli.files import check_outputs
 from calib_pin.cli.options import OUTPUT, Force, Quiet
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 
-__all__ = ["report"]
-
 
 def report(
     calibration: Annotated[

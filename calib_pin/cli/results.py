@@ -16,14 +16,6 @@ if TYPE_CHECKING:
     from calib_pin.report.figures import Drawn
     from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "Run",
-    "check_results",
-    "result_contents",
-    "result_files",
-    "write_results",
-]
-
 
 class Run(NamedTuple):
     """How a result came about: the words of the command, and the time of the fit."""

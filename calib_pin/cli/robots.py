@@ -4,8 +4,6 @@ from __future__ import annotations
 
 import typer
 
-__all__ = ["robots"]
-
 
 def robots() -> int:
     """List the bundled robots, whose names can stand for a URDF file."""

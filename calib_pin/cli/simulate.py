@@ -29,8 +29,6 @@ from calib_pin.cli.options import (
 from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import notice, progress_bar, say_written, stage
 
-__all__ = ["simulate"]
-
 STUDY = "Simulation"
 """Heading of `--help`."""
 
@@ -137,7 +135,7 @@ def simulate(
     from calib_pin.io.true_errors import read_true_errors
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
-    from calib_pin.validation.result import CalibratedModel
+    from calib_pin.validation.calibrated_model import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
     measured = require_model(stated)

@@ -30,10 +30,8 @@ from calib_pin.cli.printing import Bar, notice, progress_bar, stage
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.setup import Setup
-    from calib_pin.validation.result import CalibratedModel
+    from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.viewer.scene import Rows, Scene
-
-__all__ = ["view"]
 
 WINDOW = "Window"
 """Heading of `--help`."""

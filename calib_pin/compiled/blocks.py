@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["BLOCK", "Booleans", "Indices", "compiled", "motions"]
-
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.int64]
 

@@ -13,17 +13,6 @@ import numpy as np
 from calib_pin.compiled.blocks import BLOCK, compiled
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = [
-    "beam_cost",
-    "distance_cost",
-    "height_cost",
-    "little_turned",
-    "pixel_cost",
-    "pose_cost",
-    "position_cost",
-    "rotation_vector",
-]
-
 
 @compiled
 def position_cost(p: Floats, centers: Floats, values: Floats, weights: Floats) -> float:

@@ -40,13 +40,6 @@ from calib_pin.compiled.comparisons import (
 )
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = [
-    "COMPARISONS",
-    "Rows",
-    "population_costs",
-    "poses",
-]
-
 COMPARISONS = ("position", "distance", "height", "beam", "pixel", "pose")
 """How the tool can be compared with measured values."""
 

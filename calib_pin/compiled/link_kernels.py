@@ -10,8 +10,6 @@ from numba import njit
 from calib_pin.compiled.blocks import Indices, compiled
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["links"]
-
 
 @compiled
 def links(

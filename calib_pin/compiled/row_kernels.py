@@ -15,8 +15,6 @@ import numpy as np
 from calib_pin.compiled.blocks import BLOCK, Indices, compiled
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["normal_equations", "triangular_factor"]
-
 
 @compiled
 def normal_equations(

@@ -20,8 +20,6 @@ from threading import Lock, get_ident
 from types import TracebackType
 from typing import Any, TypeVar
 
-__all__ = ["Threads", "serial_blas"]
-
 _Function = TypeVar("_Function", bound=Callable[..., Any])
 _Piece = TypeVar("_Piece")
 _Result = TypeVar("_Result")

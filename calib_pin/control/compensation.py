@@ -26,9 +26,7 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import NOTHING
 from calib_pin.progress import Progress
-from calib_pin.validation.result import CalibratedModel
-
-__all__ = ["Compensation", "compensate", "ends_estimated", "follow", "with_payload"]
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 JUMP = 0.1
 """Change of the corrections between neighboring configurations that no smooth

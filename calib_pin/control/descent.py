@@ -24,8 +24,6 @@ from calib_pin.control.system import System, times
 from calib_pin.control.task import Effort, Task
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["descend"]
-
 
 @dataclass(frozen=True)
 class DescentOptions:

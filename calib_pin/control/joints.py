@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Booleans", "Indices", "Joints", "Kinematics", "Solutions"]
-
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
 position (N, 6, n). The twists may neglect small terms; that costs a step or two."""

@@ -18,8 +18,6 @@ from calib_pin.control.task import (
 )
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["reach", "search"]
-
 
 @dataclass(frozen=True)
 class SearchOptions:

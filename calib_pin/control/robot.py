@@ -11,9 +11,7 @@ from calib_pin.control.joints import Joints, Kinematics, Solutions
 from calib_pin.control.reaching import search
 from calib_pin.kinematics.spatial import Floats, adjoint, interpolate, invert
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.validation.result import CalibratedModel
-
-__all__ = ["Frame", "Point", "commands", "kinematics"]
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 Frame: TypeAlias = Literal["measuring", "base"]
 Point: TypeAlias = Literal["tool", "tip"]

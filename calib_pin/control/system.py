@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.control.joints import Booleans, Indices
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["System", "times"]
-
 WEIGHT = 1e3
 """Weight of the directions of the target in a Hessian."""
 

@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.control.joints import Indices, Joints, Kinematics
 from calib_pin.kinematics.spatial import Floats, so3_log
 
-__all__ = ["EXACT", "FULL", "ROUGH", "THOROUGH", "Effort", "Task"]
-
 
 @dataclass(frozen=True)
 class Task:

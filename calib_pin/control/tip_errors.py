@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats, so3_log
 
-__all__ = ["TipErrors", "tip_errors"]
-
 
 @dataclass(frozen=True)
 class TipErrors:

@@ -20,13 +20,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows, relative_rows
 from calib_pin.observations import Measurements
 
-__all__ = [
-    "asked",
-    "brought_to_contact",
-    "observable_configurations",
-    "payloads_in_turn",
-]
-
 DRAWS = 50
 """Times that configurations are drawn anew."""
 

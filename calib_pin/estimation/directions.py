@@ -14,22 +14,6 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 
-__all__ = [
-    "WEAK",
-    "Directions",
-    "appearing",
-    "half_covariance",
-    "inverse_root",
-    "practical_directions",
-    "projected",
-    "pruned",
-    "robot_singular_values",
-    "robot_svd",
-    "rounding",
-    "visible_directions",
-    "visible_nuisances",
-]
-
 WEAK = 10.0
 """Posterior standard deviation, in scales, from which a direction is left alone."""
 

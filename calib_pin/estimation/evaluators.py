@@ -13,8 +13,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
 from calib_pin.observations import Measurements
 
-__all__ = ["Evaluator", "RowByRow", "evaluator"]
-
 MANY = 1_000_000
 """Entries of a Jacobian from which measurements go through the compiled kernels, in
 chunks.

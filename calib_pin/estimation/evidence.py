@@ -10,17 +10,6 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 from typing import Literal
 
-__all__ = [
-    "TRUSTED",
-    "VERDICTS",
-    "ExpectedAccuracy",
-    "Finding",
-    "Gain",
-    "Outlier",
-    "Severity",
-    "VarianceComponent",
-]
-
 VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
 """What a calibration can come to."""
 

@@ -32,8 +32,6 @@ from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.progress import Progress
 from calib_pin.solvers import LeastSquaresResult, Status
 
-__all__ = ["fit", "refitted", "with_effects"]
-
 CLOSE = 1e-9
 """Part of the cost that a step must promise where a fit only checks another one: of
 thousands of rows a thousandth of a standard deviation."""

@@ -17,8 +17,6 @@ from calib_pin.estimation.statistics.systematic import ROWS, Systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, LeastSquaresResult
 
-__all__ = ["Fit"]
-
 
 @dataclass(frozen=True)
 class Fit:

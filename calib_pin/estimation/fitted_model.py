@@ -23,8 +23,6 @@ from calib_pin.observations import Measurements
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import Setup
 
-__all__ = ["FittedModel", "fit_model"]
-
 FIT_PART = 0.2
 """Part of the time that the parameters take where a correction is learned as well."""
 

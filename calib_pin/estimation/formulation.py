@@ -19,8 +19,6 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
 
-__all__ = ["make_problem", "nominal_problem", "restricted"]
-
 
 def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
     """Error model, measurement model and data of a setup put together.

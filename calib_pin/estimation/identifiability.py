@@ -23,15 +23,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
 
-__all__ = [
-    "Combination",
-    "Structure",
-    "combinations",
-    "everett_count",
-    "observability",
-    "structure",
-]
-
 CRUMB = 1e-6
 """Ratio to the heaviest term of a sum below which a term is rounding."""
 

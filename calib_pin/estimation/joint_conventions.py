@@ -23,8 +23,6 @@ from calib_pin.observations import Measurements
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
 
-__all__ = ["Reading", "Suggestion", "suggest_conventions"]
-
 ROWS = 60
 """Rows that readings are tried on."""
 

@@ -23,8 +23,6 @@ from calib_pin.measurement_models.features import (
 )
 from calib_pin.setup import DistanceSetup
 
-__all__ = ["KnownDistances"]
-
 
 @dataclass(frozen=True)
 class KnownDistances:

@@ -24,8 +24,6 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 
-__all__ = ["learned_correction", "require_learnable", "training_rows"]
-
 
 def require_learnable(name: str, setup: Setup, measurements: Measurements) -> None:
     """Refuse a residual model that does not exist or has nothing to learn from.

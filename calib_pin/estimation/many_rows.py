@@ -26,8 +26,6 @@ from calib_pin.estimation.segments import Segments
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 
-__all__ = ["ManyRows"]
-
 CHUNK = 128 * blocks.BLOCK
 """Rows of a chunk. It is the same for any number of threads, so that sums have one
 order, and so large that threads seldom wait for the interpreter."""

@@ -16,8 +16,6 @@ from calib_pin.measurement_models import Linearization, MeasurementModel
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations.error_model import ErrorModel
 
-__all__ = ["Model", "linearized_at", "whitened_jacobian"]
-
 
 @dataclass(frozen=True)
 class Model:

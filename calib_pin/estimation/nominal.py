@@ -19,8 +19,6 @@ from calib_pin.estimation.tool_poses import Configured
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
-__all__ = ["analyze_structure", "jacobian_at", "register", "structure_at"]
-
 
 @serial_blas
 def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:

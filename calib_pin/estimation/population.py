@@ -16,8 +16,6 @@ from calib_pin.estimation.segments import Segments
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
 
-__all__ = ["PopulationCost"]
-
 WORTHWHILE = 40_000
 """Evaluations of a configuration that are worth a thread: about a millisecond."""
 

@@ -31,8 +31,6 @@ from calib_pin.estimation.statistics.variance_components import (
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.error_model import ErrorModel
 
-__all__ = ["Posterior", "posterior"]
-
 
 @dataclass(frozen=True)
 class Posterior:

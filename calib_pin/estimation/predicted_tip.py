@@ -9,8 +9,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["ByCount", "FoundCurve", "TipAccuracy", "rms"]
-
 
 class ByCount(Protocol):
     """The error of the tip by the number of measurements."""

@@ -26,16 +26,6 @@ from calib_pin.observations import Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 
-__all__ = [
-    "EXACT",
-    "SAMPLE",
-    "Problem",
-    "distinct_values",
-    "expecting",
-    "repeated",
-    "sigma_at",
-]
-
 SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
 

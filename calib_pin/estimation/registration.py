@@ -16,8 +16,6 @@ from calib_pin.parameterizations import frame_pose
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import FrameSetup
 
-__all__ = ["extended", "registered"]
-
 
 def registered(problem: Problem, theta: Floats) -> Problem:
     """A problem about closed-form frames and instrument references.

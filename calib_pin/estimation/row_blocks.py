@@ -10,8 +10,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Blocks", "Expected", "Priors", "RowBlock"]
-
 
 class RowBlock(Protocol):
     """Whitened residual rows as a function of all parameters."""

@@ -13,8 +13,6 @@ from calib_pin.estimation.tool_poses import Configured, ToolPoses
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.linearization import PoseLinearization
 
-__all__ = ["growth", "scale_deviation", "scale_observable"]
-
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
 

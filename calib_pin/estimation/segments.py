@@ -24,8 +24,6 @@ from calib_pin.parameterizations import Screw
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import ordered_screws
 
-__all__ = ["Segments"]
-
 Factor: TypeAlias = "pin.SE3 | tuple[int, float]"
 """A constant, or a screw by its position with the sign it is applied with."""
 

@@ -10,8 +10,6 @@ from calib_pin.observations import Measurements
 from calib_pin.parameterizations import beyond_geometry
 from calib_pin.setup import Setup
 
-__all__ = ["geometric_setup", "parameter_names", "with_parameters"]
-
 
 def geometric_setup(chain: Chain, measurements: Measurements, setup: Setup) -> Setup:
     """The setup of the geometry that a URDF can hold; without parameters for none.

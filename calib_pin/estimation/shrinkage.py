@@ -20,8 +20,6 @@ from calib_pin.estimation.row_blocks import Expected
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 
-__all__ = ["Evidence", "expected_errors", "expected_size"]
-
 STATED = 2.0
 """Directions that the stated size of errors is worth against those that are measured.
 

@@ -27,16 +27,6 @@ from calib_pin.solvers import (
     gauss_newton,
 )
 
-__all__ = [
-    "SOLVERS",
-    "Solved",
-    "Solver",
-    "alternating_least_squares",
-    "descend",
-    "least_squares",
-    "refine",
-]
-
 SOLVERS = ("gauss-newton", "two-step", "de", "hybrid")
 """Names of the solvers."""
 

@@ -20,8 +20,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
 from calib_pin.solvers import LeastSquaresResult
 
-__all__ = ["Solution", "Stages", "judge"]
-
 SURPRISE = 10.0
 """Gain in chi-square per direction beyond what chance gives once in six hundred."""
 

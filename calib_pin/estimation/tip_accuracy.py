@@ -15,8 +15,6 @@ from calib_pin.estimation.predicted_tip import TipAccuracy, rms
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["LEVER", "tip_accuracy", "without_frames"]
-
 SAMPLES = 300
 """Configurations of the workspace."""
 

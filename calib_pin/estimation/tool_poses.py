@@ -14,8 +14,6 @@ from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
-__all__ = ["Configurations", "Configured", "ToolLinearization", "ToolPoses"]
-
 
 class Configured(Protocol):
     """Where a model is asked; measurements are, too, beside what was measured."""

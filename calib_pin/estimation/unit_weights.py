@@ -17,8 +17,6 @@ from calib_pin.estimation.statistics.variance_components import (
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import Status
 
-__all__ = ["balanced"]
-
 STANDS = 0.01
 """Change of the ratios of unit weights at which they stand: a third of the deviation
 with which five hundred values tell one, and a change of no weight that matters."""

@@ -33,8 +33,6 @@ from calib_pin.setup import (
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
 
-__all__ = ["model_of", "reference_of"]
-
 ENDS = ("base", "tool")
 """The frames at the two ends of a chain."""
 

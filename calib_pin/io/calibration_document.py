@@ -23,17 +23,9 @@ from calib_pin.measurement_models import Feature
 from calib_pin.measurement_models.features import Frame
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.assessment import chi2_interval
-from calib_pin.validation.result import (
-    CalibratedModel,
-    CalibrationResult,
-    Ladder,
-    Provenance,
-    QuantityErrors,
-    ToolAccuracy,
-    UrdfResult,
-)
-
-__all__ = ["calibration_document", "provenance"]
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult, QuantityErrors, UrdfResult
+from calib_pin.validation.summaries import Ladder, Provenance, ToolAccuracy
 
 
 def calibration_document(

@@ -18,8 +18,6 @@ from calib_pin.io.json_text import Json, decode, require_format
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import Accuracy, QuantityErrors
 
-__all__ = ["numbers", "read_document", "reading", "stated_errors", "text"]
-
 FORMAT, VERSION = "calib-pin/calibration", 1
 """What is read; the newest version."""
 

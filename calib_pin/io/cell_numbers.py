@@ -8,8 +8,6 @@ from collections.abc import Sequence
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = ["read_numbers", "what_is_wrong"]
-
 
 def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     """The numbers in some cells, to the last bit as Python's `float` has them.

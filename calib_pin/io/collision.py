@@ -22,8 +22,6 @@ from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
 
-__all__ = ["load_collisions"]
-
 CLEARANCE = 0.01
 """Distance kept where the user asks for none: robots and fixtures are never quite
 where their models are [m]."""

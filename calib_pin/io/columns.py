@@ -14,18 +14,6 @@ from calib_pin.errors import nearest
 from calib_pin.io.cell_numbers import read_numbers
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
 
-__all__ = [
-    "ANGLE",
-    "LENGTH",
-    "PIXEL",
-    "PURE",
-    "Column",
-    "GrowingColumn",
-    "Kind",
-    "closest",
-    "split_header",
-]
-
 Floats = NDArray[np.float64]
 
 

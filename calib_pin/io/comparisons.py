@@ -11,8 +11,6 @@ from calib_pin.validation.parameter_changes import Difference
 from calib_pin.validation.result import Accuracy, CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
-__all__ = ["comparison_document"]
-
 
 def comparison_document(found: Comparison) -> Json:
     """The numbers of a comparison, in SI units; B is the second calibration.

@@ -12,8 +12,6 @@ from calib_pin.errors import InputError
 from calib_pin.io.files import read_blocks, read_bytes
 from calib_pin.progress import Progress
 
-__all__ = ["CsvText", "Stretch", "open_csv"]
-
 BLOCK = 1 << 17
 """Bytes that are read at a time: their cells fit into the cache of a processor (1 MB
 takes a third longer), and what a block costs by itself is below a hundredth."""

@@ -17,15 +17,6 @@ from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.result import Evaluation, Identification
 
-__all__ = [
-    "compensation_document",
-    "evaluation_document",
-    "identification_document",
-    "identification_parts",
-    "plan_document",
-    "stated",
-]
-
 
 def stated(kind: str, version: int = 1) -> Json:
     """The first keys of a document.

@@ -9,8 +9,6 @@ from pathlib import Path
 from calib_pin.errors import InputError
 from calib_pin.io.staging import reason_of, write_files
 
-__all__ = ["read_blocks", "read_bytes", "write_atomically"]
-
 
 def read_bytes(path: str | Path) -> bytes:
     """Read a file.

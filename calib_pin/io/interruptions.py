@@ -12,8 +12,6 @@ from pathlib import Path
 
 from calib_pin.errors import OutputError
 
-__all__ = ["locked", "signals_deferred"]
-
 PATIENCE = 30.0
 """How long a folder may stay locked [s]; runs hold it while they write, not longer."""
 

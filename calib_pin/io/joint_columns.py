@@ -14,14 +14,6 @@ from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import FREE_TRAVEL, Chain
 from calib_pin.setup import JointMap
 
-__all__ = [
-    "JointSource",
-    "column_values",
-    "joint_sources",
-    "read_positions",
-    "spare_columns",
-]
-
 LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
 

@@ -17,19 +17,6 @@ from pathlib import Path, PurePosixPath
 from calib_pin.errors import InputError, OutputError
 from calib_pin.io.interruptions import locked, signals_deferred
 
-__all__ = [
-    "JOURNAL",
-    "complete",
-    "discard",
-    "inside",
-    "listed",
-    "settle",
-    "settled",
-    "sha256",
-    "sync",
-    "temporary",
-]
-
 JOURNAL = ".calib-pin-commit.json"
 """Name of the list of what a folder is about to hold."""
 

@@ -24,8 +24,6 @@ import numpy as np
 
 from calib_pin.errors import InputError
 
-__all__ = ["Json", "decode", "encode", "plain", "require_format", "typed"]
-
 Json = dict[str, Any]
 
 INFINITE = "infinite"

@@ -28,21 +28,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import AT
 
-__all__ = [
-    "ORIENTED",
-    "POSITION",
-    "check_spread",
-    "check_targets",
-    "components",
-    "find_starts",
-    "measured",
-    "needed",
-    "read_sigma",
-    "read_values",
-    "reserved",
-    "sigmas",
-]
-
 POSITION = ("x", "y", "z")
 """Columns of a position."""
 

@@ -20,8 +20,6 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.row_errors import AXES, RowErrors
 
-__all__ = ["FILE_NAME", "decode_errors", "encode_errors", "unknown_errors"]
-
 FILE_NAME = "measurements.csv"
 """Name beside `calibration.json`."""
 

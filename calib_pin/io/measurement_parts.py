@@ -25,8 +25,6 @@ from calib_pin.observations import AT, Measurements
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap
 
-__all__ = ["check_places", "read_parts"]
-
 POSITIONS = 0.95
 """Part of the time after which joint positions are read."""
 

@@ -32,18 +32,6 @@ from calib_pin.observations import PLUS, Measurements
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
 
-__all__ = [
-    "check_columns",
-    "encode_configurations",
-    "encode_measurements",
-    "encode_table",
-    "read_configurations",
-    "read_measurements",
-    "read_names",
-    "write_configurations",
-    "write_measurements",
-]
-
 CUT = 0.9
 """Part of the time after which lines are cut into cells."""
 

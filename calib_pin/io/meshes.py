@@ -14,8 +14,6 @@ from calib_pin.errors import InputError
 from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["locate_mesh", "read_mesh"]
-
 
 def locate_mesh(
     written: str, urdf: Path, package_dirs: Sequence[str | Path] = ()

@@ -21,8 +21,6 @@ from calib_pin.io.table import Table
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import PLUS
 
-__all__ = ["check_model", "infer_model", "split_by_model"]
-
 
 def check_model(model: str) -> None:
     """Check the name of a measurement model, or of several with a plus between them.

@@ -10,16 +10,6 @@ from calib_pin.errors import InputError
 from calib_pin.io.columns import ANGLE, PURE, Floats, Kind
 from calib_pin.io.table import Table
 
-__all__ = [
-    "FIXED_AXES",
-    "ORIENTATIONS",
-    "QUATERNION",
-    "ROTATION_VECTOR",
-    "orientation_columns",
-    "read_kinds",
-    "read_quaternions",
-]
-
 QUATERNION = {"qx": PURE, "qy": PURE, "qz": PURE, "qw": PURE}
 ROTATION_VECTOR = {"rx": ANGLE, "ry": ANGLE, "rz": ANGLE}
 FIXED_AXES = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE}

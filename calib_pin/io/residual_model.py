@@ -26,9 +26,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
-from calib_pin.validation.result import CalibratedModel
-
-__all__ = ["FILE_NAME", "encode_residual_model", "read_residual_model", "reference"]
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 FORMAT = "calib-pin/residual-model"
 VERSION = 1

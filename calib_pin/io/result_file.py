@@ -20,26 +20,26 @@ from calib_pin.io.measurement_errors import FILE_NAME, decode_errors, unknown_er
 from calib_pin.io.result_folder import DOCUMENT, Read, opened
 from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.result import (
-    CalibratedModel,
     CalibrationResult,
     CoupledGroup,
     FoundDistance,
     Identifiability,
-    Ladder,
     ParameterEstimate,
+    UrdfResult,
+)
+from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.summaries import (
+    Ladder,
     Provenance,
     Rung,
     SolverSummary,
     Statistics,
     ToolAccuracy,
-    UrdfResult,
     Validation,
 )
-from calib_pin.validation.row_errors import RowErrors
-
-__all__ = ["document_file", "read_remedies", "read_result", "read_written"]
 
 LATER: Mapping[str, Json] = {
     "statistics": {"sigma0": None, "stated_sigma": False},

@@ -21,19 +21,6 @@ from calib_pin.io.journal import inside, settled, sha256
 from calib_pin.io.json_text import Json, encode
 from calib_pin.io.residual_model import FILE_NAME
 
-__all__ = [
-    "DOCUMENT",
-    "NOMINAL",
-    "REPORT",
-    "Read",
-    "members",
-    "opened",
-    "require_one_run",
-    "run_id",
-    "urdf_name",
-    "written_before",
-]
-
 DOCUMENT = "calibration.json"
 REPORT = "report.html"
 NOMINAL = "nominal.urdf"

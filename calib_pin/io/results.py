@@ -30,17 +30,10 @@ from calib_pin.io.result_folder import (
     opened,
     require_one_run,
 )
-from calib_pin.io.urdf import corrected_urdf, locate_robot, parse_robot
+from calib_pin.io.urdf import corrected_urdf, locate_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.validation.calibrated_model import CalibratedModel
-
-__all__ = [
-    "encode_urdf",
-    "read_accuracy",
-    "read_calibration",
-    "read_model",
-    "write_urdf",
-]
 
 AGREEMENT = 1e-9
 """Largest difference of forward kinematics between model and written URDF [m, rad]."""

@@ -13,8 +13,6 @@ from calib_pin.setup import Setup
 if TYPE_CHECKING:
     from calib_pin.io.yaml_tree import Tree
 
-__all__ = ["read_setup", "setup_document", "setup_of"]
-
 ALLOWED: Mapping[str, str] = {
     "dataclass_type": "a mapping of keys to values",
     "dict_type": "a mapping of names to values",

@@ -38,8 +38,6 @@ from calib_pin.solvers.differential_evolution import (
 if TYPE_CHECKING:
     from pydantic import TypeAdapter
 
-__all__ = ["SetupFile", "adapter", "context", "json_schema", "known_keys"]
-
 
 @dataclass(frozen=True)
 class EvolutionOption(Constraint):

@@ -28,8 +28,6 @@ from calib_pin.io.journal import (
     temporary,
 )
 
-__all__ = ["reason_of", "write_files", "write_folder"]
-
 
 @contextmanager
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None]:

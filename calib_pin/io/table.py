@@ -22,8 +22,6 @@ from calib_pin.io.columns import Column, Floats, GrowingColumn, Kind, split_head
 from calib_pin.io.csv_text import CsvText, Stretch, open_csv
 from calib_pin.progress import Progress
 
-__all__ = ["Table", "read_table"]
-
 
 @dataclass(frozen=True)
 class Table:

@@ -28,8 +28,6 @@ from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.setup import JointMap
 
-__all__ = ["Targets", "encode_commands", "read_target_file"]
-
 ROW = "row"
 """Column that holds the line of a target."""
 

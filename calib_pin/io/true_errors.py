@@ -8,8 +8,6 @@ from pathlib import Path
 
 from calib_pin.errors import InputError, nearest
 
-__all__ = ["read_true_errors"]
-
 
 def read_true_errors(
     path: str | Path, known: Collection[str] | None = None

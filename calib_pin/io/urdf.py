@@ -14,19 +14,6 @@ from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 
-__all__ = [
-    "bundled_robots",
-    "corrected_urdf",
-    "edit_origins",
-    "is_source",
-    "load_chain",
-    "load_robot",
-    "locate_robot",
-    "parse_robot",
-    "robot_file",
-    "write_corrected_urdf",
-]
-
 _EXAMPLE = "example:"
 
 

@@ -20,14 +20,6 @@ import pinocchio as pin
 from calib_pin.errors import OutputError, RobotError, nearest
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = [
-    "Document",
-    "Element",
-    "edit_origins",
-    "parse_document",
-    "read_origin",
-]
-
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
     (codecs.BOM_UTF16_LE, "utf-16-le"),

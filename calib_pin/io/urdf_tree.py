@@ -15,8 +15,6 @@ from calib_pin.errors import nearest
 from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.chain import Robot
 
-__all__ = ["captured_stderr", "parse_robot"]
-
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
 

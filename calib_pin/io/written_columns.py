@@ -19,8 +19,6 @@ from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import JointMap
 
-__all__ = ["column_name", "configuration_columns", "measurement_columns"]
-
 
 def measurement_columns(
     measurements: Measurements,

@@ -21,8 +21,6 @@ from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.setup.values import as_number
 
-__all__ = ["Tree", "read_tree"]
-
 _DEEPEST = 20
 _GLOB = '"*.placement.z"'
 

@@ -30,8 +30,6 @@ from calib_pin.kinematics.tree import (
 )
 from calib_pin.setup import Payload
 
-__all__ = ["FREE_TRAVEL", "Chain", "Robot"]
-
 FREE_TRAVEL = 1.0
 """Travel of a prismatic joint either way where its URDF states no limits [m]: that of
 the usual linear axis that carries a robot."""

@@ -18,8 +18,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.tree import Configurations
 
-__all__ = ["Collisions"]
-
 ROUNDING = 1e-5
 """Distance kept beyond the clearance [m]: at the very edge of a collision, where a
 descent may end, rounding would decide."""

@@ -10,22 +10,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-__all__ = [
-    "Floats",
-    "adjoint",
-    "from_quaternion",
-    "interpolate",
-    "interpolated_twists",
-    "invert",
-    "nearest_rotation",
-    "se3_exp",
-    "skew",
-    "so3_exp",
-    "so3_log",
-    "so3_log_derivative",
-    "to_quaternion",
-]
-
 Floats = NDArray[np.float64]
 
 

@@ -9,8 +9,6 @@ import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["LINK", "Configurations", "link_frame", "reduced", "support"]
-
 LINK = "\0"
 """Marks the names of links in a reduced model; no XML can contain it."""
 

@@ -17,21 +17,6 @@ from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
-__all__ = [
-    "Batch",
-    "BatchedModel",
-    "Curvature",
-    "CurvedModel",
-    "DeclaredModel",
-    "Linearization",
-    "MeasurementModel",
-    "Quantity",
-    "ReferenceParameters",
-    "References",
-    "rotation_curvature",
-    "tool_references",
-]
-
 
 @dataclass(frozen=True)
 class Linearization:

@@ -45,8 +45,6 @@ from calib_pin.measurement_models.pinhole import (
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Setup
 
-__all__ = ["CameraModel"]
-
 
 @dataclass(frozen=True)
 class CameraModel(DeclaredModel):

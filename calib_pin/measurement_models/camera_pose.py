@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats, nearest_rotation
 
-__all__ = ["carried_points", "pose_of_points"]
-
 FLAT = 0.1
 """Part of the extent of a set of points below which it may count as a plane."""
 

@@ -22,8 +22,6 @@ from calib_pin.measurement_models.camera_pose import carried_points, pose_of_poi
 from calib_pin.measurement_models.pinhole import NEAR
 from calib_pin.measurement_models.registration import fit_pose, register_poses
 
-__all__ = ["Rays"]
-
 IMAGES = 50
 """Images that a start is made from; more do not help it."""
 

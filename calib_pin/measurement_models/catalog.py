@@ -17,8 +17,6 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.observations import PLUS
 from calib_pin.plugins import members
 
-__all__ = ["MEASUREMENT_MODELS", "declared", "tracked"]
-
 
 def _fault(name: str, model: object) -> str:
     """Why an object of another package cannot be a member; empty where it can."""

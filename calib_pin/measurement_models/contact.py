@@ -30,17 +30,6 @@ from calib_pin.measurement_models.tool_point import (
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 
-__all__ = [
-    "PlaneContact",
-    "SphereContact",
-    "directions",
-    "planes_of_setup",
-    "rays",
-    "round_bend",
-    "rounds",
-]
-
-
 GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
 
 

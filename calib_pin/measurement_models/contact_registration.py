@@ -16,14 +16,6 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.registration import register_plane
 
-__all__ = [
-    "Reached",
-    "register_distances",
-    "register_relative_distances",
-    "register_sockets",
-    "register_touched_plane",
-]
-
 
 @serial_blas
 def register_sockets(

@@ -14,8 +14,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["INSTRUMENT", "Declaration", "Inference", "Naming", "Quantity"]
-
 QUATERNION = ("qx", "qy", "qz", "qw")
 """Columns of the values that hold an orientation."""
 

@@ -38,8 +38,6 @@ from calib_pin.measurement_models.tool_point import (
 from calib_pin.observations import AT, Measurements
 from calib_pin.setup import Setup
 
-__all__ = ["PointDistance", "RelativeDistance"]
-
 QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
 

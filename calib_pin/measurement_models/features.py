@@ -32,19 +32,6 @@ from calib_pin.setup import (
     Triple,
 )
 
-__all__ = [
-    "Anchor",
-    "Feature",
-    "Frame",
-    "Point",
-    "Sphere",
-    "Stated",
-    "locate",
-    "nuisances",
-    "slices",
-    "triple",
-]
-
 METER = 1.0
 """Scale of an unknown place [m]: where something stands is no error of a robot."""
 

@@ -28,8 +28,6 @@ from calib_pin.measurement_models.tool_point import (
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 
-__all__ = ["FixedPoint"]
-
 
 @dataclass(frozen=True)
 class FixedPoint(PointModel):

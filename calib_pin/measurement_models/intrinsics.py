@@ -15,8 +15,6 @@ from calib_pin.measurement_models.pinhole import undistort
 from calib_pin.parameters import Parameter
 from calib_pin.setup import CameraSetup, Setup
 
-__all__ = ["INTRINSICS", "Camera", "Marker"]
-
 INTRINSICS = (
     *(("fx", "px", 100.0), ("fy", "px", 100.0), ("cx", "px", 100.0)),
     *(("cy", "px", 100.0), ("k1", "", 0.1), ("k2", "", 0.1)),

@@ -34,8 +34,6 @@ from calib_pin.measurement_models.mount import Mounted
 from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
 
-__all__ = ["Mixed", "qualified"]
-
 
 @dataclass(frozen=True)
 class _SideBySide(ReferenceParameters):

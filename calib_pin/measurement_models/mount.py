@@ -22,8 +22,6 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.measurement_models.features import Feature, Frame
 from calib_pin.observations import Measurements
 
-__all__ = ["Mounted"]
-
 
 @dataclass(frozen=True)
 class _Wrapper(ReferenceParameters):

@@ -15,15 +15,6 @@ from calib_pin.measurement_models.registration import fit_pose
 from calib_pin.observations import AT
 from calib_pin.setup import PointSetup
 
-__all__ = [
-    "given_names",
-    "named_points",
-    "placed_tool",
-    "split_names",
-    "tip_points",
-    "xyz_or_none",
-]
-
 
 def split_names(
     target: Sequence[str], places: bool

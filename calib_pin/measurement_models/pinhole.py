@@ -23,8 +23,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["NEAR", "Image", "distort", "turning_radius", "undistort"]
-
 NEAR = 1e-3
 """Depth up to which a point counts as behind the camera [m]."""
 

@@ -31,8 +31,6 @@ from calib_pin.measurement_models.registration import register_plane
 from calib_pin.observations import Measurements
 from calib_pin.setup import RangerSetup, Setup
 
-__all__ = ["PlaneDistance"]
-
 GRAZING = 1e-3
 """Cosine to the normal below which a beam counts as parallel to the plane."""
 

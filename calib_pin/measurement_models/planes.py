@@ -13,8 +13,6 @@ from calib_pin.measurement_models.features import nuisances, triple
 from calib_pin.parameters import Parameter
 from calib_pin.setup import PlaneSetup
 
-__all__ = ["Plane", "turned_planes"]
-
 
 @dataclass(frozen=True)
 class Plane:

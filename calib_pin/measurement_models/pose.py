@@ -34,8 +34,6 @@ from calib_pin.measurement_models.registration import register_poses
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 
-__all__ = ["Pose"]
-
 
 @dataclass(frozen=True)
 class Pose(DeclaredModel):

@@ -28,8 +28,6 @@ from calib_pin.measurement_models.tool_point import (
 )
 from calib_pin.observations import Measurements
 
-__all__ = ["Position"]
-
 
 @dataclass(frozen=True)
 class Position(PointModel):

@@ -15,8 +15,6 @@ from calib_pin.measurement_models.named_points import placed_tool, tip_points
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Measurements
 
-__all__ = ["PlaceModel"]
-
 
 @dataclass(frozen=True)
 class PlaceModel(PointModel):

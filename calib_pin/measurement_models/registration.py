@@ -15,15 +15,6 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats, nearest_rotation, skew, so3_exp
 
-__all__ = [
-    "UNKNOWN",
-    "fit_pose",
-    "register_plane",
-    "register_points",
-    "register_poses",
-    "register_reached",
-]
-
 UNKNOWN = np.full((1, 3), np.nan)
 """One point of the tool that nobody knows."""
 

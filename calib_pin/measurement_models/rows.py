@@ -12,8 +12,6 @@ from calib_pin.measurement_models.base import MeasurementModel
 from calib_pin.measurement_models.mixed import Mixed
 from calib_pin.observations import rows_by_part
 
-__all__ = ["absent", "assumed_sigma", "contact_rows", "relative_rows"]
-
 
 def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:
     """Standard deviation of the residual components where rows state none, (d,)."""

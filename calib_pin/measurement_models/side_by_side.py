@@ -23,8 +23,6 @@ from calib_pin.observations import (
     stacked,
 )
 
-__all__ = ["among", "by_part", "concatenate", "repeated_targets", "targets_of"]
-
 Parts = Mapping[str, tuple[NDArray[np.intp], Measurements]]
 """By model the rows that are of it, and these in its own columns with plain targets."""
 

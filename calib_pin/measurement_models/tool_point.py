@@ -33,12 +33,6 @@ from calib_pin.measurement_models.named_points import (
 from calib_pin.observations import AT, Measurements
 from calib_pin.setup import Setup
 
-__all__ = [
-    "PointCurvature",
-    "PointMeasurement",
-    "PointModel",
-]
-
 
 @dataclass(frozen=True)
 class PointMeasurement:

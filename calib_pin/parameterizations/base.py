@@ -12,19 +12,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
-__all__ = [
-    "ANGLE_SCALE",
-    "COMPONENTS",
-    "LENGTH_SCALE",
-    "BasisFunction",
-    "BasisFunctions",
-    "Effects",
-    "Parameterization",
-    "Screw",
-    "expected_size",
-    "owner",
-]
-
 LENGTH_SCALE = 1e-3
 """Expected size of a length error of a robot [m]."""
 

@@ -19,8 +19,6 @@ from calib_pin.parameterizations.base import (
 )
 from calib_pin.setup import Payload, Setup
 
-__all__ = ["NOTHING", "Compliance"]
-
 DEFLECTION = 1e-3
 """Expected deflection of a joint under its usual torque [rad, m]."""
 

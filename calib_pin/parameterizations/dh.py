@@ -24,8 +24,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.base import Parameterization, Screw
 
-__all__ = ["DenavitHartenberg", "FullDenavitHartenberg"]
-
 PARALLEL = 0.05
 """Sine of the angle below which neighboring axes count as parallel (3 degrees)."""
 

@@ -45,8 +45,6 @@ from calib_pin.parameterizations.linearization import (
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 
-__all__ = ["ErrorModel", "Learned"]
-
 
 class Learned(Protocol):
     """A learned correction, which has no error parameters."""

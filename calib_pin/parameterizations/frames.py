@@ -11,8 +11,6 @@ from calib_pin.parameterizations.base import COMPONENTS, Screw
 from calib_pin.parameters import Parameter
 from calib_pin.setup import FrameSetup
 
-__all__ = ["frame_pose", "frame_screws", "frame_setup"]
-
 
 def frame_screws(name: str, frame: int, *, free: bool) -> Sequence[Screw]:
     """Screws `<name>.frame.x..rz` that follow the reference pose of a frame.

@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.base import Parameterization, Screw
 
-__all__ = ["JointOffset"]
-
 
 class JointOffset(Parameterization):
     """`<joint>.joint-offset.q`: a screw along the joint's own motion.

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.base import Screw
 
-__all__ = ["Fading", "PoseLinearization", "ordered_screws"]
-
 
 @dataclass(frozen=True)
 class PoseLinearization:

@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.base import COMPONENTS, Parameterization, Screw
 
-__all__ = ["LinkTransform", "Placement"]
-
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
 

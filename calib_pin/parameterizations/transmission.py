@@ -21,8 +21,6 @@ from calib_pin.parameterizations.base import (
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
 
-__all__ = ["Transmission"]
-
 GAIN_SCALE = 1e-3
 """Expected size of the error of a gear ratio."""
 

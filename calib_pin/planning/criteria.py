@@ -31,9 +31,6 @@ from calib_pin.estimation.identifiability import observability
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, whiten
 
-__all__ = ["CRITERIA", "Criterion", "Determinant", "Prediction", "Spectral"]
-
-
 PINCHED = 5
 """Smallest eigenvalues whose coupling enters the closer bounds."""
 

@@ -24,8 +24,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Information", "Trials", "log_determinants", "products_of", "whiten"]
-
 
 @dataclass(frozen=True)
 class Information:

@@ -21,8 +21,6 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.information import Information, log_determinants, products_of
 
-__all__ = ["Leverages"]
-
 STEEP = 1e-3
 """Factor of a determinant in one direction below which a change loses digits: beyond,
 and beyond its inverse, everything is computed anew."""

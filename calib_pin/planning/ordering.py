@@ -16,8 +16,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["shortest_order"]
-
 ROUNDS = 30
 """Times that a path with blocked moves is improved anew."""
 

@@ -38,8 +38,6 @@ from calib_pin.solvers import Status
 from calib_pin.validation.assessment import estimates
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
-__all__ = ["CRITERION_NAMES", "Plan", "Step", "plan"]
-
 CRITERION_NAMES = (*CRITERIA, "prediction")
 """Names of all criteria."""
 

@@ -24,14 +24,6 @@ from calib_pin.planning.workspace import Candidates
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 
-__all__ = [
-    "STRUCTURE",
-    "assumes_tool",
-    "identification",
-    "planned_problem",
-    "require_plannable",
-]
-
 STRUCTURE = 300
 """Candidates that show what can be identified at all."""
 

@@ -12,8 +12,6 @@ from calib_pin.parameters import ParameterSet
 from calib_pin.planning.information import Information
 from calib_pin.planning.rows import IdentificationRows
 
-__all__ = ["Predicted", "TipTests", "predict"]
-
 
 @dataclass(frozen=True)
 class TipTests:

@@ -29,8 +29,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import CurvedModel, MeasurementModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
-__all__ = ["IdentificationRows", "Pullback", "Rows"]
-
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
 

@@ -31,8 +31,6 @@ from calib_pin.solvers import (
     projected_descent,
 )
 
-__all__ = ["METHODS", "Found", "Search"]
-
 RIDGE = 1e-6
 """Information that lets a search begin, as a part of that of a mean configuration."""
 

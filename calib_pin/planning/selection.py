@@ -12,8 +12,6 @@ from calib_pin.planning.criteria import Criterion, Determinant
 from calib_pin.planning.information import Information
 from calib_pin.planning.leverages import Leverages
 
-__all__ = ["DeterminantSelection", "Selection", "selection"]
-
 
 class Selection:
     """A subset of C candidates with its information, its cost and what would change it.

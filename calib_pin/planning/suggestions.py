@@ -21,9 +21,8 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify
-from calib_pin.validation.result import CalibratedModel, Identification
-
-__all__ = ["Suggestion", "calibrated_setup", "suggestions"]
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import Identification
 
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """From a tool that may sit on the last axis to one that does not [m]."""

@@ -15,8 +15,6 @@ from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import matching
 
-__all__ = ["Candidates", "Workspace"]
-
 Booleans = NDArray[np.bool_]
 
 DRAWS = 400

@@ -22,18 +22,6 @@ from calib_pin.report.tables import (
 from calib_pin.report.trust import advised, set_aside
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
-__all__ = [
-    "accuracy",
-    "beyond",
-    "chain_words",
-    "evaluated",
-    "judged",
-    "moves",
-    "opening",
-    "subject",
-    "verdict",
-]
-
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
 """Residual models as they are called in sentences."""
 

@@ -10,8 +10,6 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
-__all__ = ["Block", "Cell", "Column", "Facts", "Line", "Names", "Table", "columns"]
-
 
 @dataclass(frozen=True)
 class Line:

@@ -18,8 +18,6 @@ from calib_pin.validation.parameter_changes import (
 )
 from calib_pin.validation.result import Accuracy, CalibrationResult
 
-__all__ = ["accuracies", "parameter_changes", "tip_differences"]
-
 FAR = 0.01
 """Distance between the tools from which it matters which of them is compared [m]."""
 

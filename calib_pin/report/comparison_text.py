@@ -17,8 +17,6 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.comparison import Comparison, stated_noise
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["comparison_report"]
-
 
 def comparison_report(found: Comparison) -> Iterator[Block]:
     """Whether the robot changed, where, by which parameters, and the doubts."""

@@ -14,8 +14,6 @@ from calib_pin.report.blocks import Block, Cell, Line, Names, Table, columns
 from calib_pin.report.tables import amount, quantity
 from calib_pin.units import DISPLAY
 
-__all__ = ["accuracy_lines", "compensation_report", "line_list"]
-
 SHOWN = 12
 """Lines that are named; the rest is counted."""
 

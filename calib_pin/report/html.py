@@ -34,8 +34,6 @@ from calib_pin.report.trust import expected, findings, noise, percent
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["html_report", "summary_html"]
-
 LISTED = 200
 """Outliers and correlated pairs that the page lists; the file has all of them."""
 

@@ -17,8 +17,6 @@ from calib_pin.report.tables import (
 )
 from calib_pin.validation.result import CoupledGroup, Identification
 
-__all__ = ["identified", "of_place", "ranks", "remedied", "unknown"]
-
 REMARKS = {"weak": " (held wholly or partly at nominal)"}
 """Remarks on a status that explain it."""
 

@@ -12,8 +12,6 @@ from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["report"]
-
 
 def report(
     result: CalibrationResult | str | Path, file: str | Path, *, force: bool = False

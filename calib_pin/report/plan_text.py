@@ -19,8 +19,6 @@ from calib_pin.report.tables import (
 from calib_pin.solvers import Status
 from calib_pin.units import DISPLAY
 
-__all__ = ["plan_report"]
-
 SHOWN = 12
 """Lines of the table of accuracy against the number of configurations."""
 

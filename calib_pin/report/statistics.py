@@ -9,8 +9,6 @@ from calib_pin.report.tables import number
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["correlated", "statistics"]
-
 LISTED = 5
 """Correlated pairs that are listed before the rest is only counted."""
 

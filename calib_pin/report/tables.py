@@ -12,32 +12,10 @@ from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
     FoundDistance,
-    Ladder,
     ParameterEstimate,
     QuantityErrors,
-    Rung,
 )
-
-__all__ = [
-    "ESTIMATE",
-    "SIZES",
-    "STATUS",
-    "accuracy_table",
-    "amount",
-    "distance_table",
-    "group_table",
-    "known",
-    "ladder_table",
-    "listed",
-    "number",
-    "outlier_table",
-    "parameter_overview",
-    "parameter_table",
-    "quantity",
-    "significant",
-    "sizes",
-    "uncertain",
-]
+from calib_pin.validation.summaries import Ladder, Rung
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""

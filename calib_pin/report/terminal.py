@@ -12,8 +12,6 @@ from rich.text import Text
 
 from calib_pin.report.blocks import Block, Line, Names, Table
 
-__all__ = ["WIDTH", "laid_out", "plain_text"]
-
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
 

@@ -15,8 +15,6 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import expected, findings, noise, outliers
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["format_report", "report"]
-
 
 @serial_blas
 def format_report(result: CalibrationResult) -> str:

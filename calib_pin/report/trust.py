@@ -16,16 +16,6 @@ from calib_pin.report.tables import significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = [
-    "advised",
-    "expected",
-    "findings",
-    "noise",
-    "outliers",
-    "percent",
-    "set_aside",
-]
-
 LISTED = 5
 """Outliers that are listed before the rest is only counted."""
 

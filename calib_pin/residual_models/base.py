@@ -13,16 +13,6 @@ from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.region import TrainedRegion
 
-__all__ = [
-    "INDEPENDENT",
-    "Linearized",
-    "ResidualModel",
-    "Space",
-    "TrainingRows",
-    "convincing",
-    "correction_unit",
-]
-
 Space = Literal["joint", "tip"]
 
 INDEPENDENT = 1e-8

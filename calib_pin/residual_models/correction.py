@@ -7,8 +7,6 @@ from dataclasses import dataclass
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.base import ResidualModel, Space
 
-__all__ = ["LearnedCorrection"]
-
 
 @dataclass(frozen=True)
 class LearnedCorrection:

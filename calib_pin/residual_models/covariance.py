@@ -23,8 +23,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.documents import checked, numbers
 from calib_pin.residual_models.region import PIECE
 
-__all__ = ["Covariance"]
-
 
 @dataclass(frozen=True)
 class Covariance:

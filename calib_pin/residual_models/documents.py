@@ -9,8 +9,6 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["checked", "numbers", "stated"]
-
 LARGEST = 1e12
 """Largest number in a document: beyond, squares and products would overflow."""
 

@@ -32,8 +32,6 @@ from calib_pin.residual_models.documents import checked, numbers, stated
 from calib_pin.residual_models.likelihood import left_out, most_likely
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
-__all__ = ["GaussianProcess", "GaussianProcessOptions", "fit_gaussian_process"]
-
 FREE = 1e4
 """Variance of the part that a shift can explain, in mean squares of the residual."""
 

@@ -16,8 +16,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.covariance import Covariance
 
-__all__ = ["left_out", "most_likely"]
-
 BOUNDS = {
     "own": (1e-6, 1e4),
     "short": (0.02, 3.0),

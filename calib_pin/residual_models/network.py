@@ -24,8 +24,6 @@ from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.training import Member
 from calib_pin.residual_models.units import Inputs, Weights, combined, series
 
-__all__ = ["Network", "NetworkOptions", "fit_network"]
-
 FAILED = 2.0
 """Multiple of the best member's held-out mean square from which another has failed."""
 

@@ -12,8 +12,6 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.residual_models.documents import checked, numbers
 
-__all__ = ["PIECE", "Angles", "TrainedRegion"]
-
 ANCHORS = 1000
 """Training configurations that a region remembers; more do not change its shape."""
 

@@ -23,8 +23,6 @@ from calib_pin.residual_models.units import (
     unit_columns,
 )
 
-__all__ = ["Member"]
-
 FIRST = 2
 """Bands that a network begins with; the others wait until the units have found form.
 

@@ -22,8 +22,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["BANDS", "Circle", "Inputs", "Weights", "combined", "series", "unit_columns"]
-
 BANDS = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 14), (15, 20), (21, 30), (31, 40))
 """Harmonics with a decay in common, the first and the last of each."""
 

@@ -13,18 +13,6 @@ from collections.abc import Callable, Collection, Mapping
 from dataclasses import dataclass, field
 from typing import Annotated, Any
 
-__all__ = [
-    "Checked",
-    "Constraint",
-    "Distinct",
-    "Json",
-    "Keys",
-    "Names",
-    "Registered",
-    "listed",
-    "without_empty",
-]
-
 Json = dict[str, Any]
 
 

@@ -20,17 +20,6 @@ from calib_pin.setup.values import (
     Vector,
 )
 
-__all__ = [
-    "AnchorSetup",
-    "CameraSetup",
-    "DistanceSetup",
-    "FrameSetup",
-    "Frames",
-    "PlaneSetup",
-    "PointSetup",
-    "SphereSetup",
-]
-
 STEEPEST = 1e6
 """Largest length of a normal, and the inverse of the smallest."""
 

@@ -10,8 +10,6 @@ from typing import Any, ClassVar
 
 from calib_pin.setup.constraints import without_empty
 
-__all__ = ["LENIENT", "Section", "meanings"]
-
 LENIENT = "lenient"
 """Key of the validation context that is true where unknown keys are passed over."""
 

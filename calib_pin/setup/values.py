@@ -10,26 +10,6 @@ from typing import Annotated
 
 from calib_pin.setup.constraints import Checked, Constraint, Json, listed
 
-__all__ = [
-    "LARGEST_ANGLE",
-    "LARGEST_LENGTH",
-    "SMALLEST",
-    "Angles",
-    "Flag",
-    "Length",
-    "Number",
-    "OneOf",
-    "Pair",
-    "Position",
-    "Positive",
-    "Text",
-    "Triple",
-    "Vector",
-    "as_number",
-    "number",
-    "positive",
-]
-
 Triple = tuple[float, float, float]
 Pair = tuple[float, float]
 

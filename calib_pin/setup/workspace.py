@@ -24,8 +24,6 @@ from calib_pin.setup.values import (
     Vector,
 )
 
-__all__ = ["Ball", "Cone", "Obstacle", "RangerSetup", "Region"]
-
 _CORNER = Vector(3, "", "m", limit=LARGEST_LENGTH)
 
 

@@ -20,8 +20,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.gauss_newton import LeastSquaresResult, gauss_newton
 from calib_pin.solvers.status import Status
 
-__all__ = ["alternation"]
-
 MEMORY = 10
 """Rounds that are mixed."""
 

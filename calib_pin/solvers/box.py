@@ -9,8 +9,6 @@ import numpy as np
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Box"]
-
 
 @dataclass(frozen=True)
 class Box:

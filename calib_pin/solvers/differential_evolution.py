@@ -57,8 +57,6 @@ from calib_pin.solvers.options import (
     require_numbers,
 )
 
-__all__ = ["STRATEGIES", "DifferentialEvolution", "differential_evolution"]
-
 TRADEOFF = "rand-to-best/1"
 """The mutation that `tradeoff` stands for.
 

@@ -25,20 +25,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.box import Box
 from calib_pin.solvers.status import Status
 
-__all__ = [
-    "Callback",
-    "Costs",
-    "EvolutionResult",
-    "PopulationResult",
-    "Stops",
-    "Variant",
-    "below",
-    "crossing",
-    "evaluate",
-    "evolve",
-    "three_others",
-]
-
 Booleans = NDArray[np.bool_]
 Indices = NDArray[np.intp]
 Rng = np.random.Generator

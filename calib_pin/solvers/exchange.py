@@ -16,8 +16,6 @@ from typing import Protocol
 from calib_pin.errors import OptionError
 from calib_pin.solvers.status import Status
 
-__all__ = ["ExchangeResult", "Subset", "exchange", "greedy"]
-
 LONGEST = 6
 """Exchanges of the longest excursion, as Mitchell has it."""
 

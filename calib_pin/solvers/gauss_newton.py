@@ -21,8 +21,6 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.status import Status
 
-__all__ = ["LeastSquaresResult", "gauss_newton"]
-
 
 @dataclass(frozen=True)
 class GaussNewtonOptions:

@@ -47,8 +47,6 @@ from calib_pin.solvers.options import (
 )
 from calib_pin.solvers.status import Status
 
-__all__ = ["Genetic", "SelectionResult", "genetic_selection"]
-
 NUMBERS = {
     "population_size": Limits(Integral, 2, 100_000, "a whole number, 2 to 100000"),
     "generations": LIMIT,

@@ -44,8 +44,6 @@ from calib_pin.solvers.evolution import Booleans
 from calib_pin.solvers.options import LIMIT, TOLERANCE, require_numbers
 from calib_pin.solvers.status import Status
 
-__all__ = ["DescentResult", "projected_descent"]
-
 
 @dataclass(frozen=True)
 class DescentOptions:

@@ -13,8 +13,6 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers.evolution import Indices, Rng, below, crossing
 
-__all__ = ["LShade"]
-
 
 @dataclass(frozen=True)
 class LShadeOptions:

@@ -10,8 +10,6 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 
-__all__ = ["FRACTION", "LIMIT", "TARGET", "TOLERANCE", "Limits", "require_numbers"]
-
 
 class Limits(NamedTuple):
     """Limits of a number.

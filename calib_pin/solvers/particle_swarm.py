@@ -73,8 +73,6 @@ from calib_pin.solvers.options import (
     require_numbers,
 )
 
-__all__ = ["ParticleSwarm", "particle_swarm"]
-
 POSITIVE = np.nextafter(0.0, 1.0)
 
 NUMBERS = {

@@ -29,17 +29,6 @@ from calib_pin.validation.result import (
     Term,
 )
 
-__all__ = [
-    "Estimated",
-    "chi2_interval",
-    "estimates",
-    "fitted_ranks",
-    "identify",
-    "leverages",
-    "registration_reason",
-    "structural_ranks",
-]
-
 CORRELATED = 0.95
 """Absolute correlation above which two estimates are reported as a pair."""
 

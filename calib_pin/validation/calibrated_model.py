@@ -18,8 +18,6 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import Setup
 
-__all__ = ["CalibratedModel"]
-
 
 @dataclass(frozen=True)
 class CalibratedModel:

@@ -11,6 +11,7 @@ import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.parameter_changes import (
     Difference,
     differences,
@@ -18,18 +19,8 @@ from calib_pin.validation.parameter_changes import (
     robot_parameters,
     sums_alone,
 )
-from calib_pin.validation.result import CalibratedModel, CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift, tip_drift
-
-__all__ = [
-    "BOUND",
-    "Comparison",
-    "Displacement",
-    "compare",
-    "described",
-    "stated_noise",
-    "unknown_ends",
-]
 
 BOUND = 3.0
 """Standard deviations within which estimates agree; one in 370 lies beyond by chance.

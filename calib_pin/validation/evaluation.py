@@ -18,10 +18,9 @@ from calib_pin.measurement_models.side_by_side import among
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
-from calib_pin.validation.result import Accuracy, CalibratedModel, Evaluation
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import Accuracy, Evaluation
 from calib_pin.validation.validation_registration import registered
-
-__all__ = ["Prepared", "evaluate", "prepared"]
 
 
 @serial_blas

@@ -18,8 +18,6 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["expected_accuracy"]
-
 SURE = 0.95
 """Probability of a bound, and from which a configuration counts as better."""
 

@@ -23,8 +23,6 @@ from calib_pin.observations import Measurements
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.predicted import press
 
-__all__ = ["ALL", "PRESS", "gains", "press_check"]
-
 ALL = "all"
 """Name of the quantity that stands for all of them, whitened."""
 

@@ -27,8 +27,6 @@ from calib_pin.validation.model_errors import ModelErrors, model_errors
 from calib_pin.validation.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.splits import Grouping, folds
 
-__all__ = ["HeldOut", "check", "cross_validate"]
-
 
 @dataclass(frozen=True)
 class HeldOut:

@@ -10,7 +10,7 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
 from calib_pin.estimation.fitted_model import FittedModel
 from calib_pin.estimation.joint_conventions import suggest_conventions
 from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.progress import Progress
 from calib_pin.validation.expected_accuracy import expected_accuracy
 from calib_pin.validation.held_out import HeldOut
@@ -18,8 +18,6 @@ from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.plausibility import plausibility
 from calib_pin.validation.result import Accuracy, QuantityErrors
 from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
-
-__all__ = ["Judgement", "judge"]
 
 MEASURED, SAMPLES = 100, 300
 """Configurations at which the tool is predicted, measured ones and others."""

@@ -11,8 +11,6 @@ from calib_pin.observations import Measurements, fitted_and_held_out
 from calib_pin.setup import Setup
 from calib_pin.validation.splits import Grouping
 
-__all__ = ["split"]
-
 
 def split(
     measurements: Measurements,

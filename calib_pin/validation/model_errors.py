@@ -17,8 +17,6 @@ from calib_pin.validation.predicted import predicted_variance
 from calib_pin.validation.result import FoundDistance
 from calib_pin.validation.validation_registration import Registered, registered
 
-__all__ = ["ModelErrors", "errors_of_registered", "fitted_errors", "model_errors"]
-
 
 @dataclass(frozen=True)
 class ModelErrors:

@@ -34,10 +34,8 @@ from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import Setup
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.result import Ladder, Rung
 from calib_pin.validation.splits import FOLDS, Grouping, folds
-
-__all__ = ["SelectedModel", "select_model"]
+from calib_pin.validation.summaries import Ladder, Rung
 
 OFFSETS = JointOffset.name
 

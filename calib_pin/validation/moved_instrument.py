@@ -18,8 +18,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import ModelErrors, errors_of_registered
 from calib_pin.validation.validation_registration import Registered, registered
 
-__all__ = ["registered_if_moved"]
-
 MOVED = 4.0
 """Errors with the stand of the fit, by those with a stand of their own, of an
 instrument that was moved. UR10 Series B by the stand of Series A has 6 500; the second

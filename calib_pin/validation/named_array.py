@@ -7,8 +7,6 @@ from typing import Any
 
 import numpy as np
 
-__all__ = ["NamedArray"]
-
 
 class NamedArray(np.ndarray):
     """A numpy array with names of its rows and columns; what is made of it has none.

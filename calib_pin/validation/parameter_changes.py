@@ -12,15 +12,6 @@ from calib_pin.validation.result import (
     ParameterEstimate,
 )
 
-__all__ = [
-    "Difference",
-    "differences",
-    "known_alone",
-    "robot_groups",
-    "robot_parameters",
-    "sums_alone",
-]
-
 RESOLUTION = 1e-9
 """Least standard deviation of a difference [SI]: of noise-free data only rounding."""
 

@@ -33,8 +33,6 @@ from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import DistanceSetup
 from calib_pin.units import DISPLAY
 
-__all__ = ["plausibility"]
-
 
 @dataclass(frozen=True)
 class PlausibilityOptions:

@@ -14,8 +14,6 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import spectrum
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["predicted_variance", "press"]
-
 ENTRIES = 4_000_000
 """Entries of a Jacobian that are looked at together."""
 

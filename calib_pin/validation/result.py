@@ -10,7 +10,7 @@ from typing import Any, NamedTuple
 import numpy as np
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.evidence import Finding, Outlier
+from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -19,36 +19,11 @@ from calib_pin.validation.row_errors import RowErrors
 from calib_pin.validation.summaries import (
     Ladder,
     Provenance,
-    Rung,
     SolverSummary,
     Statistics,
     ToolAccuracy,
     Validation,
 )
-
-__all__ = [
-    "Accuracy",
-    "CalibratedModel",
-    "CalibrationResult",
-    "Correlation",
-    "CoupledGroup",
-    "Evaluation",
-    "FoundDistance",
-    "Identifiability",
-    "Identification",
-    "Ladder",
-    "Outlier",
-    "ParameterEstimate",
-    "Provenance",
-    "QuantityErrors",
-    "Rung",
-    "SolverSummary",
-    "Statistics",
-    "Term",
-    "ToolAccuracy",
-    "UrdfResult",
-    "Validation",
-]
 
 
 @dataclass(frozen=True)

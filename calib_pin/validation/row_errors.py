@@ -13,8 +13,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import Measurements
 
-__all__ = ["AXES", "RowErrors"]
-
 AXES = ("x", "y", "z")
 """Names of the components of a vector."""
 

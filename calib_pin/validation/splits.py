@@ -14,8 +14,6 @@ from calib_pin.observations import AT, PART, Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.stretches import stretches
 
-__all__ = ["FOLDS", "Grouping", "folds", "places"]
-
 FOLDS = 5
 """Parts of a cross-validation."""
 

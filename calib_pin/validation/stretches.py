@@ -14,8 +14,6 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 
-__all__ = ["stretches"]
-
 
 @dataclass(frozen=True)
 class StretchOptions:

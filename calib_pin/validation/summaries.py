@@ -14,16 +14,6 @@ from calib_pin.estimation.evidence import (
 )
 from calib_pin.estimation.predicted_tip import TipAccuracy
 
-__all__ = [
-    "Ladder",
-    "Provenance",
-    "Rung",
-    "SolverSummary",
-    "Statistics",
-    "ToolAccuracy",
-    "Validation",
-]
-
 
 @dataclass(frozen=True)
 class Rung:

@@ -15,8 +15,6 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 
-__all__ = ["Registered", "registered"]
-
 
 @dataclass(frozen=True)
 class Registered:

@@ -24,8 +24,6 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.gains import PRESS
 from calib_pin.validation.result import QuantityErrors
 
-__all__ = ["CHECK", "Grounds", "unexplained", "verdict"]
-
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
     "measurements as well"

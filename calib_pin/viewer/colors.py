@@ -8,19 +8,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = [
-    "GHOST",
-    "MARK",
-    "MEASURED",
-    "PATH",
-    "RGB",
-    "ROBOT",
-    "STAGES",
-    "css",
-    "gradient",
-    "scaled",
-]
-
 RGB = tuple[int, int, int]
 
 STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}

@@ -13,8 +13,6 @@ from calib_pin.viewer.colors import RGB, css, gradient
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["Controls", "put", "scale", "swatch", "text"]
-
 
 class Controls:
     """The controls of a window.

@@ -17,8 +17,6 @@ from calib_pin.viewer.shapes import Shape
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["RobotDrawing", "RowsDrawing", "draw_path", "lines"]
-
 OPACITY = 0.3
 """Of the nominal robot beside the corrected one."""
 

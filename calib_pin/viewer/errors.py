@@ -15,8 +15,6 @@ from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Measurements
 from calib_pin.validation.evaluation import Prepared
 
-__all__ = ["ErrorSizes", "StageErrors", "stage_errors"]
-
 
 @dataclass(frozen=True)
 class ErrorSizes:

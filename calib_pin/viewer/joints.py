@@ -11,8 +11,6 @@ from calib_pin.viewer.controls import Controls, put
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage
 
-__all__ = ["Joints"]
-
 LAST = 1e9
 """Place of the sliders in the panel: there may be many."""
 

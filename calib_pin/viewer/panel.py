@@ -17,8 +17,6 @@ from calib_pin.viewer.player import Player
 from calib_pin.viewer.scene import Rows, Scene
 from calib_pin.viewer.stage import Stage
 
-__all__ = ["MAGNIFICATIONS", "add_panel", "first_magnification"]
-
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Magnifications of the error vectors."""
 

@@ -11,8 +11,6 @@ from calib_pin.viewer.scene import Plan
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["Player"]
-
 
 class Player:
     """Controls of a plan.

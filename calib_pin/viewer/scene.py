@@ -13,19 +13,18 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.io.urdf import edit_origins, parse_robot
+from calib_pin.io.urdf_bytes import edit_origins
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.shapes import Shape
 from calib_pin.viewer.skeleton import Skeleton
 from calib_pin.viewer.surfaces import box
-
-__all__ = ["Body", "Plan", "Rows", "Scene", "bodies_of", "floor_height", "tip_path"]
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""

@@ -15,8 +15,6 @@ from calib_pin.viewer.panel import add_panel
 from calib_pin.viewer.scene import Scene
 from calib_pin.viewer.stage import Stage
 
-__all__ = ["Window"]
-
 HOST = "127.0.0.1"
 
 PERIOD = 0.04

@@ -17,8 +17,6 @@ from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.viewer.surfaces import Surface, ball, box, capsule, creased, cylinder
 
-__all__ = ["Shape", "Shapes", "robot_shapes"]
-
 Color = tuple[float, float, float]
 
 THICKNESS = 0.12

@@ -11,8 +11,6 @@ import pinocchio as pin
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats, invert
 
-__all__ = ["Skeleton"]
-
 
 class Skeleton:
     """Forward kinematics of a whole robot in one of its links.

@@ -13,8 +13,6 @@ from calib_pin.viewer.scene import Scene, floor_height
 if TYPE_CHECKING:
     import viser
 
-__all__ = ["Stage", "sight"]
-
 CORNER = np.array([0.80, -0.52, 0.30])
 """Direction from the robot to the camera: from its front, its right and above."""
 

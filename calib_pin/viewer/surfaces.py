@@ -12,8 +12,6 @@ from scipy.sparse.csgraph import connected_components
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Surface", "ball", "box", "capsule", "creased", "cylinder"]
-
 SIDES = 32
 """Sides of a round surface."""
 

@@ -16,7 +16,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 TOOL = FrameSetup((0.05, 0.03, 0.1))
 ROWS, NOISE = 500, 2e-5

@@ -40,7 +40,8 @@ from calib_pin.planning.planned_problem import (
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel, CalibrationResult
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
 from studies.shared import summary
 
 MODELS = {

@@ -10,7 +10,7 @@ import pytest
 
 from calib_pin.cli.limits import parse_limits
 from calib_pin.errors import OptionError
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 
 JOINTS = {

@@ -15,7 +15,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 
 @pytest.fixture(scope="module")

@@ -26,7 +26,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 ROBOTS = {
     "ur10": ("example:ur10_robot", None, "tool0"),

@@ -14,7 +14,7 @@ from calib_pin.estimation.identifiability import (
     observability,
     structure,
 )
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameters import Parameter, ParameterSet
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup

@@ -12,7 +12,7 @@ import calib_pin
 from calib_pin.io.comparisons import comparison_document
 from calib_pin.io.json_text import encode
 from calib_pin.validation.comparison import Comparison, compare
-from calib_pin.validation.result import ToolAccuracy
+from calib_pin.validation.summaries import ToolAccuracy
 
 
 @pytest.fixture(scope="module")

@@ -25,7 +25,9 @@ from calib_pin.io.residual_model import (
 from calib_pin.io.results import read_calibration
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.result import CalibratedModel, CalibrationResult, Provenance
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Provenance
 
 NOTHING = Provenance((), "", 0.0, {})
 TOOL = FrameSetup((0.05, 0.02, 0.1), (0.0, 0.0, 0.0))

@@ -22,7 +22,8 @@ from calib_pin.io.results import read_accuracy
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.comparison import DESCRIBED, compare, stated_noise
-from calib_pin.validation.result import CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Provenance
 
 
 @pytest.fixture(scope="module")

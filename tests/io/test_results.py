@@ -15,7 +15,7 @@ import pytest
 from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError, OptionError, RobotError
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.problem import Problem, absent
+from calib_pin.estimation.problem import Problem
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
 from calib_pin.io.results import read_accuracy, read_calibration, write_urdf
@@ -24,6 +24,7 @@ from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.rows import absent
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
@@ -38,8 +39,10 @@ from calib_pin.setup import (
     SphereSetup,
 )
 from calib_pin.simulation import simulate
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import evaluate
-from calib_pin.validation.result import CalibratedModel, CalibrationResult, Provenance
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Provenance
 
 ARM = """<robot name="arm">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

@@ -23,12 +23,12 @@ from calib_pin.io import urdf
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.urdf import (
     bundled_robots,
-    edit_origins,
     load_robot,
     locate_robot,
-    parse_robot,
     write_corrected_urdf,
 )
+from calib_pin.io.urdf_bytes import edit_origins
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 
 ARM = b"""<?xml version="1.0"?>

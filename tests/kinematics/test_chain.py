@@ -11,7 +11,8 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import RobotError
-from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import FREE_TRAVEL, Chain, Robot
 from calib_pin.setup import Payload
 

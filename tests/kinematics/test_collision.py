@@ -12,7 +12,8 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.collision import load_collisions
-from calib_pin.io.urdf import load_chain, locate_robot, parse_robot
+from calib_pin.io.urdf import load_chain, locate_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle

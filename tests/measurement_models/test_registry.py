@@ -12,7 +12,6 @@ import pytest
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.problem import absent
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import (
     MEASUREMENT_MODELS,
@@ -20,6 +19,7 @@ from calib_pin.measurement_models import (
     Quantity,
     measurement_model,
 )
+from calib_pin.measurement_models.rows import absent
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
 

@@ -13,10 +13,11 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.blocks import Block, Cell, Table
@@ -27,8 +28,9 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
-from calib_pin.validation.result import CalibrationResult, Outlier, Provenance
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.summaries import Provenance
 
 ARM = """<robot name="{0}">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

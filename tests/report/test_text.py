@@ -12,8 +12,10 @@ import pytest
 from rich.console import Console
 
 from calib_pin.calibration import calibrate
+from calib_pin.estimation.evidence import Outlier
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.urdf import load_robot, parse_robot
+from calib_pin.io.urdf import load_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.identification import identified
@@ -24,7 +26,7 @@ from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
-from calib_pin.validation.result import Accuracy, CalibrationResult, Outlier
+from calib_pin.validation.result import Accuracy, CalibrationResult
 
 ARM = """<robot name="arm">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

@@ -13,7 +13,7 @@ from scipy.optimize import least_squares
 import calib_pin
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import se3_exp
 from calib_pin.measurement_models import measurement_model
@@ -21,7 +21,8 @@ from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.simulation import draw_errors
 from calib_pin.validation.comparison import compare, unknown_ends
 from calib_pin.validation.parameter_changes import Difference, robot_groups
-from calib_pin.validation.result import ParameterEstimate, ToolAccuracy
+from calib_pin.validation.result import ParameterEstimate
+from calib_pin.validation.summaries import ToolAccuracy
 
 SEEDS = 12
 

@@ -13,7 +13,7 @@ import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import invert, se3_exp, so3_log
 from calib_pin.setup import Payload, Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.tip_drift import absorbed, tip_drift
 
 LEFT = se3_exp(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2]))

@@ -16,7 +16,7 @@ from calib_pin.measurement_models import MeasurementModel
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
-from calib_pin.validation.result import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedModel
 
 
 @pytest.fixture(scope="session")

@@ -11,7 +11,8 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.io.results import write_urdf
-from calib_pin.io.urdf import load_chain, load_robot, parse_robot
+from calib_pin.io.urdf import load_chain, load_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
@@ -24,8 +25,8 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import Payload
+from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import prepared
-from calib_pin.validation.result import CalibratedModel
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import Plan, Scene, bodies_of, floor_height, tip_path

@@ -15,8 +15,6 @@ from calib_pin.estimation.robust.studentized import Studentized
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import AT, PART
 
-__all__ = ["causes"]
-
 
 @dataclass(frozen=True)
 class CauseOptions:

@@ -21,8 +21,6 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["consensus"]
-
 
 @dataclass(frozen=True)
 class ConsensusOptions:

@@ -24,8 +24,6 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.chi_square import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Studentized", "spectrum", "squared_or_infinite", "studentized"]
-
 LEAST = 1e-6
 """Smallest scale in stated or assumed deviations: below, there is only rounding."""
 

@@ -43,8 +43,6 @@ from calib_pin.estimation.row_blocks import Expected
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
-__all__ = ["LOSSES", "robustly"]
-
 LOSSES = ("auto", "squared", "huber", "gnc")
 """Names of the losses."""
 

@@ -7,8 +7,6 @@ from __future__ import annotations
 
 from math import exp, inf, lgamma, log, log1p
 
-__all__ = ["chi_square_quantile", "chi_square_tail", "f_tail", "incomplete_beta"]
-
 EPSILON = 2.0**-52
 
 STEPS = 60

@@ -24,8 +24,6 @@ from calib_pin.estimation.statistics.chi_square import chi_square_tail, f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
 
-__all__ = ["PureError", "pure_errors", "repetitions"]
-
 REPEATED = 4
 """Degrees of freedom from which repetitions tell the pure error, to a factor of two."""
 

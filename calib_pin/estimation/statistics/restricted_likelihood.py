@@ -29,8 +29,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Groups", "Variances", "estimate_variances"]
-
 ROUNDS = 50
 """Most steps of scoring; three to ten are usual."""
 

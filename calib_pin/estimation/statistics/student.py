@@ -9,8 +9,6 @@ from math import inf, isnan, nan
 
 from calib_pin.estimation.statistics.chi_square import incomplete_beta
 
-__all__ = ["student_tail"]
-
 
 def student_tail(t: float, dof: int) -> float:
     """Probability that Student's t exceeds a value.

@@ -44,8 +44,6 @@ from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.transmission import Transmission
 
-__all__ = ["Systematic", "systematic"]
-
 SIGNIFICANT = 5.41
 """Twice the gain in log-likelihood that an effect must bring: chance brings as much
 once in a hundred (half of it has none at all, Self and Liang 1987)."""

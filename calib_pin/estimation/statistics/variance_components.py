@@ -28,17 +28,8 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.base import Quantity
+from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.solvers import LeastSquaresResult
-
-__all__ = [
-    "by_quantity",
-    "component_units",
-    "current_units",
-    "grouped",
-    "units",
-    "variance_components",
-]
 
 REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake."""

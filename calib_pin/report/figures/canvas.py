@@ -17,25 +17,6 @@ from matplotlib.lines import Line2D
 
 from calib_pin.report.figures.svg import inlined
 
-__all__ = [
-    "AFTER",
-    "BEFORE",
-    "COLORS",
-    "GRID",
-    "GROUPS",
-    "INK",
-    "MUTED",
-    "PAPER",
-    "WIDTH",
-    "Drawn",
-    "drawing",
-    "key",
-    "marks",
-    "note",
-    "panel",
-    "panels",
-]
-
 INK = "#1f2328"
 MUTED = "#646c75"
 GRID = "#dde1e6"

@@ -10,8 +10,6 @@ from calib_pin.report.figures.labels import log_axis, log_limits
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["convergence"]
-
 
 def convergence(result: CalibrationResult) -> Drawn | None:
     """The best cost of every generation, where there were any."""

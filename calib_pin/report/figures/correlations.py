@@ -17,8 +17,6 @@ from calib_pin.report.figures.lists import beside
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["MOST", "TOGETHER", "correlations", "shown"]
-
 MOST = 40
 """Estimates that are shown at most."""
 

@@ -17,8 +17,6 @@ from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.row_errors import RowErrors
 
-__all__ = ["error_vectors", "magnification"]
-
 ARROWS = 300
 """Arrows of one kind: more hide each other."""
 

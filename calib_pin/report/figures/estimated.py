@@ -12,8 +12,6 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.report.figures.labels import shortened
 from calib_pin.validation.result import CoupledGroup, ParameterEstimate
 
-__all__ = ["Estimate", "correlation", "of_robot"]
-
 
 @dataclass(frozen=True)
 class Estimate:

@@ -12,8 +12,6 @@ from calib_pin.report.figures.estimated import Estimate, of_robot
 from calib_pin.report.figures.lists import LEFT, Listed, lists
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["parameter_intervals"]
-
 SURE = 2.0
 """Standard deviations from zero beyond which a parameter is not zero."""
 

@@ -12,8 +12,6 @@ from matplotlib.ticker import MaxNLocator, NullLocator
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 
-__all__ = ["log_axis", "log_limits", "log_ticks", "plain", "shortened", "unit_of"]
-
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
 
 DECADES = 18

@@ -17,9 +17,8 @@ from calib_pin.report.figures.labels import (
 )
 from calib_pin.report.figures.lists import beside
 from calib_pin.report.tables import number
-from calib_pin.validation.result import CalibrationResult, Ladder, Rung
-
-__all__ = ["model_ladder"]
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Ladder, Rung
 
 LINE = 0.3
 """Height of a candidate [inch]."""

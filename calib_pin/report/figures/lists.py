@@ -15,8 +15,6 @@ from calib_pin.report.figures.canvas import GRID, INK, WIDTH, panel
 from calib_pin.report.figures.estimated import Estimate
 from calib_pin.report.figures.labels import unit_of
 
-__all__ = ["LEFT", "MOST", "Listed", "beside", "lists"]
-
 MOST = 48
 """Lines of a panel."""
 

@@ -10,8 +10,6 @@ from calib_pin.report.figures.estimated import of_robot
 from calib_pin.report.figures.labels import log_axis, log_limits
 from calib_pin.report.figures.lists import Listed, lists
 
-__all__ = ["predicted_deviations"]
-
 
 def predicted_deviations(plan: Plan) -> Drawn | None:
     """Predicted standard deviations of the estimates, one panel per unit."""

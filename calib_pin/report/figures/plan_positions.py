@@ -19,8 +19,6 @@ from calib_pin.report.figures.canvas import (
 )
 from calib_pin.report.figures.views import FOOT, SIDES, Sides
 
-__all__ = ["planned_positions", "tool_positions"]
-
 ROOM = np.array([0.22, 0.13])
 """Width and height of a number; one that would stand on another is left out [inch]."""
 

@@ -22,8 +22,6 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
 from calib_pin.report.tables import number
 
-__all__ = ["criterion_by_count"]
-
 SMALL = ("condition", "prediction")
 """Criteria that are to be small."""
 

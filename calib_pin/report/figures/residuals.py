@@ -23,8 +23,6 @@ from calib_pin.report.figures.canvas import (
 from calib_pin.report.figures.strokes import Marks
 from calib_pin.validation.result import CalibrationResult
 
-__all__ = ["residuals", "whitened"]
-
 FEWEST = 8
 """Residuals from which a distribution can be seen."""
 

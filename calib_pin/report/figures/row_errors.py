@@ -29,8 +29,6 @@ from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.row_errors import RowErrors
 
-__all__ = ["errors_per_measurement"]
-
 LIMIT = 20_000
 """Measurements that are drawn at most."""
 

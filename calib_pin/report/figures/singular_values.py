@@ -21,8 +21,6 @@ from calib_pin.report.figures.labels import log_axis, log_limits, plain
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult, Identifiability
 
-__all__ = ["singular_values"]
-
 
 def singular_values(result: CalibrationResult) -> Drawn | None:
     """Structural singular values with their gap beside those of the measurements."""

@@ -15,8 +15,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["Marks", "arrows", "dots"]
-
 BARB = 0.055
 """Length of the two strokes of an arrow's head [inch]; a short arrow has less."""
 

@@ -6,8 +6,6 @@ import re
 from collections.abc import Mapping
 from xml.etree import ElementTree
 
-__all__ = ["inlined"]
-
 SVG = "http://www.w3.org/2000/svg"
 
 ROUNDED = re.compile(r"-?\d+\.\d{3,}")

@@ -9,8 +9,6 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 
-__all__ = ["thinned", "thinning"]
-
 LARGEST = 100
 """Largest errors of every kind that are always drawn."""
 

@@ -22,8 +22,6 @@ from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
-__all__ = ["drift_in_workspace", "tip_by_count", "tip_in_workspace"]
-
 
 def tip_by_count(result: CalibrationResult) -> Drawn | None:
     """The predicted tool-point uncertainty against the number of measurements."""

@@ -16,8 +16,6 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import WIDTH, note, panel
 from calib_pin.report.figures.strokes import dots
 
-__all__ = ["FOOT", "LEFT", "SCALE", "SIDES", "Sides", "colored"]
-
 SIDES = ((0, 1), (0, 2), (1, 2))
 """Axes of the base link to the right and upwards, of every view."""
 

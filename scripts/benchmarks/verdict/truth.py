@@ -13,7 +13,8 @@ import numpy as np
 
 from benchmarks.verdict.jobs import Job, stream
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.result import CalibratedModel, CalibrationResult
+from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.tip_drift import absorbed
 
 WORKSPACE = 300

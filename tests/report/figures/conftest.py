@@ -10,10 +10,12 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.estimation.evidence import Outlier
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import Drawn, drawing
-from calib_pin.validation.result import CalibrationResult, Ladder, Outlier, Rung
+from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.summaries import Ladder, Rung
 
 
 @pytest.fixture(scope="session")

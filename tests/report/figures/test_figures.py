@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.io.urdf import parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures import (
@@ -25,7 +25,8 @@ from calib_pin.report.figures import (
 )
 from calib_pin.report.figures.correlations import correlations
 from calib_pin.report.figures.intervals import parameter_intervals
-from calib_pin.validation.result import CalibrationResult, Validation
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Validation
 
 # What has a direction is drawn as arrows, the rest in color.
 DRAWN = [name for name in NAMES["calibration"] if name != "errors-in-workspace"]

@@ -13,7 +13,8 @@ from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.convergence import convergence
 from calib_pin.report.figures.ladder import model_ladder
 from calib_pin.report.figures.tip_accuracy import tip_by_count, tip_in_workspace
-from calib_pin.validation.result import CalibrationResult, Ladder, Rung
+from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.summaries import Ladder, Rung
 
 
 def test_convergence_is_the_history(

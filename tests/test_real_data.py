@@ -246,7 +246,7 @@ def test_panda_without_a_distance_has_no_scale(
     assert not result.identifiability.scale_observable and result.geometry is None
     assert "scale" in calib_pin.format_report(result)
     # Nothing pulls at it, so it stays nominal: the sockets are not drawn together.
-    sockets = {s.name: s for s in result.model.measurement.features}
+    sockets = {s.name: s for s in result.model.measurement.references}
     apart = sockets["front/0"].xyz - sockets["front/1"].xyz
     assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
 

@@ -74,7 +74,7 @@ def evaluate(
     require_distinct(measurements)
     sockets: list[str] = []
     if isinstance(subject, CalibratedModel):
-        sockets = [feature.name for feature in subject.measurement.features]
+        sockets = [reference.name for reference in subject.measurement.references]
     with progress_bar() as bar:
         rows = open_measurements(measurements, chain, stated, sockets=sockets, bar=bar)
         stage(bar, "evaluate")

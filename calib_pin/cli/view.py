@@ -194,7 +194,7 @@ def _rows(
     from calib_pin.viewer.errors import stage_errors
     from calib_pin.viewer.scene import Rows
 
-    sockets = () if model is None else (f.name for f in model.measurement.features)
+    sockets = () if model is None else (f.name for f in model.measurement.references)
     rows = open_measurements(measurements, chain, setup, sockets=sockets, bar=bar)
     if model is not None:
         rows = among(rows, model.measurement.name)

@@ -183,8 +183,8 @@ class Problem(Model):
     def _distances(self) -> KnownDistances:
         """Known distances between points that the instrument knows."""
         first = len(self.error.screws)
-        known, features = self.setup.distances, self.measurement.features
-        return KnownDistances.of(known, features, first)
+        known, references = self.setup.distances, self.measurement.references
+        return KnownDistances.of(known, references, first)
 
     @cached_property
     def _priors(self) -> Priors:

@@ -19,8 +19,7 @@ from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models import Feature
-from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.references import Frame, ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -137,17 +136,17 @@ def _model(model: CalibratedModel, reference: CalibratedModel) -> Json:
         },
     }
     sections: Json = {"targets": {}, "planes": {}}
-    for feature, start in zip(
-        model.measurement.features, reference.measurement.features, strict=True
+    for found, start in zip(
+        model.measurement.references, reference.measurement.references, strict=True
     ):
-        values, flags = _stated(feature)
+        values, flags = _stated(found)
         entry = {**values, **flags, "reference": _stated(start)[0]}
-        if isinstance(feature, Frame):
-            frames[f"{feature.name}.{feature.kind}"] = entry
-        elif feature.section == "camera":  # There is one at most.
-            sections[feature.section] = entry
+        if isinstance(found, Frame):
+            frames[f"{found.name}.{found.kind}"] = entry
+        elif found.section == "camera":  # There is one at most.
+            sections[found.section] = entry
         else:
-            sections.setdefault(feature.section, {})[feature.name] = entry
+            sections.setdefault(found.section, {})[found.name] = entry
     return {
         "measurements": {
             "model": model.measurement.name,
@@ -159,9 +158,9 @@ def _model(model: CalibratedModel, reference: CalibratedModel) -> Json:
     }
 
 
-def _stated(feature: Feature) -> tuple[Json, Json]:
-    """Values of a feature, and what of it was estimated."""
-    values = asdict(feature.stated())
+def _stated(reference: ReferenceObject) -> tuple[Json, Json]:
+    """Values of a reference object, and what of it was estimated."""
+    values = asdict(reference.stated())
     flags = {key: values.pop(key) for key in [*values] if key.startswith("estimate")}
     return values, {k.replace("estimate", "estimated"): v for k, v in flags.items()}
 

@@ -121,6 +121,6 @@ def identification(
         # The problem's own rows only name the targets; priors count.
         U = J[len(q) * problem.components :] @ basis
     else:
-        _, own = problem.linearize_rows(zero)
-        U = own @ basis
+        _, derivative = problem.linearize_rows(zero)
+        U = derivative @ basis
     return structure, rows, U.T @ U

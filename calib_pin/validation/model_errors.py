@@ -141,7 +141,7 @@ def errors_of_registered(
         positions: Positions of the measurements among all, shape (N,).
     """
     problem, theta = after.problem, after.theta
-    known = {feature.name for feature in model.problem.measurement.features}
+    known = {reference.name for reference in model.problem.measurement.references}
     there = replace(model.fit.problem, data=problem.data), model.fit.theta
     estimated = (*after.refitted, *after.new)
     if estimated:
@@ -152,7 +152,7 @@ def errors_of_registered(
         problem.masked_errors(theta),
         predicted_variance(model.fit, *there, estimated),
         _found_distances(before, after, known),
-        tuple(f.name for f in problem.measurement.features if f.name not in known),
+        tuple(f.name for f in problem.measurement.references if f.name not in known),
     )
 
 
@@ -174,7 +174,7 @@ def _found_distances(
     (first, nominal), (second, found) = (
         (distances, distances.lengths(at.problem.split(at.theta)[1]))
         for at in (before, after)
-        for distances in [KnownDistances.of(stated, at.problem.measurement.features)]
+        for distances in [KnownDistances.of(stated, at.problem.measurement.references)]
     )
     assert first.stated == second.stated
     return tuple(

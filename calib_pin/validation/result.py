@@ -230,7 +230,7 @@ class Tables:
         A row for each fitted measurement, by its file and line; NaN for a component
         that a measurement does not have.
         """
-        places = [self.fitted.rows.place(k) for k in range(len(self.fitted))]
+        places = [self.fitted.rows.source(k) for k in range(len(self.fitted))]
         return NamedArray.of(self.fitted.after, places, self.fitted.components)
 
     @property
@@ -247,7 +247,7 @@ class Tables:
         sigma = problem.sigma.reshape(-1, 1)
         J = J[: len(sigma)] * np.where(np.isfinite(sigma), sigma, 0.0)
         components = self.fitted.components
-        names = [f"{rows.place(k)} {c}" for k in range(len(rows)) for c in components]
+        names = [f"{rows.source(k)} {c}" for k in range(len(rows)) for c in components]
         return NamedArray.of(J, names, [p.name for p in self.parameters])
 
     def to_frame(self) -> Any:

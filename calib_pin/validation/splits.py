@@ -104,8 +104,8 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     fold[order] = np.arange(len(order)) % count
     targets = np.array(rows.target)
     # Only what is estimated must be seen in every part.
-    features = fitted.problem.measurement.features
-    free = {f.name for f in features if any(p.free for p in f.parameters)}
+    references = fitted.problem.measurement.references
+    free = {f.name for f in references if any(p.free for p in f.parameters)}
     sought = {
         name
         for name in set(targets[place < 0])

@@ -129,7 +129,7 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
-    lines = [html.escape(Path(rows.data.place(row)).name)]
+    lines = [html.escape(Path(rows.data.source(row)).name)]
     if rows.data.target[row]:
         lines.append(f"target {html.escape(rows.data.target[row])}")
     for name in next(iter(rows.stages.values())).quantities:

@@ -64,7 +64,7 @@ def _record(record: CalibrationResult) -> Json:
         "model": record.model.measurement.name,
         "parameters": list(record.model.setup.parameters),
         "residual_model": record.model.setup.learned,
-        "training": record.training,
+        "training": len(record.fitted),
         "validation": record.validation.method,
         "errors": {
             error.name: {

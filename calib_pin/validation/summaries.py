@@ -16,20 +16,20 @@ from calib_pin.estimation.predicted_tip import TipAccuracy
 
 
 @dataclass(frozen=True)
-class Rung:
-    """One step of the model ladder, judged by cross-validation.
+class Candidate:
+    """A candidate of the model selection, judged by cross-validation.
 
     Attributes:
         name: What it adds.
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Name, unit and mean error on unseen rows of every quantity.
-        score: Mean error on unseen rows, root mean square of the components in standard
-            deviations; NaN where it could not be tried.
+        errors: Name, unit and mean error on held-out measurements of every quantity.
+        score: Mean error on held-out measurements, root mean square of the components
+            in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
-        helps: Whether it lowers the errors of the rungs that it stands on by more than
-            the standard error of the difference.
+        helps: Whether it lowers the errors of the candidates that it extends by more
+            than the standard error of the difference.
         reason: Why it could not be tried; empty where it was.
     """
 
@@ -45,15 +45,15 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Ladder:
-    """The model ladder.
+class ModelSelection:
+    """The model selection.
 
     Attributes:
-        rungs: All of them, simplest first.
+        candidates: All of them, simplest first.
         chosen: Position of the one that is kept.
     """
 
-    rungs: tuple[Rung, ...]
+    candidates: tuple[Candidate, ...]
     chosen: int
 
 

@@ -28,14 +28,13 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.measurement_split import split
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors
 from calib_pin.validation.model_selection import select_model
-from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.result import CalibrationResult, UrdfResult
-from calib_pin.validation.splits import FOLDS
+from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
     ModelSelection,
+    NamedArray,
     SolverSummary,
     Statistics,
     ToolAccuracy,

@@ -22,7 +22,6 @@ from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
@@ -34,6 +33,7 @@ from calib_pin.validation.result import (
 from calib_pin.validation.summaries import (
     Candidate,
     ModelSelection,
+    NamedArray,
     Provenance,
     SolverSummary,
     Statistics,

@@ -23,12 +23,14 @@ from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
+    Predicted,
+    TipTests,
     assumes_tool,
     identification,
     planned_problem,
+    predict,
     require_plannable,
 )
-from calib_pin.planning.prediction import Predicted, TipTests, predict
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection

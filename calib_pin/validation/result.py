@@ -15,9 +15,9 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.summaries import (
     ModelSelection,
+    NamedArray,
     Provenance,
     SolverSummary,
     Statistics,

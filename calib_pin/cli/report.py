@@ -50,7 +50,7 @@ def report(
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.measurement_errors import FILE_NAME
-    from calib_pin.io.result_file import document_file, read_remedies, read_written
+    from calib_pin.io.result_file import document_file, read_suggestions, read_written
     from calib_pin.io.result_folder import REPORT
     from calib_pin.io.staging import write_files
     from calib_pin.report.html import html_report
@@ -66,14 +66,14 @@ def report(
     check_outputs([page, *pictures], inputs, force or own)
     if FILE_NAME not in document.get("files", {}):
         notice(f"{file} has no {FILE_NAME}: nothing is known of single measurements")
-    remedies = read_remedies(document)
+    suggestions = read_suggestions(document)
     with progress_bar(quiet=quiet) as bar:
         drawn = draw_calibration(result, bar)
         contents = figure_contents(drawn, pictures)
-        text = html_report(result, document, figures=drawn, remedies=remedies)
+        text = html_report(result, document, figures=drawn, suggestions=suggestions)
     with write_files({page: text, **contents}, force=force or own):
         if not quiet:
-            show(blocks(result, remedies))
+            show(blocks(result, suggestions))
     told = told_figures(contents, pictures)
     if not quiet:
         say_written([f"wrote {page}", *told])

@@ -93,7 +93,7 @@ def result_contents(
     run: Run,
     figures: Sequence[Drawn],
     pictures: Mapping[Path, bytes],
-    remedies: Sequence[Suggestion],
+    suggestions: Sequence[Suggestion],
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 
@@ -104,7 +104,7 @@ def result_contents(
         run: How it came about.
         figures: What is drawn of it.
         pictures: Figures that go into files of their own.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     from calib_pin.io.calibration_document import calibration_document, provenance
     from calib_pin.io.journal import inside, listed, sha256
@@ -116,7 +116,7 @@ def result_contents(
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, provenance(*run), remedies=remedies)
+    document = calibration_document(result, provenance(*run), suggestions=suggestions)
     document["run"] = run_id(document, encode_residual_model(result.model))
     contents = {files.nominal: result.model.chain.robot.source}
     if result.verdict == "no-gain":
@@ -127,7 +127,7 @@ def result_contents(
     if learned is not None:
         document["residual_model"] = reference(learned)
         contents[files.residual_model] = learned
-    page = html_report(result, document, figures=figures, remedies=remedies)
+    page = html_report(result, document, figures=figures, suggestions=suggestions)
     contents[files.measurements] = encode_errors(result, document["run"])
     contents |= {files.report: page, **pictures}
     document["files"] = {

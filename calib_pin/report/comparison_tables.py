@@ -10,8 +10,9 @@ import numpy as np
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import SIZES, amount, known, listed, sizes, uncertain
 from calib_pin.units import DISPLAY
-from calib_pin.validation.comparison import BOUND, Comparison
-from calib_pin.validation.parameter_changes import (
+from calib_pin.validation.comparison import (
+    BOUND,
+    Comparison,
     Difference,
     robot_groups,
     robot_parameters,

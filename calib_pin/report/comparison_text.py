@@ -139,6 +139,6 @@ def _origin(record: CalibrationResult) -> str:
     created, file = record.provenance.created, record.provenance.file
     day = f"; {created[:10]}" if created else ""
     return (
-        f"{file}: {record.model.measurement.name}, {record.training} measurements, "
+        f"{file}: {record.model.measurement.name}, {len(record.fitted)} measurements, "
         f"{' + '.join(kinds)}{day}"
     )

@@ -35,13 +35,13 @@ def format_report(result: CalibrationResult) -> str:
 
 
 def report(
-    result: CalibrationResult, remedies: Sequence[Suggestion] = ()
+    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Verdict, accuracy, noise and outliers, then identifiability and parameters.
 
     Args:
         result: The result.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     yield from opening(result)
     yield subject(result)
@@ -53,6 +53,6 @@ def report(
     yield from noise(result)
     yield from statistics(result)
     yield from outliers(result)
-    yield from identified(result, fitted=True, remedies=remedies)
+    yield from identified(result, fitted=True, suggestions=suggestions)
     yield from listed("at a bound", result.solver.at_bounds)
     yield from correlated(result)

@@ -43,7 +43,7 @@ def set_aside(result: CalibrationResult) -> Iterator[Line]:
         off = significant(factor * result.statistics.displaced)
         with_them = f"; with {them} the tool point would move by {off} {unit}"
     yield Line(
-        f"{len(rows)} of {result.training} {were} set aside ({named}){with_them}.",
+        f"{len(rows)} of {len(result.fitted)} {were} set aside ({named}){with_them}.",
         "strong",
     )
 
@@ -201,7 +201,7 @@ def outliers(result: CalibrationResult) -> Iterator[Block]:
         "", ("normalized residual", "weight", *["cause"][:caused]), {"cause": "remark"}
     )
     rows = [_outlier(row, caused) for row in found[:LISTED]]
-    yield Table(f"Outliers ({len(found)} of {result.training})", of, rows)
+    yield Table(f"Outliers ({len(found)} of {len(result.fitted)})", of, rows)
     if len(found) > LISTED:
         yield Line(f"and {len(found) - LISTED} more in calibration.json", indent=True)
 

@@ -19,8 +19,8 @@ from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.model_errors import registered
 from calib_pin.validation.result import Accuracy, Evaluation
-from calib_pin.validation.validation_registration import registered
 
 
 @serial_blas

@@ -100,7 +100,11 @@ def test_every_plane_stays_in_every_part() -> None:
     chain = calib_pin.load_chain("space6")
     problem = nominal_problem(chain, "plane-distance", setup)
     rows = calib_pin.simulate(
-        problem, problem.held, np.random.default_rng(0), count=100, noise=1e-4
+        problem,
+        np.zeros(len(problem.parameters)),
+        np.random.default_rng(0),
+        count=100,
+        noise=1e-4,
     )
     fitted = fit(replace(problem, data=rows), np.random.default_rng(0))
     assert len(folds(rows, fitted, 0)) == FOLDS

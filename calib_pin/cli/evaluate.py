@@ -16,13 +16,13 @@ from calib_pin.cli.files import (
     require_file,
 )
 from calib_pin.cli.options import (
-    FIT,
     Base,
     Json,
     Model,
     RobotOrCalibration,
     SetupFile,
     Tip,
+    fit_option,
 )
 from calib_pin.cli.printing import progress_bar, show, stage
 
@@ -38,11 +38,10 @@ def evaluate(
     tip: Tip = None,
     register: Annotated[
         bool,
-        typer.Option(
+        fit_option(
             "--register",
-            help="Register the frames and the instrument of a calibration on these "
+            "Register the frames and the instrument of a calibration on these "
             "measurements.",
-            rich_help_panel=FIT,
         ),
     ] = False,
     json: Json = False,

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli.figures import (
+from calib_pin.cli.files import check_outputs
+from calib_pin.cli.options import Force, Quiet, output_option
+from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.results import (
     FigureFormat,
     Figures,
     draw_calibration,
@@ -15,9 +18,6 @@ from calib_pin.cli.figures import (
     figure_files,
     told_figures,
 )
-from calib_pin.cli.files import check_outputs
-from calib_pin.cli.options import OUTPUT, Force, Quiet
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
 
 
 def report(
@@ -29,12 +29,9 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="PAGE",
-            help="The page; default report.html of the folder, which is replaced.",
-            rich_help_panel=OUTPUT,
+        output_option(
+            "-o --output PAGE",
+            "The page; default report.html of the folder, which is replaced.",
         ),
     ] = None,
     figures: Figures = None,

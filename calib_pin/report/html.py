@@ -21,7 +21,6 @@ from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.figures import Drawn
 from calib_pin.report.identification import ranks, remedied, unknown
-from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import (
     STATUS,
     group_table,
@@ -30,7 +29,14 @@ from calib_pin.report.tables import (
     parameter_overview,
     quantity,
 )
-from calib_pin.report.trust import expected, findings, noise, percent
+from calib_pin.report.trust import (
+    correlated,
+    expected,
+    findings,
+    noise,
+    percent,
+    statistics,
+)
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 

@@ -9,10 +9,16 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.identification import identified
-from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
-from calib_pin.report.trust import expected, findings, noise, outliers
+from calib_pin.report.trust import (
+    correlated,
+    expected,
+    findings,
+    noise,
+    outliers,
+    statistics,
+)
 from calib_pin.validation.result import CalibrationResult
 
 

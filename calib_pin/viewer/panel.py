@@ -8,14 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.colors import STAGES
-from calib_pin.viewer.controls import Controls, scale, swatch, text
-from calib_pin.viewer.drawings import RowsDrawing
+from calib_pin.viewer.controls import STAGES, Controls, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.joints import Joints
-from calib_pin.viewer.player import Player
+from calib_pin.viewer.motion import Joints, Player
 from calib_pin.viewer.scene import Rows, Scene
-from calib_pin.viewer.stage import Stage
+from calib_pin.viewer.stage import RowsDrawing, Stage
 
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Magnifications of the error vectors."""

@@ -10,8 +10,7 @@ from matplotlib.figure import Figure
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import AFTER, BEFORE, INK, WIDTH, Drawn, note
 from calib_pin.report.figures.labels import plain, unit_of
-from calib_pin.report.figures.strokes import arrows
-from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.figures.strokes import arrows, thinned, thinning
 from calib_pin.report.figures.views import FOOT, LEFT, SCALE, SIDES, Sides, colored
 from calib_pin.report.tables import number
 from calib_pin.validation.measurement_errors import MeasurementErrors

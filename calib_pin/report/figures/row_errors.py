@@ -23,8 +23,7 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
-from calib_pin.report.figures.strokes import Marks
-from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.report.tables import number
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult

@@ -24,7 +24,7 @@ from calib_pin.report.figures import (
     plan_figures,
 )
 from calib_pin.report.figures.correlations import correlations
-from calib_pin.report.figures.intervals import parameter_intervals
+from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Validation
 

@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.report.comparison_text import comparison_report
+from calib_pin.report.comparison import comparison_report
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
 from calib_pin.validation.comparison import (

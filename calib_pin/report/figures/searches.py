@@ -1,4 +1,4 @@
-"""Model selection: the gain of every further part of the model."""
+"""Convergence of a search, and model selection."""
 
 from __future__ import annotations
 
@@ -8,17 +8,46 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib_pin.report.figures.canvas import AFTER, MUTED, WIDTH, Drawn, marks, panel
-from calib_pin.report.figures.labels import (
-    log_axis,
-    log_limits,
-    shortened,
-    unit_of,
+from calib_pin.report.figures.canvas import (
+    AFTER,
+    MUTED,
+    WIDTH,
+    Drawn,
+    marks,
+    panel,
+    panels,
 )
-from calib_pin.report.figures.lists import beside
+from calib_pin.report.figures.estimates import beside
+from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Candidate, ModelSelection
+
+
+def convergence(result: CalibrationResult) -> Drawn | None:
+    """The best cost of every generation, where there were any."""
+    cost = np.array(result.solver.history)
+    limits = log_limits(cost)
+    if len(cost) < 2 or limits is None:
+        return None
+    figure = Figure(figsize=(WIDTH, 2.5))
+    (axes,) = panels(figure, 1, 0.15, 1.85, left=0.85)
+    generation = np.arange(len(cost))
+    shown = np.isfinite(cost) & (cost > 0.0)
+    axes.plot(generation[shown], cost[shown], color=AFTER, drawstyle="steps-post")
+    log_axis(axes, "y", limits)
+    axes.set_xlim(0, len(cost) - 1)
+    axes.set_xlabel("generation")
+    axes.set_ylabel("best cost")
+    return Drawn(
+        "convergence",
+        "Convergence of the search",
+        f"Half the sum of squared normalized residuals of the best member fell from "
+        f"{number(cost[0])} to {number(cost[-1])} in {len(cost) - 1} generations of "
+        f"{result.solver.name}. Where the curve ends flat, more would not have helped.",
+        figure,
+    )
+
 
 LINE = 0.3
 """Height of a candidate [inch]."""

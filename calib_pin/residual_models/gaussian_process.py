@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     Space,
@@ -97,11 +97,7 @@ class GaussianProcess:
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections, shape (N, m) [rad, m], zero outside the region.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-        """
+        """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
         at = self.region.angles(q)
         inside = self.covariance.predict(at, self._angle, self.weights) * self.unit
         return np.asarray(self.region.weight(q)[:, None] * inside)
@@ -113,14 +109,7 @@ class GaussianProcess:
         by_correction: Floats | None = None,
         by_shift: Floats | None = None,
     ) -> Floats:
-        """Standard deviations of the corrections, shape (N, m) [rad, m], or (N, d).
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, m);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
-        """
+        """Standard deviations, see `ResidualModel.deviation`."""
         weight = self.region.weight(q)[:, None]
         if by_correction is None:
             by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
@@ -304,7 +293,7 @@ class _Draft:
         before = self.at.residual[chosen]
         for _ in range(2):
             G, A = self.at.by_shift[chosen], self.A[chosen]
-            effect = (self.at.by_correction @ self.f[:, :, None])[:, :, 0]
+            effect = times(self.at.by_correction, self.f)
             base = (self.at.residual - effect - self.at.by_shift @ self.z)[chosen]
             columns, released = absorbed(G)
             process = GaussianProcess(
@@ -327,7 +316,7 @@ class _Draft:
             here = self.angle[chosen]
             self.f = covariance.predict(self.angle, here, weights) * self.unit
             # The shift must explain the rest, which neither process nor noise does.
-            rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
+            rest = base + times(A, self.f[chosen] / self.unit)
             self.z = -released @ (columns.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
         groups = self.rows.groups[chosen]

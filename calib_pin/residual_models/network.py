@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from calib_pin.compiled.threads import Threads, serial_blas
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
@@ -89,11 +89,7 @@ class Network:
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections, shape (N, n) [rad, m], zero outside the region.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-        """
+        """Corrections at joint positions, (N, n) [rad, m], zero outside the region."""
         angle = self.region.angles(q)
         inside = series(angle, self._average.series)
         for start in range(0, len(q), PIECE):
@@ -109,17 +105,11 @@ class Network:
         by_correction: Floats | None = None,
         by_shift: Floats | None = None,
     ) -> Floats:
-        """Standard deviations by the jackknife, shape (N, n) [rad, m] or (N, d).
+        """Standard deviations by the jackknife, see `ResidualModel.deviation`.
 
         Every member lacks another part of the rows, so the variance of their mean is
         (K - 1) times their mean square deviation from it (Efron and Stein 1981). Where
         only one is left, it is the part of the residuals that is left of them.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, n);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
         """
         angle = self.region.angles(q)
         circle = np.sin(angle), np.cos(angle)
@@ -131,10 +121,10 @@ class Network:
         )
         size = np.tile(self.typical, (len(q), 1))
         if by_correction is not None:
-            each = _effects(by_correction, each)
+            each = times(by_correction, each)
             if by_shift is not None:
-                each = each + _effects(by_shift, self.shifts[:, None])
-            size = np.sqrt((by_correction**2 @ size[:, :, None] ** 2)[:, :, 0])
+                each = each + times(by_shift, self.shifts[:, None])
+            size = np.sqrt(times(by_correction**2, size**2))
         inside = self.inflation * _jackknife(each)
         if len(each) == 1:
             before, after = self.held_out
@@ -256,7 +246,7 @@ def fit_network(
     # Where no rows teach anything the shift of their noise is no use, either.
     shift = _shift(rows, correction) if correction.any() else np.zeros(rows.shifts)
     at = rows.by_joint(correction, shift)
-    effects = _effects(at.by_correction, each) + _effects(at.by_shift, shifts[:, None])
+    effects = times(at.by_correction, each) + times(at.by_shift, shifts[:, None])
     return Network(
         region=region,
         shift=shift,
@@ -276,11 +266,6 @@ def fit_network(
 def _silent(weights: Weights) -> Weights:
     """Weights that give no correction."""
     return Weights(weights.factors, 0.0 * weights.outputs, 0.0 * weights.series)
-
-
-def _effects(A: Floats, each: Floats) -> Floats:
-    """Effect of the corrections, (N, d, n), (K, N, n) -> (K, N, d)."""
-    return np.asarray((A @ each[..., None])[..., 0])
 
 
 def _jackknife(each: Floats) -> Floats:

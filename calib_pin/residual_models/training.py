@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.residual_models.base import TrainingRows, absorbed
 from calib_pin.residual_models.units import Inputs, Weights, combined, unit_columns
 
@@ -99,7 +99,7 @@ class Member:
     def aim(self) -> None:
         """Linearize the kinematics anew at the weights so far."""
         f = self.correction(self._weights(self._w))
-        self._linearize(f, self._shift(self._base + self._effect(f)))
+        self._linearize(f, self._shift(self._base + times(self._slope, f)))
 
     def train(self, steps: int, patience: int, *, eager: int = 0) -> None:
         """Take some steps about the linearization.
@@ -119,7 +119,7 @@ class Member:
             if k >= eager:
                 self._weigh()
             weights = self._weights(self._w)
-            residual = self._base + self._effect(self.correction(weights))
+            residual = self._base + times(self._slope, self.correction(weights))
             after = self._watched(residual)
             held_out, best = float((after**2).mean()), self.held_out
             better = held_out < (1.0 - LEAST_GAIN) * best
@@ -137,7 +137,7 @@ class Member:
     @property
     def shift(self) -> Floats:
         """Shift that belongs to the best weights, shape (P,)."""
-        return self._shift(self._base + self._effect(self.correction(self.best)))
+        return self._shift(self._base + times(self._slope, self.correction(self.best)))
 
     @property
     def noise(self) -> float:
@@ -175,7 +175,7 @@ class Member:
         self._slope = at.by_correction
         self._by_shift = at.by_shift
         # Residuals where correction and shift would be zero.
-        self._base = at.residual - self._effect(f) - at.by_shift @ shift
+        self._base = at.residual - times(self._slope, f) - at.by_shift @ shift
         self._A = self._slope[self._training] * self._unit
         values = self._A.shape[0] * self._A.shape[1]
         self._left, self._back = absorbed(at.by_shift[self._training])
@@ -187,10 +187,6 @@ class Member:
 
     def _projected(self, columns: Floats) -> Floats:
         return np.asarray(columns - self._left @ (self._left.T @ columns))
-
-    def _effect(self, f: Floats) -> Floats:
-        """Change of the residuals by corrections, (N, n) -> (N, d)."""
-        return np.asarray((self._slope @ f[:, :, None])[:, :, 0])
 
     def _shift(self, residual: Floats) -> Floats:
         """Shift that explains most of the learning rows, shape (P,)."""
@@ -216,7 +212,7 @@ class Member:
     def _residual(self, w: Floats) -> Floats:
         """Residuals of the learning rows without the part that the shift explains."""
         f = combined(self._circle, self._weights(w))
-        r = (self._A @ f[:, :, None]).reshape(-1)
+        r = times(self._A, f).reshape(-1)
         own = w[: len(self._kept)][self._kept]
         return np.asarray(self._projected(r) + self._own @ own - self._target)
 

@@ -10,8 +10,8 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, Status
-from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
+    Box,
     Stops,
     crossing,
     evolve,

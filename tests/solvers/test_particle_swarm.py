@@ -13,7 +13,7 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, ParticleSwarm, Status, particle_swarm
-from calib_pin.solvers.box import Box
+from calib_pin.solvers.evolution import Box
 from calib_pin.solvers.particle_swarm import _Swarm
 
 WIDE = np.tile([-5.0, 5.0], (5, 1))

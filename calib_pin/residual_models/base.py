@@ -21,8 +21,8 @@ INDEPENDENT = 1e-8
 CHANCE = 2.0
 """Standard deviations that a gain must have; otherwise the correction is zero."""
 
-UNSEEN = 1e-12
-"""Unit of corrections that the rows do not show: they stay at nothing [rad, m]."""
+UNOBSERVED = 1e-12
+"""Unit of corrections that are not observed: they stay at nothing [rad, m]."""
 
 
 @dataclass(frozen=True)
@@ -207,7 +207,7 @@ def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
     """
     size = np.sqrt((at.residual**2).mean())
     effect = (at.by_correction**2).mean(axis=(0, 1))
-    result = np.full(len(kinds), UNSEEN)
+    result = np.full(len(kinds), UNOBSERVED)
     for kind in (kinds, ~kinds):
         if kind.any() and effect[kind].any() and size > 0.0:
             result[kind] = size / np.sqrt(effect[kind].mean())

@@ -127,12 +127,10 @@ class GaussianProcess:
         return np.asarray(weight * inside + (1.0 - weight) * np.sqrt(size))
 
     def _known(self, at: Floats, A: Floats, G: Floats) -> Floats:
-        """Part of the variance that the rows remove, shape (K, d).
+        """Part of the variance that the measurements remove, shape (K, d).
 
-        Args:
-            at: Angles, shape (K, n) [rad].
-            A: Derivative of something by corrections in units, shape (K, d, m).
-            G: Its derivative by the absorbed amplitudes, shape (K, d, k).
+        Of something with derivatives by corrections in units, A (K, d, m), and by the
+        absorbed amplitudes, G (K, d, k), at angles (K, n) [rad].
         """
         components = self.covariance.components(self._angle, at)
         blocks = self.A.reshape(-1, len(self.unit))
@@ -156,7 +154,7 @@ class GaussianProcess:
     @cached_property
     def _factor(self) -> Floats:
         """Cholesky factor of the covariance of all residuals, shape (N d, N d)."""
-        K = self.covariance.seen(self._angle, self.A)
+        K = self.covariance.of_residuals(self._angle, self.A)
         K += self.free * (self.absorbed @ self.absorbed.T)
         K[np.diag_indices_from(K)] += self.noise
         return np.asarray(cholesky(K, lower=True, overwrite_a=True))
@@ -249,14 +247,7 @@ def fit_gaussian_process(
 
 
 class _Draft:
-    """A process in one space, on its way.
-
-    Args:
-        rows: The rows.
-        space: Space of the corrections.
-        region: Training region.
-        rng: Chooses rows.
-    """
+    """A process in one space, on its way; the generator chooses measurements."""
 
     def __init__(
         self,

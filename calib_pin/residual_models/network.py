@@ -240,7 +240,7 @@ def fit_network(
     each = np.stack([m.correction(w) for m, w in zip(kept, weights, strict=True)])
     shifts = np.stack([member.shift for member in kept])
     if not convincing(before, after):
-        weights = [_silent(w) for w in weights]
+        weights = [_rejected(w) for w in weights]
         each, shifts, after = 0.0 * each, 0.0 * shifts, before
     correction = each.mean(axis=0)
     # Where no rows teach anything the shift of their noise is no use, either.
@@ -263,7 +263,7 @@ def fit_network(
     )
 
 
-def _silent(weights: Weights) -> Weights:
+def _rejected(weights: Weights) -> Weights:
     """Weights that give no correction."""
     return Weights(weights.factors, 0.0 * weights.outputs, 0.0 * weights.series)
 
@@ -274,18 +274,14 @@ def _jackknife(each: Floats) -> Floats:
 
 
 def _inflation_factor(deviation: Floats, excess: float) -> float:
-    """Factor by which deviations explain what held-out rows have beyond the noise.
+    """Factor by which deviations, (N, d), explain a mean square beyond the noise.
 
     Members have errors in common, which their differences do not show.
-
-    Args:
-        deviation: Standard deviations of the whitened residuals, shape (N, d).
-        excess: Mean square of the held-out residuals beyond the noise.
     """
-    shown = float((deviation**2).mean())
-    if shown <= 0.0 or excess <= shown:
+    explained = float((deviation**2).mean())
+    if explained <= 0.0 or excess <= explained:
         return 1.0
-    return float(min(np.sqrt(excess / shown), LARGEST_INFLATION))
+    return float(min(np.sqrt(excess / explained), LARGEST_INFLATION))
 
 
 def _successful(members: Sequence[Member]) -> list[Member]:

@@ -229,14 +229,7 @@ class LShade(Variant):
     """
 
     def __init__(self, size: int, dimension: int, budget: int, rng: Rng) -> None:
-        """Start with an empty archive and means of 0.5.
-
-        Args:
-            size: Members of the first population.
-            dimension: Components of a member.
-            budget: Evaluations over which the population shrinks.
-            rng: Source of chance.
-        """
+        """Start with an empty archive, and a budget of evaluations."""
         self.size, self.budget, self.rng = size, budget, rng
         self.archive = np.empty((round(OPTIONS.archive * size), dimension))
         self.archived = 0

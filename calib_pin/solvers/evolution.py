@@ -63,16 +63,6 @@ class PopulationResult(Generic[_Members]):
     best_history: Floats
     mean_history: Floats
 
-    @property
-    def success(self) -> bool:
-        """Whether the population met, or the cost reached its target."""
-        return self.status.success
-
-    @property
-    def message(self) -> str:
-        """The meaning of the status, with advice."""
-        return self.status.advice
-
 
 class EvolutionResult(PopulationResult[Floats]):
     """Outcome of an evolution; all members are within the bounds."""

@@ -70,7 +70,6 @@ class DescentOptions:
 OPTIONS = DescentOptions()
 """The default options."""
 
-
 Function = Callable[[Floats], tuple[float, Floats]]
 Allowed = Callable[[Floats], Booleans]
 

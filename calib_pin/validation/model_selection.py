@@ -27,7 +27,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import beyond_geometry
-from calib_pin.parameterizations.joint_offset import JointOffset
+from calib_pin.parameterizations.placement import JointOffset
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS

@@ -71,7 +71,7 @@ def test_known_minima(
 def test_the_swarm_converges_in_one_basin() -> None:
     options = ParticleSwarm(particles=30, iterations=500, mutation=0.0, tol=1e-6)
     result = run(lambda x: sphere(x) + 1.0, options)
-    assert result.status is Status.CONVERGED and result.success
+    assert result.status is Status.CONVERGED and result.status.success
     assert result.nit < 500
     assert result.x == pytest.approx(np.ones(5), abs=0.01)
 

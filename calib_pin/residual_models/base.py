@@ -27,7 +27,7 @@ UNOBSERVED = 1e-12
 
 @dataclass(frozen=True)
 class Linearized:
-    """Whitened residuals of N rows and their derivatives.
+    """Whitened residuals of N measurements and their derivatives.
 
     Attributes:
         residual: Predicted minus measured in standard deviations, shape (N, d).
@@ -76,7 +76,7 @@ class TrainingRows:
         return np.asarray(part[labels])
 
     def require(self, model: str, directions: int, folds: int) -> None:
-        """Refuse too few rows.
+        """Refuse too few measurements.
 
         Args:
             model: Name of the residual model.
@@ -186,7 +186,7 @@ class LearnedCorrection:
 
 
 def convincing(before: Floats, after: Floats) -> bool:
-    """Whether predictions of left-out rows became better by more than chance.
+    """Whether predictions of left-out measurements became better by more than chance.
 
     Args:
         before: Whitened residuals, shape (N, d).

@@ -47,11 +47,12 @@ class GaussianProcessOptions:
     """Options of the fit of a Gaussian process.
 
     Attributes:
-        searched: Residual components, of random rows, that choose the covariance.
-        largest: Residual components, of random rows if there are more, that the process
-            is made of; time grows with their cube.
-        spaces: Spaces of the correction; the one that predicts held-out rows better is
-            taken.
+        searched: Residual components, of random measurements, that choose the
+            covariance.
+        largest: Residual components, of random measurements if there are more, that the
+            process is made of; time grows with their cube.
+        spaces: Spaces of the correction; the one that predicts held-out measurements
+            better is taken.
     """
 
     searched: int = 360
@@ -61,7 +62,7 @@ class GaussianProcessOptions:
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """A Gaussian process given its rows.
+    """A Gaussian process given its measurements.
 
     Attributes:
         region: Training region; its angles are those of the covariance.
@@ -76,8 +77,8 @@ class GaussianProcess:
         released: Shift per residual that is absorbed, shape (P, k).
         free: Variance of these.
         weights: Weight of each configuration in each component, shape (N, m).
-        held_out: Root mean square of the whitened residuals of groups of rows, before,
-            and predicted from all the others.
+        held_out: Root mean square of the whitened residuals of groups of measurements,
+            before, and predicted from all the others.
     """
 
     region: TrainedRegion
@@ -211,13 +212,13 @@ def fit_gaussian_process(
     """Fit a Gaussian process to the residuals of a geometric fit.
 
     Args:
-        rows: The rows.
-        rng: Chooses rows where not all are used.
+        rows: The measurements.
+        rng: Chooses measurements where not all are used.
         options: Options of the fit.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
-        InputError: If there are too few rows.
+        InputError: If there are too few measurements.
     """
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
@@ -280,7 +281,7 @@ class _Draft:
     def solve(
         self, covariance: Covariance, noise: float, chosen: NDArray[np.int64]
     ) -> GaussianProcess:
-        """The process for some rows, linearized again at its own predictions."""
+        """The process for some measurements, linearized again at its predictions."""
         before = self.at.residual[chosen]
         for _ in range(2):
             G, A = self.at.by_shift[chosen], self.A[chosen]
@@ -315,8 +316,8 @@ class _Draft:
         predicted = predicted.reshape(before.shape)
         if not convincing(before, predicted):
             weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z
-        # All variances times one number predict the same, but less surely: few rows
-        # chose them, and all rows tell how large they are.
+        # All variances times one number predict the same, but less surely: few
+        # measurements chose them, and all of them tell how large they are.
         return replace(
             process,
             shift=self.z,

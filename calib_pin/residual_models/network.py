@@ -44,8 +44,8 @@ class NetworkOptions:
 
     Attributes:
         units: Number of product units.
-        members: Number of restarts; each holds out another part of the rows, stops by
-            it, and the average of all is the network.
+        members: Number of restarts; each holds out another part of the measurements,
+            stops by it, and the average of all is the network.
         steps: Largest number of steps with few harmonics, and with all of them.
         patience: Steps without a better prediction that end them early.
     """
@@ -70,9 +70,9 @@ class Network:
             (K, n, 2, M) [rad, m].
         typical: Size of the corrections in training, shape (n,) [rad, m].
         inflation: Factor on the deviations, at least one, by which they explain the
-            errors of held-out rows.
-        held_out: Root mean square of the whitened residuals of rows that a network had
-            not learned from, before and after.
+            errors of held-out measurements.
+        held_out: Root mean square of the whitened residuals of measurements that a
+            network had not learned from, before and after.
     """
 
     region: TrainedRegion
@@ -107,9 +107,9 @@ class Network:
     ) -> Floats:
         """Standard deviations by the jackknife, see `ResidualModel.deviation`.
 
-        Every member lacks another part of the rows, so the variance of their mean is
-        (K - 1) times their mean square deviation from it (Efron and Stein 1981). Where
-        only one is left, it is the part of the residuals that is left of them.
+        Every member lacks another part of the measurements, so the variance of their
+        mean is (K - 1) times their mean square deviation from it (Efron and Stein
+        1981). Where only one is left, it is the part of the residuals that is left.
         """
         angle = self.region.angles(q)
         circle = np.sin(angle), np.cos(angle)
@@ -184,13 +184,13 @@ def fit_network(
     """Train a network on the residuals of a geometric fit.
 
     Args:
-        rows: The rows.
+        rows: The measurements.
         rng: Source of first weights and of the parts that are held out.
         options: Options of the training.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
-        InputError: If there are too few rows.
+        InputError: If there are too few measurements.
     """
     options = options or NetworkOptions()
     joints = len(rows.revolute)
@@ -243,7 +243,7 @@ def fit_network(
         weights = [_rejected(w) for w in weights]
         each, shifts, after = 0.0 * each, 0.0 * shifts, before
     correction = each.mean(axis=0)
-    # Where no rows teach anything the shift of their noise is no use, either.
+    # Where no measurements teach anything the shift of their noise is no use, either.
     shift = _shift(rows, correction) if correction.any() else np.zeros(rows.shifts)
     at = rows.by_joint(correction, shift)
     effects = times(at.by_correction, each) + times(at.by_shift, shifts[:, None])
@@ -291,7 +291,7 @@ def _successful(members: Sequence[Member]) -> list[Member]:
 
 
 def _shift(rows: TrainingRows, correction: Floats) -> Floats:
-    """Shift of the geometry that fits all rows best with a correction, shape (P,)."""
+    """Shift of the geometry that fits best with a correction, shape (P,)."""
     shift = np.zeros(rows.shifts)
     for _ in range(2 if rows.shifts else 0):
         at = rows.by_joint(correction, shift)

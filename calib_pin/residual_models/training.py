@@ -41,18 +41,18 @@ WIDENED = 100.0
 
 
 class Member:
-    """One network in training on some of the rows, watched on the others.
+    """One network in training on some of the measurements, watched on the others.
 
     Args:
-        rows: All rows.
-        inputs: Inputs of the network, of all rows.
-        training: True for rows that it learns from, shape (N,).
+        rows: All measurements.
+        inputs: Inputs of the network, of all measurements.
+        training: True for measurements that it learns from, shape (N,).
         unit: Correction that counts as one, shape (n,) [rad, m].
         units: Number H of product units.
         rng: Source of the first weights.
 
     Attributes:
-        best: The weights that predict the other rows best.
+        best: The weights that predict the other measurements best.
         before: Residuals of these without a correction, shape (K, d).
         after: Their residuals with the best weights, shape (K, d).
     """
@@ -104,7 +104,7 @@ class Member:
     def train(self, steps: int, patience: int, *, eager: int = 0) -> None:
         """Take some steps about the linearization.
 
-        The best weights are those that predict the rows that it does not learn from.
+        The best weights are those that predict the held-out measurements.
 
         Args:
             steps: Largest number of steps.
@@ -131,7 +131,7 @@ class Member:
 
     @property
     def held_out(self) -> float:
-        """Mean square of the best residuals of rows that it does not learn from."""
+        """Mean square of the best residuals of held-out measurements."""
         return float((self.after**2).mean())
 
     @property
@@ -151,7 +151,7 @@ class Member:
         self._kept[:] = True
 
     def correction(self, weights: Weights) -> Floats:
-        """Corrections of all rows, shape (N, n) [rad, m]."""
+        """Corrections of all measurements, shape (N, n) [rad, m]."""
         own = self._inputs.waves @ weights.series.reshape(len(self._unit), -1, 1)
         inside = combined(self._inputs.circle, weights) + own[:, :, 0].T
         return np.asarray(inside * self._unit)
@@ -168,8 +168,8 @@ class Member:
     def _linearize(self, f: Floats, shift: Floats) -> None:
         """Residuals as linear functions of correction and shift, about f and a shift.
 
-        The part that the shift can explain is removed from the learning rows; it has no
-        decay.
+        The part that the shift can explain is removed from the training measurements;
+        it has no decay.
         """
         at = self._rows.by_joint(f, shift)
         self._slope = at.by_correction
@@ -189,12 +189,12 @@ class Member:
         return np.asarray(columns - self._left @ (self._left.T @ columns))
 
     def _shift(self, residual: Floats) -> Floats:
-        """Shift that explains most of the learning rows, shape (P,)."""
+        """Shift that explains most of the training measurements, shape (P,)."""
         r = residual[self._training].reshape(-1)
         return np.asarray(-self._back @ (self._left.T @ r))
 
     def _watched(self, residual: Floats) -> Floats:
-        """Of residuals (N, d) those of the rows that it does not learn from."""
+        """Residuals of the held-out measurements, of those of all, shape (N, d)."""
         shifted = residual + self._by_shift @ self._shift(residual)
         return np.asarray(shifted[~self._training])
 
@@ -210,7 +210,7 @@ class Member:
         return normal, gradient, inside
 
     def _residual(self, w: Floats) -> Floats:
-        """Residuals of the learning rows without the part that the shift explains."""
+        """Residuals of the training measurements that the shift does not explain."""
         f = combined(self._circle, self._weights(w))
         r = times(self._A, f).reshape(-1)
         own = w[: len(self._kept)][self._kept]

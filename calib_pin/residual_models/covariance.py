@@ -110,7 +110,8 @@ class Covariance:
         for j, values in enumerate(self.components(angle, angle)):
             a = A[:, :, j].reshape(-1)
             if a.any():
-                result += _spread(values, d) * np.multiply.outer(a, a)
+                blocks = np.repeat(np.repeat(values, d, axis=0), d, axis=1)
+                result += blocks * np.multiply.outer(a, a)
         return result
 
     def predict(self, at: Floats, angle: Floats, weights: Floats) -> Floats:
@@ -155,11 +156,6 @@ def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
     result = scaled @ np.concatenate([np.cos(b), np.sin(b)], axis=1).T
     result -= (1.0 / length**2).sum()
     return np.asarray(np.exp(result, out=result))
-
-
-def _spread(values: Floats, d: int) -> Floats:
-    """Every entry for a block of d x d, shape (N, N) -> (N d, N d)."""
-    return np.asarray(np.repeat(np.repeat(values, d, axis=0), d, axis=1))
 
 
 def most_likely(

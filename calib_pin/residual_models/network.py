@@ -240,7 +240,7 @@ def fit_network(
     each = np.stack([m.correction(w) for m, w in zip(kept, weights, strict=True)])
     shifts = np.stack([member.shift for member in kept])
     if not convincing(before, after):
-        weights = [_rejected(w) for w in weights]
+        weights = [Weights(w.factors, 0.0 * w.outputs, 0.0 * w.series) for w in weights]
         each, shifts, after = 0.0 * each, 0.0 * shifts, before
     correction = each.mean(axis=0)
     # Where no measurements teach anything the shift of their noise is no use, either.
@@ -261,11 +261,6 @@ def fit_network(
         ),
         held_out=(root_mean_square(before), root_mean_square(after)),
     )
-
-
-def _rejected(weights: Weights) -> Weights:
-    """Weights that give no correction."""
-    return Weights(weights.factors, 0.0 * weights.outputs, 0.0 * weights.series)
 
 
 def _jackknife(each: Floats) -> Floats:

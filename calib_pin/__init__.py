@@ -29,7 +29,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.observations import Measurements
     from calib_pin.planning.plan import plan
-    from calib_pin.report.page_file import report
+    from calib_pin.report.html import report
     from calib_pin.report.text import format_report
     from calib_pin.setup import Setup
     from calib_pin.simulation import draw_errors, simulate
@@ -85,7 +85,7 @@ _HOMES = {
     "read_measurements": "io.measurements",
     "read_result": "io.result_file",
     "read_setup": "io.setup",
-    "report": "report.page_file",
+    "report": "report.html",
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",

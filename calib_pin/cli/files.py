@@ -112,11 +112,7 @@ def open_calibration(
 ) -> tuple[CalibratedModel, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
-    Args:
-        name: The `calibration.json`.
-        file: The setup file, if there is one.
-        setup: What it states, with the options on top.
-        doubted: Called with the reason if the calibration must not be trusted.
+    Why a calibration must not be trusted is told to `doubted`.
 
     Raises:
         InputError: If it cannot be used.
@@ -149,11 +145,7 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
 
 
 def require_file(path: str | Path, other: str = "") -> None:
-    """Refuse the folder of a calibration in its place.
-
-    Args:
-        path: What was given.
-        other: Another possible input, for the message.
+    """Refuse the folder of a calibration in its place, or in that of another input.
 
     Raises:
         OptionError: If it is such a folder.
@@ -174,13 +166,7 @@ def open_measurements(
 ) -> Measurements:
     """Measurement files, with a remark on columns that mean nothing.
 
-    Args:
-        files: The files.
-        chain: The chain.
-        setup: What is known of model and joints.
-        quiet: Whether the remark is left out.
-        sockets: Sockets whose places are known beside those of the setup.
-        bar: Shows how much is read.
+    The places of some sockets may be known beside those of the setup.
 
     Raises:
         InputError: If a file cannot be used.
@@ -231,11 +217,6 @@ def check_outputs(
     force: bool,
 ) -> None:
     """Complain about files that must not be written, before the work is done.
-
-    Args:
-        outputs: The files to write.
-        inputs: The files that are read; a robot may be one by name.
-        force: Whether existing outputs may be replaced.
 
     Raises:
         OptionError: If an output exists without `force`, is a folder or an input, or

@@ -50,12 +50,7 @@ def option(
 ) -> Any:
     """An option under a heading of `--help`.
 
-    Args:
-        heading: The heading.
-        usage: Its names and the word for its value; without that, a switch.
-        meaning: Its help.
-        parser: Makes a value of what was written.
-        callback: Sees the value before the command does.
+    Its usage are its names and the word for its value; without that it is a switch.
     """
     words = usage.split()
     names = [word for word in words if word.startswith("-")]

@@ -97,11 +97,7 @@ def view(
 
 
 def _require_viser() -> None:
-    """Complain if the extra is missing.
-
-    Raises:
-        OptionError: If it is.
-    """
+    """Complain if the extra is missing."""
     from importlib.util import find_spec
 
     if find_spec("viser") is None:
@@ -118,16 +114,7 @@ def _open(
     file: Path | None,
     setup: Setup,
 ) -> Scene:
-    """The scene to draw.
-
-    Args:
-        name: The robot, or a calibration.
-        measurements: Files of measurements.
-        plan: File of configurations.
-        package_dirs: Folders of the packages of meshes.
-        file: The setup file.
-        setup: What it states, with the options on top.
-    """
+    """The scene to draw."""
     from calib_pin.io.measurements import read_configurations
     from calib_pin.io.urdf import load_robot
     from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_path

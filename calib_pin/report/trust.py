@@ -253,12 +253,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
-    """Strongly correlated estimates.
-
-    Args:
-        result: The result.
-        most: Number of pairs that are listed before the rest is only counted.
-    """
+    """Strongly correlated estimates; beyond `most` pairs the rest is only counted."""
     pairs = result.identifiability.correlated
     if pairs:
         names = {g.expression: f"combination {g.number}" for g in result.groups}

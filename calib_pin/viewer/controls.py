@@ -58,11 +58,8 @@ def css(color: tuple[int, ...]) -> str:
 class Controls:
     """The controls of a window.
 
-    Args:
-        gui: Where they are added.
-
     Attributes:
-        gui: The same.
+        gui: Where they are added.
         lock: Held while something is done: callbacks come from several threads, and
             a robot's kinematics have one memory.
     """
@@ -85,14 +82,7 @@ class Controls:
     def switch(
         self, label: str, of: Any, on: bool = True, *, instead: Any = None
     ) -> None:
-        """A checkbox that shows or hides something.
-
-        Args:
-            label: What it is.
-            of: What is drawn of it.
-            on: Whether it is shown at first.
-            instead: What is shown where it is not, if anything.
-        """
+        """A checkbox that shows or hides a drawing, and another one instead of it."""
 
         def show(visible: bool) -> None:
             of.visible = visible

@@ -83,12 +83,9 @@ def stage_errors(robot: Prepared) -> StageErrors:
 def _tool_points(
     measurement: MeasurementModel, T: Floats, data: Measurements
 ) -> Floats:
-    """The points of the tool that rows look at in the measuring frame, shape (N, 3).
+    """The tool points of measurements in the measurement frame, shape (N, 3) [m].
 
-    Args:
-        measurement: The measurement model, about its instrument.
-        T: Tool poses in the measuring frame, shape (N, 4, 4).
-        data: The rows.
+    The tool poses T (N, 4, 4) are in that frame too.
     """
     points = T[:, :3, 3].copy()
     parts = {measurement.name: measurement}

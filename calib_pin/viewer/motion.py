@@ -22,11 +22,6 @@ LAST = 1e9
 class Joints:
     """A slider for every joint, in degrees or millimeters.
 
-    Args:
-        controls: The window's controls.
-        scene: What is drawn.
-        stage: Where it is drawn.
-
     Attributes:
         mover: What has moved the robots last; None for a person at these sliders.
     """
@@ -59,13 +54,7 @@ class Joints:
         stage.pose(self._q, self._payload)
 
     def move(self, q: Floats, payload: str, mover: object) -> None:
-        """Move the chain; other joints stay where they are.
-
-        Args:
-            q: Positions of the chain's joints, shape (n,) [rad, m].
-            payload: Name of what the robot carries.
-            mover: Who asks for it.
-        """
+        """Move the chain to q (n,) [rad, m]; other joints stay where they are."""
         self._q[self._places] = q
         self._payload, self.mover = payload, mover
         self._stage.pose(self._q, payload)
@@ -94,14 +83,7 @@ def _range(scene: Scene) -> tuple[Floats, Floats]:
 
 
 class Player:
-    """Controls of a plan.
-
-    Args:
-        controls: The window's controls.
-        plan: The configurations.
-        joints: What moves the robots.
-        path: The path of the tip.
-    """
+    """The controls of a plan, which play its configurations in their order."""
 
     def __init__(
         self,
@@ -131,11 +113,7 @@ class Player:
                 self._show(self._number)
 
     def tick(self, seconds: float) -> None:
-        """Go on while the plan is played; from its end it begins again.
-
-        Args:
-            seconds: Time since the last tick [s].
-        """
+        """Go on by some seconds while the plan is played; it begins again."""
         if not self._playing:
             return
         with self._lock:

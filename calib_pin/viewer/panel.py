@@ -22,16 +22,7 @@ VISIBLE = 0.2
 
 
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
-    """Add all controls.
-
-    Args:
-        controls: The window's controls.
-        scene: What is drawn.
-        stage: Where it is drawn.
-
-    Returns:
-        What plays the plan, if there is one.
-    """
+    """Add all controls; returns what plays the plan, if there is one."""
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
@@ -47,11 +38,7 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
 
 
 def first_magnification(largest: float) -> int:
-    """The magnification that makes the largest vector just not too long.
-
-    Args:
-        largest: Its length [m].
-    """
+    """The magnification that makes the largest vector [m] just not too long."""
     fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE]
     return fitting[-1] if fitting else MAGNIFICATIONS[0]
 

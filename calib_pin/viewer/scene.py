@@ -94,11 +94,7 @@ class Plan:
     path: Floats
 
     def at(self, number: float) -> Floats:
-        """Joint positions on the way from one configuration to the next, shape (n,).
-
-        Args:
-            number: From 0 for the first to M - 1 for the last.
-        """
+        """Joint positions (n,) between configurations, numbered from 0 to M - 1."""
         first = min(int(number), len(self.q) - 1)
         last = min(first + 1, len(self.q) - 1)
         return np.asarray(
@@ -145,24 +141,14 @@ class Scene:
         return q
 
     def corners(self, q: Floats) -> Floats:
-        """Corners of boxes around all shapes in the base link, shape (S, 3) [m].
-
-        Args:
-            q: Joint positions, shape (K,) [rad, m].
-        """
+        """Corners (S, 3) [m] of boxes around all shapes in the base link at q."""
         skeleton = self.bodies[0].skeleton
         T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
         return np.concatenate([_corners(shape, T[shape.link]) for shape in self.shapes])
 
 
 def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Body]:
-    """The robot by itself, or as it is nominally and as it is corrected.
-
-    Args:
-        robot: The robot as it was read.
-        base: Link in whose frame it is drawn.
-        model: Its calibration, if there is one.
-    """
+    """The robot by itself, or as it is nominally and as its calibration corrects it."""
     if model is None:
         return [Body("robot", Skeleton(robot, base))]
     corrected = edit_origins(robot.source, model.urdf_corrections(), robot.file)
@@ -173,14 +159,9 @@ def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Bo
 
 
 def tip_path(subject: Chain | CalibratedModel, q: Floats) -> Floats:
-    """The way of the tip in the base link while all joints move evenly.
+    """The way (P, 3) [m] of the tip in the base link while all joints move evenly.
 
-    Args:
-        subject: The chain, or the calibrated robot, whose tip it is.
-        q: Positions of the chain's joints, shape (M, n) [rad, m].
-
-    Returns:
-        Points, shape (P, 3) [m]; those of the configurations are among them.
+    The points of the configurations q (M, n) [rad, m] are among them.
     """
     between = max(1, min(STEPS, LONGEST // len(q)))
     numbers = np.arange((len(q) - 1) * between + 1) / between

@@ -212,13 +212,7 @@ def _of_link(
 
 @dataclass(frozen=True)
 class _Reader:
-    """Reads geometry, each mesh file only once.
-
-    Attributes:
-        urdf: Path of the URDF.
-        package_dirs: Folders of packages.
-        known: Surfaces by file and scale.
-    """
+    """Reads the geometry of a URDF, each mesh file only once."""
 
     urdf: Path
     package_dirs: Sequence[str | Path]

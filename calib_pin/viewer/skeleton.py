@@ -66,11 +66,7 @@ class Skeleton:
         return np.asarray(np.clip(0.0, self.lower, self.upper))
 
     def placements(self, q: Floats) -> Floats:
-        """Poses of all links in the base link, shape (L, 4, 4).
-
-        Args:
-            q: Joint positions, shape (K,) [rad, m].
-        """
+        """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
         model, data = self._model, self._data
         full = pin.neutral(model)
         for joint, place, factor, offset in self._driven:

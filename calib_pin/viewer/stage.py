@@ -22,12 +22,7 @@ OPACITY = 0.3
 
 
 class RobotDrawing:
-    """A robot.
-
-    Args:
-        api: Where it is drawn.
-        body: The robot; the nominal one is a ghost.
-        shapes: What its links look like.
+    """A robot; the nominal one is a ghost.
 
     Attributes:
         root: Carries all of it.
@@ -74,11 +69,6 @@ class RobotDrawing:
 
 class RowsDrawing:
     """Measured points, error vectors, and the residual map.
-
-    Args:
-        api: Where they are drawn.
-        rows: The measurements.
-        size: Size of the robot [m].
 
     Attributes:
         behind: Carries the measured points.
@@ -185,10 +175,6 @@ ASPECT = 1.1
 class Stage:
     """The drawn scene, and what can be changed of it.
 
-    Args:
-        server: The window's server.
-        scene: What to draw.
-
     Attributes:
         robots: The robots by name.
         rows: Measurements, if there are any.
@@ -227,14 +213,7 @@ class Stage:
 
 
 def sight(points: Floats) -> tuple[Floats, Floats]:
-    """The position and target of a camera that sees all points.
-
-    Args:
-        points: The points, shape (N, 3) [m].
-
-    Returns:
-        Two points, shape (3,) each [m].
-    """
+    """The position and target (3,) [m] of a camera that sees all points (N, 3) [m]."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     ahead = CORNER / np.linalg.norm(CORNER)
     right = np.cross([0.0, 0.0, 1.0], ahead)

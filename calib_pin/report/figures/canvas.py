@@ -220,11 +220,7 @@ class Drawn:
         return inlined(self._saved("svg", "none"), self.name, self.title, names)
 
     def picture(self, kind: str) -> bytes:
-        """A file of its own, on white, with its heading and what to look for.
-
-        Args:
-            kind: One of `KINDS`.
-        """
+        """A file of its own, one of `KINDS`, on white, with its heading and caption."""
         figure, apart = self.figure, 0.12 / self.figure.get_figheight()
         with drawing():
             title = figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11)
@@ -283,14 +279,7 @@ def panels(
 ) -> list[Axes]:
     """Axes of equal width side by side; all lengths in inches.
 
-    Args:
-        figure: The figure.
-        count: Number of them.
-        top: Distance from the upper edge of the figure.
-        height: Height.
-        left: Distance of the first from the left edge.
-        right: Distance of the last from the right edge.
-        gap: Distance between two.
+    `left`, `top` and `right` are the distances from the edges of the figure.
     """
     width = (WIDTH - left - right - (count - 1) * gap) / count
     return [
@@ -300,12 +289,9 @@ def panels(
 
 
 def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]], left: float) -> None:
-    """The legend, in one line at the upper edge.
+    """The legend, in one line at the upper edge, `left` inches from the left one.
 
-    Args:
-        figure: The figure.
-        entries: Properties of a `Line2D` by what it stands for.
-        left: Distance from the left edge [inch].
+    The entries are properties of a `Line2D` by what it stands for.
     """
     figure.legend(
         [Line2D([], [], **properties) for properties in entries.values()],

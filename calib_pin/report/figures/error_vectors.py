@@ -73,9 +73,7 @@ def error_vectors(result: CalibrationResult) -> Drawn | None:
 def magnification(lengths: Floats, scale: float) -> float:
     """A round factor that makes most arrows short enough and the long ones seen.
 
-    Args:
-        lengths: Lengths of the vectors, shape (N,) [m].
-        scale: Inches per meter.
+    The lengths (N,) are in meters, the scale is in inches per meter.
     """
     longest = float(np.quantile(lengths, 0.95))
     return _round_down(LENGTH / (scale * longest)) if longest > 0.0 else 1.0

@@ -59,11 +59,6 @@ def of_robot(
     """Identifiable parameters and combinations of the robot, from base to tip.
 
     A combination that begins with a frame or the instrument is theirs.
-
-    Args:
-        parameters: All parameters.
-        groups: All coupled groups.
-        error: Tells what belongs to the robot.
     """
     own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
@@ -95,12 +90,9 @@ def _estimate(
 def correlation(
     estimates: Sequence[Estimate], places: Mapping[str, int], covariance: Floats
 ) -> Floats:
-    """Correlation of estimates, shape (n, n); NaN for one without a variance.
+    """Correlation of n estimates, shape (n, n); NaN for one without a variance.
 
-    Args:
-        estimates: The n estimates.
-        places: Positions of the parameters by name.
-        covariance: Of the parameters, shape (P, P).
+    The covariance (P, P) has the parameters at their places.
     """
     C = np.zeros((len(estimates), len(covariance)))
     for row, estimate in zip(C, estimates, strict=True):
@@ -155,9 +147,7 @@ def lists(
 ) -> tuple[Figure, list[Listed], str]:
     """A figure with empty panels, and a remark if something is left out.
 
-    Args:
-        estimates: The estimates, in order.
-        weight: Where there are too many, those where this is largest are kept.
+    Where there are too many estimates, those of the largest weight are kept.
     """
     units: dict[str, list[Estimate]] = {}
     for estimate in estimates:
@@ -205,16 +195,7 @@ def beside(
     gap: float = 4.0,
     color: str = INK,
 ) -> None:
-    """A label at the left of a line; much faster than a tick.
-
-    Args:
-        axes: The axes.
-        line: Height of the line in the axes' own numbers.
-        label: The label.
-        size: Size of the font [pt].
-        gap: Distance from the axes [pt].
-        color: Its color.
-    """
+    """A label at the left of a line; sizes in points. Much faster than a tick."""
     axes.annotate(
         label,
         (0.0, line),

@@ -115,13 +115,9 @@ def drift_in_workspace(drift: TipDrift) -> Drawn:
 def _over_workspace(
     points: Floats, sizes: Floats, name: str, kind: str
 ) -> tuple[Figure, str]:
-    """Points colored by a size, and the sizes in words.
+    """Tool points (N, 3) [m] colored by a length (N,) [m], and that in words.
 
-    Args:
-        points: Tool points, shape (N, 3) [m].
-        sizes: A length of each, shape (N,) [m].
-        name: Its name.
-        kind: Its kind of mean, after the unit.
+    The kind is that of the mean, after the unit.
     """
     unit, factor = unit_of("m")
     views = Sides.of(points)

@@ -16,6 +16,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from calib_pin.plugins import upper
+
 if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
     from calib_pin.control.compensation import compensate
@@ -92,6 +94,16 @@ _HOMES = {
     "write_urdf": "io.results",
 }
 """Where each public name lives; imported when it is first used."""
+
+
+def _figures(result: CalibrationResult) -> dict[str, Any]:
+    """The method `CalibrationResult.figures`, whose room lies above that of results."""
+    from calib_pin.report.figures import figures_of
+
+    return figures_of(result)
+
+
+upper["figures"] = _figures
 
 
 def __getattr__(name: str) -> Any:

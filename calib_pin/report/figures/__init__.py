@@ -100,7 +100,7 @@ def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
 
 
 def figures_of(result: CalibrationResult) -> dict[str, Figure]:
-    """The same as matplotlib figures, by name, without title and caption."""
+    """The same as matplotlib figures by name, see `CalibrationResult.figures`."""
     return {drawn.name: drawn.figure for drawn in calibration_figures(result)}
 
 

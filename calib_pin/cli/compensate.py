@@ -9,19 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     check_outputs,
     open_setup,
     require_file,
     require_joints_only,
-)
-from calib_pin.cli.options import (
-    Force,
-    Json,
-    Quiet,
-    SetupFile,
-    option,
-    output_option,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -39,7 +32,7 @@ if TYPE_CHECKING:
     from calib_pin.io.targets import Targets
     from calib_pin.validation.calibrated_model import CalibratedModel
 
-targets_option = partial(option, "Targets")
+targets_option = partial(options.option, "Targets")
 
 FRAMES = ("measuring", "base")
 POINTS = ("tool", "tip")
@@ -59,7 +52,7 @@ def compensate(
         ),
     ],
     output: Annotated[
-        Path, output_option("-o --output CSV", "File of joint commands to write.")
+        Path, options.output("-o --output CSV", "File of joint commands to write.")
     ],
     frame: Annotated[
         str | None,
@@ -89,10 +82,10 @@ def compensate(
         bool,
         targets_option("--position", "Reach positions only, with any orientation."),
     ] = False,
-    setup: SetupFile = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
+    setup: options.SetupFile = None,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Find the joint commands that bring the real robot to targets.
 

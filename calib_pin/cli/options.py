@@ -64,7 +64,7 @@ def option(
     )
 
 
-robot_option, fit_option, output_option = (
+robot, fit, output = (
     partial(option, heading) for heading in ("Robot", "Fit", "Output")
 )
 
@@ -96,11 +96,11 @@ RobotOrCalibration = Annotated[
     ),
 ]
 SetupFile = Annotated[
-    Path | None, robot_option("--setup FILE", "Setup file (YAML); options override it.")
+    Path | None, robot("--setup FILE", "Setup file (YAML); options override it.")
 ]
 Model = Annotated[
     str | None,
-    robot_option(
+    robot(
         "--model NAME",
         "Measurement model, or several joined by +; by default inferred from the "
         "columns. 'list' prints all.",
@@ -109,15 +109,15 @@ Model = Annotated[
 ]
 Base = Annotated[
     str | None,
-    robot_option("--base LINK", "First link of the chain; by default the root."),
+    robot("--base LINK", "First link of the chain; by default the root."),
 ]
 Tip = Annotated[
     str | None,
-    robot_option("--tip LINK", "Last link of the chain; by default the only leaf."),
+    robot("--tip LINK", "Last link of the chain; by default the only leaf."),
 ]
 Parameters = Annotated[
     str | None,
-    robot_option(
+    robot(
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
         "geometry transmission, compliance{}; several may be combined.",
@@ -133,9 +133,9 @@ def seed(heading: str, meaning: str = "Random seed.") -> Any:
 
 
 Seed = Annotated[int, seed("Fit")]
-Force = Annotated[bool, output_option("--force", "Replace existing output.")]
-Quiet = Annotated[bool, output_option("--quiet", "Print nothing but errors.")]
-Json = Annotated[bool, output_option("--json", "Print JSON.")]
+Force = Annotated[bool, output("--force", "Replace existing output.")]
+Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
+Json = Annotated[bool, output("--json", "Print JSON.")]
 
 
 def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.options import output_option
+from calib_pin.cli.options import output
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.errors import OptionError, require_known
 
@@ -170,11 +170,9 @@ def _format(word: str) -> str:
     return word
 
 
-Figures = Annotated[
-    Path | None, output_option("--figures DIR", "Folder for the figures.")
-]
+Figures = Annotated[Path | None, output("--figures DIR", "Folder for the figures.")]
 FigureFormat = Annotated[
-    str, output_option("--figure-format FORMAT", "png (default), pdf or svg.", _format)
+    str, output("--figure-format FORMAT", "png (default), pdf or svg.", _format)
 ]
 
 

@@ -54,19 +54,20 @@ def open_setup(
         if len(set(names)) != len(names):
             raise OptionError("a parameterization is named twice", value=parameters)
         setup = replace(setup, parameters=names)
-    if solver is not None:
-        require_known("solver", solver, SOLVERS)
-        setup = replace(setup, solver=replace(setup.solver, name=solver))
-    if loss is not None:
-        require_known("loss", loss, LOSSES)
-        setup = replace(setup, loss=loss)
-    if learned is not None:
-        require_known("residual model", learned, RESIDUAL_MODELS)
-        setup = replace(setup, learned=learned)
+    for kind, given, known in (
+        ("solver", solver, SOLVERS),
+        ("loss", loss, LOSSES),
+        ("residual model", learned, RESIDUAL_MODELS),
+    ):
+        if given is not None:
+            require_known(kind, given, known)
     if model is not None:
         check_model(model)
     return replace(
         setup,
+        solver=replace(setup.solver, name=solver or setup.solver.name),
+        loss=loss or setup.loss,
+        learned=learned or setup.learned,
         base=base or setup.base,
         tip=tip or setup.tip,
         model=model or setup.model,

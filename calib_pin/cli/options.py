@@ -148,12 +148,6 @@ def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, f
     Raises:
         OptionError: If a word is not of this form, the limits cross, or the unit is
             none of a joint that is meant.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space6")
-        >>> parse_limits(["joint_1=-90:90 [deg]", "joint_2=0:0.35"], chain)["joint_2"]
-        (0.0, 0.35)
     """
     from calib_pin.io.columns import ANGLE, LENGTH, split_header
     from calib_pin.parameters import matching

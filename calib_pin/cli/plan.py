@@ -7,7 +7,7 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
@@ -38,11 +38,6 @@ from calib_pin.cli.results import (
     told_figures,
 )
 from calib_pin.errors import OptionError, require_known
-
-if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.kinematics.collision import Collisions
-    from calib_pin.setup import Setup
 
 plan_option, workspace_option = (
     partial(options.option, heading) for heading in ("Plan", "Constraints")
@@ -206,13 +201,18 @@ def plan(
     check_columns(chain, stated.joints, names)
     collisions = None
     if not ignore_collisions:
-        told = None if quiet else notice
-        collisions = _collisions(
-            chain, stated, srdf, package_dir or [], clearance, told
+        from calib_pin.io.collision import CLEARANCE, load_collisions
+
+        collisions = load_collisions(
+            chain,
+            stated.obstacles,
+            srdf=srdf,
+            package_dirs=package_dir or [],
+            clearance=CLEARANCE if clearance is None else clearance,
+            notice=None if quiet else notice,
+            file=stated.file,
         )
-    poses = None
-    if tests is not None:
-        poses = read_configurations(tests, chain, stated.joints)
+    poses = None if tests is None else read_configurations(tests, chain, stated.joints)
     with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
         found = run(
             chain,
@@ -267,27 +267,6 @@ def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:
     if count is None:
         raise OptionError("say how many configurations to plan with --count N")
     return count
-
-
-def _collisions(
-    chain: Chain,
-    setup: Setup,
-    srdf: Path | None,
-    package_dirs: list[Path],
-    clearance: float | None,
-    told: Callable[[str], None] | None,
-) -> Collisions | None:
-    from calib_pin.io.collision import CLEARANCE, load_collisions
-
-    return load_collisions(
-        chain,
-        setup.obstacles,
-        srdf=srdf,
-        package_dirs=package_dirs,
-        clearance=CLEARANCE if clearance is None else clearance,
-        notice=told,
-        file=setup.file,
-    )
 
 
 @contextmanager

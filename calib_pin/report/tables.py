@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from calib_pin.estimation.evidence import Outlier
 from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (
@@ -211,15 +212,7 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
     """The worst outliers with their weights and errors."""
     found, errors = result.statistics.outliers, result.fitted
     kept = found[:most]
-    cells = [
-        [
-            Cell(row.place),
-            Cell(f"{row.size:.1f}", row.size),
-            Cell(significant(row.weight), row.weight),
-            Cell(row.cause),
-        ]
-        for row in kept
-    ]
+    cells = [outlier_cells(row) for row in kept]
     titles = ["normalized residual", "weight", "cause"]
     for of in errors.quantities:
         unit = DISPLAY[of.unit][0]
@@ -228,6 +221,12 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
             sizes = [float(stage[row.row]) for stage in errors.sizes(of)]
             own += [known(size, of.unit) for size in sizes]
     return Table("Outliers", columns("measurement", titles, {"cause": "remark"}), cells)
+
+
+def outlier_cells(row: Outlier) -> list[Cell]:
+    """Place, normalized residual, weight and cause of an outlier."""
+    size, weight = Cell(f"{row.size:.1f}", row.size), significant(row.weight)
+    return [Cell(row.place), size, Cell(weight, row.weight), Cell(row.cause)]
 
 
 def _estimate(

@@ -8,11 +8,10 @@ from collections.abc import Iterator, Sequence
 from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
-    Outlier,
     VarianceComponent,
 )
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Names, Table, columns
-from calib_pin.report.tables import number, significant
+from calib_pin.report.tables import number, outlier_cells, significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import CalibrationResult
@@ -201,23 +200,10 @@ def outliers(result: CalibrationResult) -> Iterator[Block]:
     of = columns(
         "", ("normalized residual", "weight", *["cause"][:caused]), {"cause": "remark"}
     )
-    rows = [_outlier(row, caused) for row in found[:LISTED]]
+    rows = [[*outlier_cells(row)][: 3 + caused] for row in found[:LISTED]]
     yield Table(f"Outliers ({len(found)} of {len(result.fitted)})", of, rows)
     if len(found) > LISTED:
         yield Line(f"and {len(found) - LISTED} more in calibration.json", indent=True)
-
-
-def _outlier(row: Outlier, caused: bool) -> Sequence[Cell]:
-    return (
-        Cell(row.place),
-        Cell(f"{row.size:.1f}", row.size),
-        Cell(significant(row.weight), row.weight),
-        *[Cell(row.cause)][:caused],
-    )
-
-
-LISTED = 5
-"""Correlated pairs that are listed before the rest is only counted."""
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:

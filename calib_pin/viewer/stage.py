@@ -131,18 +131,6 @@ class RowsDrawing:
         self._mark.position = self._last.points[row]
 
 
-def draw_path(
-    api: viser.SceneApi, path: Floats, size: float
-) -> viser.LineSegmentsHandle:
-    """A line through points, shape (P, 3) [m], as thick as suits a robot's size."""
-    return api.add_line_segments(
-        "/path",
-        np.stack([path[:-1], path[1:]], axis=1),
-        np.array(PATH),
-        thickness=0.002 * size,
-    )
-
-
 def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     """Magnified error vectors from the measured points, shape (n, 2, 3) [m].
 
@@ -191,14 +179,22 @@ class Stage:
         seen = [corners, np.array([[*corners.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
-        _aim(server.initial_camera, np.concatenate(seen))
+        camera = server.initial_camera
+        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = sight(np.concatenate(seen))
         self.robots = {
             body.name: RobotDrawing(api, body, scene.shapes) for body in scene.bodies
         }
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
-        self.path = (
-            None if scene.plan is None else draw_path(api, scene.plan.path, size)
-        )
+        self.path = None
+        if scene.plan is not None:
+            way = scene.plan.path
+            self.path = api.add_line_segments(
+                "/path",
+                np.stack([way[:-1], way[1:]], axis=1),
+                np.array(PATH),
+                thickness=0.002 * size,
+            )
 
     def pose(self, q: Floats, payload: str) -> None:
         """Put all robots where their joints are commanded to be.
@@ -222,12 +218,6 @@ def sight(points: Floats) -> tuple[Floats, Floats]:
     slope = np.tan(0.5 * ANGLE)
     distance = np.max(z + np.maximum(np.abs(x) / ASPECT, np.abs(y)) / slope)
     return center + 1.05 * distance * ahead, center
-
-
-def _aim(camera: viser.InitialCameraConfig, points: Floats) -> None:
-    camera.fov = ANGLE
-    camera.up = (0.0, 0.0, 1.0)
-    camera.position, camera.look_at = sight(points)
 
 
 def _light(api: viser.SceneApi, size: float, floor: float) -> None:

@@ -83,19 +83,7 @@ _Subject = TypeVar("_Subject")
 
 
 def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
-    """Figures of a calibration, those for which there is something to show.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space7")
-        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
-        >>> rows = calib_pin.read_measurements(
-        ...     calib_pin.robot_file("space7", "measurements.csv"), chain
-        ... )
-        >>> result = calib_pin.calibrate(chain, rows, setup)
-        >>> [figure.name for figure in calibration_figures(result)][:2]
-        ['errors-per-measurement', 'error-vectors']
-    """
+    """Figures of a calibration, those for which there is something to show."""
     yield from _drawn(OF_CALIBRATION, result)
 
 
@@ -105,15 +93,7 @@ def figures_of(result: CalibrationResult) -> dict[str, Figure]:
 
 
 def plan_figures(plan: Plan) -> Iterator[Drawn]:
-    """Figures of a plan, those for which there is something to show.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space6")
-        >>> found = calib_pin.plan(chain, "position", 12, method="exchange")
-        >>> [figure.name for figure in plan_figures(found)]
-        ['criterion-by-count', 'predicted-deviations', 'planned-positions']
-    """
+    """Figures of a plan, those for which there is something to show."""
     yield from _drawn(OF_PLAN, plan)
 
 

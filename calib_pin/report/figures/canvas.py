@@ -24,8 +24,6 @@ ROUNDED = re.compile(r"-?\d+\.\d{3,}")
 
 REFERENCE = re.compile(r"url\(#")
 
-COLOR = re.compile(r"#[0-9a-f]{6}\b")
-
 FONT = re.compile(r"(?P<before>[^;]*?)(?P<size>[\d.]+px)")
 """What older versions write in one word: weight, size and family."""
 
@@ -102,12 +100,10 @@ def _style(value: str, colors: Mapping[str, str]) -> str:
             continue
         if key == "font" and (found := FONT.match(rest)):
             key, rest = "font-size", found["size"]
-        kept.append(f"{key}: {COLOR.sub(lambda c: _color(c[0], colors), rest)}")
+        for code, color in colors.items():
+            rest = rest.replace(code, f"var(--{color})")
+        kept.append(f"{key}: {rest}")
     return "; ".join(kept)
-
-
-def _color(code: str, colors: Mapping[str, str]) -> str:
-    return f"var(--{colors[code]})" if code in colors else code
 
 
 def _shorter(found: re.Match[str]) -> str:

@@ -63,7 +63,7 @@ def findings(result: CalibrationResult) -> Iterator[Line]:
 
 
 def advised(finding: Finding) -> str:
-    """A finding's message and remedy."""
+    """A finding's message and suggestion."""
     return "; ".join(filter(None, (finding.message, finding.remedy)))
 
 

@@ -127,14 +127,14 @@ class RowsDrawing:
         )
 
     def mark(self, row: int) -> None:
-        """Mark the tool point of a row."""
+        """Mark the tool point of a measurement."""
         self._mark.position = self._last.points[row]
 
 
 def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     """Magnified error vectors from the measured points, shape (n, 2, 3) [m].
 
-    Rows that measure no position have none.
+    Where no position is measured, there is none.
     """
     measured = errors.measured
     ends = np.stack([measured, measured + factor * errors.vectors], axis=1)

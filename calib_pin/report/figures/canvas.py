@@ -25,11 +25,11 @@ ROUNDED = re.compile(r"-?\d+\.\d{3,}")
 REFERENCE = re.compile(r"url\(#")
 
 FONT = re.compile(r"(?P<before>[^;]*?)(?P<size>[\d.]+px)")
-"""What older versions write in one word: weight, size and family."""
+"""The font in one word, as older versions write it: weight, size and family."""
 
 
 def inlined(svg: bytes, name: str, title: str, colors: Mapping[str, str]) -> str:
-    """What matplotlib writes, made part of an HTML page.
+    """The SVG that matplotlib writes, made part of an HTML page.
 
     The page scales it and sets its font. Colors that have a name become variables of
     the page, so that it can be light or dark.

@@ -101,6 +101,7 @@ def compensate(
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
     from calib_pin.io.json_text import encode
+    from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
@@ -122,7 +123,10 @@ def compensate(
     model = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
     model = with_payload(model, payload, calibration)
-    check_outputs((output,), _read_along(calibration, model), force)
+    robot = model.chain.robot.file
+    read: list[str | Path] = [robot, calibration.parent / robot]
+    read += written_before(calibration)
+    check_outputs((output,), read, force)
     asked = read_target_file(
         targets,
         model.chain,
@@ -194,14 +198,6 @@ def compensate(
         cause = "discontinuity in joint space" if found.complete else "out of reach"
         notice(f"{cause}: {targets}, {line_list(missed)}")
     return 0 if good else 2
-
-
-def _read_along(calibration: Path, model: CalibratedModel) -> list[str | Path]:
-    """Files that a calibration refers to."""
-    from calib_pin.io.result_folder import written_before
-
-    robot = model.chain.robot.file
-    return [robot, calibration.parent / robot, *written_before(calibration)]
 
 
 def _run(

@@ -91,7 +91,7 @@ class _Section:
     key: str
     title: str
     blocks: Sequence[Block]
-    figures: Sequence[Mapping[str, str]]
+    figures: Sequence[Drawn]
     parameters: Table | None = None
     statuses: Sequence[str] = ()
 
@@ -230,20 +230,11 @@ def _sections(
     }
     places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
     for key, (title, _) in SECTIONS.items():
-        drawn = [f for f in figures if places[f.name] == key]
         yield _Section(
             key=key,
             title=title,
             blocks=blocks[key],
-            figures=[
-                {
-                    "name": f.name,
-                    "title": f.title,
-                    "reading": f.reading,
-                    "svg": Markup(f.svg()),
-                }
-                for f in drawn
-            ],
+            figures=[f for f in figures if places[f.name] == key],
             parameters=parameter_overview(result.parameters)
             if key == "parameters"
             else None,

@@ -180,15 +180,12 @@ def _doubt(part: VarianceComponent) -> str:
         sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
         parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")
     if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
+        p = part.lack_of_fit
         parts.append(
             "lack of fit, configurations differ more than their repetitions (p "
-            f"{_probability(part.lack_of_fit)})"
+            f"{f'= {p:.3f}' if p >= 1e-3 else '< 0.001'})"
         )
     return f"{part.quantity}: {'; '.join(parts)}." if parts else ""
-
-
-def _probability(p: float) -> str:
-    return f"= {p:.3f}" if p >= 1e-3 else "< 0.001"
 
 
 def outliers(result: CalibrationResult) -> Iterator[Block]:

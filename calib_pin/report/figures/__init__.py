@@ -11,13 +11,13 @@ from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.identifiability import correlations, singular_values
+from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
     criterion_by_count,
     planned_positions,
     predicted_deviations,
 )
 from calib_pin.report.figures.residuals import residuals
-from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.workspace import (
     drift_in_workspace,
@@ -76,8 +76,6 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 }
 """Names of all figures, by their subject."""
 
-OF_DRIFT: tuple[Callable[[TipDrift], Drawn | None], ...] = (drift_in_workspace,)
-
 _Subject = TypeVar("_Subject")
 
 
@@ -98,7 +96,7 @@ def plan_figures(plan: Plan) -> Iterator[Drawn]:
 
 def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
     """Figures of the difference between two calibrations."""
-    yield from _drawn(OF_DRIFT, drift)
+    yield from _drawn((drift_in_workspace,), drift)
 
 
 def _drawn(

@@ -31,6 +31,9 @@ from calib_pin.validation.result import (
     ParameterEstimate,
 )
 
+Terms = Sequence[tuple[str, float]]
+"""Names of parameters and their coefficients."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -41,14 +44,14 @@ class Estimate:
         unit: Its unit.
         value: Estimate.
         sigma: Standard deviation.
-        terms: Names of parameters and their coefficients.
+        terms: Its parameters and their coefficients.
     """
 
     label: str
     unit: str
     value: float
     sigma: float
-    terms: tuple[tuple[str, float], ...]
+    terms: Terms
 
 
 def of_robot(
@@ -62,29 +65,17 @@ def of_robot(
     """
     own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
-    found: list[tuple[int, Estimate]] = []
-    for p in parameters:
-        if p.status == "identifiable" and p.name in own and _known(p.sigma):
-            terms = ((p.name, 1.0),)
-            found.append((place[p.name], _estimate(shortened(p.name), p, terms)))
-    for g in groups:
-        if g.terms[0][0] in own and _known(g.sigma):
-            at = place[g.terms[0][0]]
-            found.append((at, _estimate(f"combination {g.number}", g, g.terms)))
-    return [estimate for _, estimate in sorted(found, key=lambda pair: pair[0])]
-
-
-def _known(sigma: float | None) -> bool:
-    return sigma is not None and bool(np.isfinite(sigma))
-
-
-def _estimate(
-    label: str,
-    of: ParameterEstimate | CoupledGroup,
-    terms: tuple[tuple[str, float], ...],
-) -> Estimate:
-    assert of.sigma is not None, "only what is known is an estimate"
-    return Estimate(label, of.unit, of.value, of.sigma, terms)
+    found: list[tuple[str, ParameterEstimate | CoupledGroup, Terms]] = [
+        (shortened(p.name), p, ((p.name, 1.0),))
+        for p in parameters
+        if p.status == "identifiable"
+    ]
+    found += [(f"combination {g.number}", g, g.terms) for g in groups]
+    return [
+        Estimate(label, of.unit, of.value, of.sigma, terms)
+        for label, of, terms in sorted(found, key=lambda entry: place[entry[2][0][0]])
+        if terms[0][0] in own and of.sigma is not None and math.isfinite(of.sigma)
+    ]
 
 
 def correlation(

@@ -50,7 +50,7 @@ def opening(result: CalibrationResult) -> Sequence[Line]:
 
 
 def verdict(result: CalibrationResult) -> Line:
-    """The verdict and its reason; a finding among the reasons with its remedy."""
+    """The verdict and its reason; a finding among the reasons with its suggestion."""
     reason = result.reason
     for finding in result.findings:
         if advised(finding) not in reason:

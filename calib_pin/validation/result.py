@@ -12,6 +12,7 @@ import numpy as np
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.plugins import upper
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -265,6 +266,11 @@ class Tables:
             pandas.DataFrame(p.table(n)) for n, p in parts.items() if p is not None
         ]
         return pandas.concat(frames, ignore_index=True)
+
+    def figures(self) -> dict[str, Any]:
+        """The figures of the report by name, as matplotlib figures."""
+        found: dict[str, Any] = upper["figures"](self)
+        return found
 
     def _repr_html_(self) -> str:
         """Verdict, accuracy and identifiable parameters, for notebooks."""

@@ -29,9 +29,15 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
-from calib_pin.viewer.scene import Plan, Scene, bodies_of, floor_height, tip_path
+from calib_pin.viewer.scene import (
+    Plan,
+    Scene,
+    Skeleton,
+    bodies_of,
+    floor_height,
+    tip_path,
+)
 from calib_pin.viewer.shapes import robot_shapes
-from calib_pin.viewer.skeleton import Skeleton
 from calib_pin.viewer.stage import sight
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}

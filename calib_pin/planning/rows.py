@@ -1,4 +1,4 @@
-"""What a configuration tells: its rows of the identification matrix.
+"""The rows of a configuration in the identification matrix.
 
 The rows are whitened by the noise, their columns are scaled and reduced to the
 identifiable subspace, with the nuisances (base, tool, instrument) before the robot.
@@ -159,7 +159,7 @@ class IdentificationRows:
     def _carried(self) -> NDArray[np.intp]:
         """Number of leading parameters whose twist each joint turns, shape (n,).
 
-        A joint that is passed backwards turns before its own placement is passed.
+        A joint traversed from child to parent turns before its own placement does.
         """
         error = self.problem.error
         places = [screw.frame for screw in error.screws]

@@ -1,4 +1,4 @@
-"""Where configurations may be: limits, sight of the instrument, region, collisions."""
+"""Constraints of configurations: limits, line of sight, region, collisions."""
 
 from __future__ import annotations
 

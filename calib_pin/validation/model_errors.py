@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Sequence
+from collections.abc import Collection, Iterator, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.fitted_model import FittedModel
 from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.problem import Problem, distinct_values
@@ -18,7 +19,6 @@ from calib_pin.estimation.registration import extended
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.validation.predicted import predicted_variance
 from calib_pin.validation.result import FoundDistance
 
 
@@ -165,10 +165,7 @@ def _found_distances(
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
-    Args:
-        before: The nominal robot.
-        after: The fitted model.
-        known: Names of what was fitted, where this is about what was not.
+    Only those between objects that are not known, if names of the fitted are given.
     """
     stated = [
         distance
@@ -258,3 +255,79 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
                 "where it is; measure it in more configurations",
                 column="target",
             )
+
+
+ENTRIES = 4_000_000
+"""Entries of a Jacobian that are looked at together."""
+
+
+@serial_blas
+def predicted_variance(
+    fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
+) -> Floats:
+    """Variance of the errors of rows that were not fitted, in their units.
+
+    The noise of the rows and what the fit leaves uncertain, `sigma^2 + J C J^T`, with
+    what gears and compliance do beyond what the fit has absorbed of them. What
+    was estimated from these rows themselves, K, takes its part of both away: the
+    variance of `(I - K K^+)(e + J d)`.
+
+    Args:
+        fitted: The fit that predicts.
+        problem: The problem of the N rows.
+        theta: Parameter values, shape (P,).
+        estimated: Positions of parameters that were estimated from these rows.
+
+    Returns:
+        Variances, shape (N, d); infinite for what a row lacks, NaN where the fit knows
+        no covariance.
+    """
+    sigma, deviations = problem.sigma, fitted.deviations
+    if not np.isfinite(deviations.by_noise).all():
+        return np.full(sigma.shape, np.nan)
+    names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
+    # What is new there has no covariance: it was estimated from the rows.
+    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
+    of_fit = [names[problem.parameters.names[k]] for k in own]
+    moved = np.column_stack([deviations.by_noise, deviations.by_effects])
+    factor = np.zeros((len(theta), moved.shape[1]))
+    factor[own] = moved[of_fit]
+    factor[list(estimated)] = 0.0
+    size = problem.components
+    variances = np.empty(size)
+    for k, quantity in enumerate(problem.measurement.quantities):
+        variances[quantity.columns] = fitted.unit**2 * deviations.noise[k]
+    whitened = np.empty(sigma.shape)
+    for part in _parts(np.arange(len(sigma)), problem, bool(len(estimated))):
+        some = replace(problem, data=problem.data.rows(part))
+        J = some.linearize_rows(theta)[1][: len(part) * size]
+        uncertain, noise = J @ factor, np.tile(variances, len(part))
+        if deviations.systematic is not None:
+            # The fit has absorbed a part of what gears and compliance do there.
+            there = deviations.systematic.rows(some, theta)
+            uncertain[:, -there.shape[1] :] -= there
+        if len(estimated):
+            K = _range(J[:, list(estimated)])
+            uncertain = uncertain - K @ (K.T @ uncertain)
+            noise = noise * (1.0 - np.sum(K**2, axis=1))
+        total = noise + np.sum(uncertain**2, axis=1)
+        whitened[part] = total.reshape(len(part), size)
+    return np.asarray(whitened * sigma**2)
+
+
+def _range(A: Floats) -> Floats:
+    """Orthonormal basis of columns, rounding left out."""
+    lengths = np.linalg.norm(A, axis=0)
+    U, s, _ = np.linalg.svd(A / np.where(lengths > 0.0, lengths, 1.0), False)
+    return np.asarray(U[:, s > 1e-10 * s.max(initial=0.0)])
+
+
+def _parts(
+    rows: NDArray[np.intp], problem: Problem, together: bool
+) -> Iterator[NDArray[np.intp]]:
+    """Rows in parts that are handy."""
+    step = max(1, ENTRIES // (problem.components * len(problem.parameters)))
+    if together:
+        step = max(len(rows), 1)
+    for start in range(0, len(rows), step):
+        yield rows[start : start + step]

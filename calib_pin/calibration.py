@@ -293,11 +293,17 @@ def _measured(
 ) -> MeasurementErrors:
     """Errors with their measurements, in the order of their files."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
-    return MeasurementErrors.of(
-        model.problem,
-        model.theta,
-        measurements.rows(errors.positions),
-        errors.before,
-        errors.after,
-        leverage,
+    rows = measurements.rows(errors.positions)
+    error, of_robot = model.problem.error, model.problem.split(model.theta)[0]
+    T = error.poses(rows.q, of_robot, error.basis(rows.q, rows.payload))
+    to_base = (error.base * error.corrections(of_robot)[0]).inverse()
+    return MeasurementErrors(
+        rows=rows,
+        quantities=tuple(model.problem.measurement.quantities),
+        before=errors.before,
+        after=errors.after,
+        sigma=replace(model.problem, data=rows).sigma,
+        points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
+        to_base=np.asarray(to_base.rotation),
+        leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
     )

@@ -156,7 +156,9 @@ def cross_validate(
             found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
         except InputError as error:
             # Of a place all else may be set aside.
-            yield ModelErrors.empty(model.problem.components, error.reason)
+            none = np.zeros((0, model.problem.components))
+            nowhere = np.zeros(0, np.intp)
+            yield ModelErrors(nowhere, none, none, none, reason=error.reason)
         else:
             yield replace(found, reason=reason)
 

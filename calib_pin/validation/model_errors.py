@@ -2,9 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Collection, Iterator, Sequence
+from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -48,12 +47,6 @@ class ModelErrors:
     distances: tuple[FoundDistance, ...] = ()
     registered: tuple[str, ...] = ()
     reason: str = ""
-
-    @staticmethod
-    def empty(components: int, reason: str) -> ModelErrors:
-        """Those of no measurements, and why."""
-        none = np.zeros((0, components))
-        return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=reason)
 
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
@@ -248,13 +241,13 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
         A = J[rows][:, :, columns].reshape(-1, len(columns))
         values = distinct_values(replace(problem, data=problem.data.rows(rows)))
         if values <= np.linalg.matrix_rank(A):
-            data = problem.data
-            error = partial(data.error, int(rows[0])) if len(rows) else InputError
-            raise error(
+            reason = (
                 f"the measurements of '{name}', which was not fitted, say no more than "
-                "where it is; measure it in more configurations",
-                column="target",
+                "where it is; measure it in more configurations"
             )
+            if not len(rows):
+                raise InputError(reason, column="target")
+            raise problem.data.error(int(rows[0]), reason, column="target")
 
 
 ENTRIES = 4_000_000
@@ -265,28 +258,28 @@ ENTRIES = 4_000_000
 def predicted_variance(
     fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
 ) -> Floats:
-    """Variance of the errors of rows that were not fitted, in their units.
+    """Variance of the errors of measurements that were not fitted, in their units.
 
-    The noise of the rows and what the fit leaves uncertain, `sigma^2 + J C J^T`, with
-    what gears and compliance do beyond what the fit has absorbed of them. What
-    was estimated from these rows themselves, K, takes its part of both away: the
-    variance of `(I - K K^+)(e + J d)`.
+    The noise of these and what the fit leaves uncertain, `sigma^2 + J C J^T`, with what
+    gears and compliance do beyond what the fit has absorbed of them. What was estimated
+    from these measurements themselves, K, takes its part of both away: the variance of
+    `(I - K K^+)(e + J d)`.
 
     Args:
         fitted: The fit that predicts.
-        problem: The problem of the N rows.
+        problem: The problem of the N measurements.
         theta: Parameter values, shape (P,).
-        estimated: Positions of parameters that were estimated from these rows.
+        estimated: Positions of parameters that were estimated from these.
 
     Returns:
-        Variances, shape (N, d); infinite for what a row lacks, NaN where the fit knows
-        no covariance.
+        Variances, shape (N, d); infinite for what a measurement lacks, NaN where the
+        fit knows no covariance.
     """
     sigma, deviations = problem.sigma, fitted.deviations
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
-    # What is new there has no covariance: it was estimated from the rows.
+    # What is new there has no covariance: it was estimated from these.
     own = [k for k, n in enumerate(problem.parameters.names) if n in names]
     of_fit = [names[problem.parameters.names[k]] for k in own]
     moved = np.column_stack([deviations.by_noise, deviations.by_effects])
@@ -298,7 +291,11 @@ def predicted_variance(
     for k, quantity in enumerate(problem.measurement.quantities):
         variances[quantity.columns] = fitted.unit**2 * deviations.noise[k]
     whitened = np.empty(sigma.shape)
-    for part in _parts(np.arange(len(sigma)), problem, bool(len(estimated))):
+    step = max(1, ENTRIES // (size * len(problem.parameters)))
+    if len(estimated):  # The estimate couples all of them.
+        step = max(len(sigma), 1)
+    for start in range(0, len(sigma), step):
+        part = np.arange(start, min(start + step, len(sigma)))
         some = replace(problem, data=problem.data.rows(part))
         J = some.linearize_rows(theta)[1][: len(part) * size]
         uncertain, noise = J @ factor, np.tile(variances, len(part))
@@ -320,14 +317,3 @@ def _range(A: Floats) -> Floats:
     lengths = np.linalg.norm(A, axis=0)
     U, s, _ = np.linalg.svd(A / np.where(lengths > 0.0, lengths, 1.0), False)
     return np.asarray(U[:, s > 1e-10 * s.max(initial=0.0)])
-
-
-def _parts(
-    rows: NDArray[np.intp], problem: Problem, together: bool
-) -> Iterator[NDArray[np.intp]]:
-    """Rows in parts that are handy."""
-    step = max(1, ENTRIES // (problem.components * len(problem.parameters)))
-    if together:
-        step = max(len(rows), 1)
-    for start in range(0, len(rows), step):
-        yield rows[start : start + step]

@@ -281,7 +281,8 @@ def stretches(rows: Measurements) -> NDArray[np.int64]:
     configuration = rows.groups()
     _, first = np.unique(configuration, return_index=True)
     order = np.sort(first)
-    z, file = _standardized(rows.q[order]), _numbers(rows, order)
+    file = np.unique(np.array(rows.files), return_inverse=True)[1][order]
+    z = _standardized(rows.q[order])
     count = len(order)
     if count < OPTIONS.fewest or not z.any():
         return none
@@ -307,12 +308,6 @@ def _standardized(q: Floats) -> Floats:
     scatter = q.std(axis=0)
     moves = scatter > 1e-9
     return np.asarray((q - q.mean(axis=0))[:, moves] / scatter[moves])
-
-
-def _numbers(rows: Measurements, order: NDArray[np.intp]) -> NDArray[np.int64]:
-    """Number of the file of some rows."""
-    number = {name: k for k, name in enumerate(dict.fromkeys(rows.files))}
-    return np.array([number[rows.files[k]] for k in order.tolist()], np.int64)
 
 
 def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:

@@ -33,7 +33,6 @@ from calib_pin.planning.planned_problem import (
 )
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Progress, Search
-from calib_pin.planning.selection import selection
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
@@ -190,7 +189,9 @@ def plan(
     wanted = max(candidates, count, STRUCTURE)
     spread = workspace.candidates(wanted, rng, progress, least=count)
     spread.require(count)
-    found = spread.first(max(candidates, count))
+    # A part of an even spread is one too.
+    first = slice(max(candidates, count))
+    found = replace(spread, q=spread.q[first], target=spread.target[first])
     structure, rows, known = identification(problem, spread, measured)
     # Whatever is measured, the pose of the tool is what counts [m, rad].
     pose = measurement_model(Pose.declaration.name, problem.setup)
@@ -284,14 +285,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     table = np.concatenate([own, search.table])
     members = tuple(range(len(own)))
     tip = Prediction(tests.position)
-    subset = selection(
-        table,
-        search.rows.nuisances,
-        search.criterion,
-        search.known,
-        members,
-        search.measured,
-    )
+    subset = search.selection(members, table)
 
     def step() -> Step:
         found = search.information(table[subset.chosen])

@@ -76,7 +76,7 @@ class Search:
     """A search for the best set of configurations.
 
     Args:
-        rows: What a configuration tells.
+        rows: The rows of a configuration.
         workspace: The constraints of configurations.
         criterion: What is to be small.
         known: Information that is there already, shape (m, m).
@@ -126,16 +126,13 @@ class Search:
         found = METHODS[method](self)
         return replace(found, status=Status.STOPPED) if self.stopped else found
 
-    def selection(self, chosen: Sequence[int] = ()) -> Selection:
-        """A subset of the candidates under the criterion."""
-        return selection(
-            self.table,
-            self.rows.nuisances,
-            self.criterion,
-            self.known,
-            chosen,
-            self.measured,
-        )
+    def selection(
+        self, chosen: Sequence[int] = (), table: Floats | None = None
+    ) -> Selection:
+        """A subset of the candidates, or of others, under the criterion."""
+        table = self.table if table is None else table
+        nuisances, criterion = self.rows.nuisances, self.criterion
+        return selection(table, nuisances, criterion, self.known, chosen, self.measured)
 
     def cost(self, q: Floats, target: Sequence[str]) -> float:
         """Cost of a set of configurations."""

@@ -247,10 +247,8 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = covariance / np.outer(sigma, sigma)
-    for i in range(len(names)):
-        for j in range(i):
-            if abs(correlation[i, j]) > CORRELATED:
-                yield Correlation(names[j], names[i], float(correlation[i, j]))
+    for i, j in np.argwhere(np.tril(np.abs(correlation) > CORRELATED, -1)).tolist():
+        yield Correlation(names[j], names[i], float(correlation[i, j]))
 
 
 def leverages(fitted: Fit) -> Floats:

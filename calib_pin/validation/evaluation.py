@@ -50,17 +50,16 @@ def evaluate(
         outside = int(robot.outside(measurements.q).sum())
     ready = prepared(robot, measurements, setup, registration=registration)
     residual = ready.problem.masked_errors(ready.theta)
-    quantities = ready.problem.measurement.quantities
-    found = [(quantity, quantity.errors(residual)) for quantity in quantities]
-    # Of mixed measurements, these may all be of another model.
-    found = [(quantity, sizes) for quantity, sizes in found if len(sizes)]
+    errors, counts = [], []
+    for quantity in ready.problem.measurement.quantities:
+        sizes = quantity.errors(residual)
+        if len(sizes):  # Mixed measurements may all be of another model.
+            errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
+            counts.append(len(sizes))
     return Evaluation(
-        errors=tuple(
-            (quantity.name, quantity.unit, Accuracy.of(sizes))
-            for quantity, sizes in found
-        ),
+        errors=tuple(errors),
         rows=len(measurements),
-        counts=tuple(len(sizes) for _, sizes in found),
+        counts=tuple(counts),
         registered=ready.registered,
         verdict="untrusted" if ready.reason else "good",
         reason=ready.reason,

@@ -261,9 +261,8 @@ def registered_if_moved(
     values, unknowns = problem.values, len(after.refitted)
     left = max(values - unknowns, 1)
     as_is, on_itself = (_chi_square(part.after, problem) for part in (errors, own))
-    if not as_is * left > MOVED**2 * on_itself * values or not _alike(
-        errors, own, problem
-    ):
+    moved = as_is * left > MOVED**2 * on_itself * values
+    if not moved or not _alike(errors, own, problem):
         return errors, None
     numbers = {
         "chi-square as it is": as_is,

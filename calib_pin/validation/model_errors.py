@@ -139,10 +139,10 @@ def errors_of_registered(
     """
     problem, theta = after.problem, after.theta
     known = {reference.name for reference in model.problem.measurement.references}
-    there = replace(model.fit.problem, data=problem.data), model.fit.theta
     estimated = (*after.refitted, *after.new)
-    if estimated:
-        there = problem, theta
+    there = problem, theta
+    if not estimated:
+        there = replace(model.fit.problem, data=problem.data), model.fit.theta
     return ModelErrors(
         positions,
         before.problem.masked_errors(before.theta),

@@ -239,14 +239,9 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     name, before, after = _errors(grounds)
     held = f"{gain.configurations} independent held-out configurations"
     found = f"{name} error {after} rms instead of {before}"
-    first = next(iter(grounds.errors), None)
-    grown = (
-        first is not None
-        and first.validation_before is not None
-        and first.validation_after is not None
-        and first.validation_after.rms > first.validation_before.rms
-    )
-    if gain.mean > 0.0 and grown:
+    first = grounds.errors[0].validation_before
+    last = grounds.errors[0].validation_after
+    if gain.mean > 0.0 and first and last and last.rms > first.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = (
             f"errors smaller by {gain.mean:.2g} +- {gain.deviation:.1g} of their "

@@ -90,22 +90,18 @@ class Estimated(Protocol):
     @property
     def theta(self) -> Floats:
         """Parameter values, shape (P,)."""
-        ...
 
     @property
     def covariance(self) -> Floats:
         """Their covariance, shape (P, P)."""
-        ...
 
     @property
     def directions(self) -> Directions:
         """The directions that are estimated and those held at nominal."""
-        ...
 
     @property
     def revealed(self) -> Floats:
         """Directions that only large errors reveal, shape (P, k)."""
-        ...
 
 
 def estimates(

@@ -1,4 +1,4 @@
-"""A robot with its calibration: what predicts measurements and corrects commands."""
+"""A robot with its calibration, which predicts measurements and corrects commands."""
 
 from __future__ import annotations
 

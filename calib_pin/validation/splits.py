@@ -282,7 +282,10 @@ def stretches(rows: Measurements) -> NDArray[np.int64]:
     _, first = np.unique(configuration, return_index=True)
     order = np.sort(first)
     file = np.unique(np.array(rows.files), return_inverse=True)[1][order]
-    z = _standardized(rows.q[order])
+    q, scatter = rows.q[order], rows.q[order].std(axis=0)
+    moves = scatter > 1e-9
+    # In units of the scatter, without joints that stand still.
+    z = (q - q.mean(axis=0))[:, moves] / scatter[moves]
     count = len(order)
     if count < OPTIONS.fewest or not z.any():
         return none
@@ -301,13 +304,6 @@ def stretches(rows: Measurements) -> NDArray[np.int64]:
     of = np.empty(count, np.int64)
     of[configuration[order]] = block
     return of[configuration]
-
-
-def _standardized(q: Floats) -> Floats:
-    """Joint positions in units of their scatter; zero for joints that stand still."""
-    scatter = q.std(axis=0)
-    moves = scatter > 1e-9
-    return np.asarray((q - q.mean(axis=0))[:, moves] / scatter[moves])
 
 
 def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:

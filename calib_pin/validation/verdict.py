@@ -124,7 +124,10 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
         if nothing and _as_nominal(grounds.fitted):
             return "no-gain", _nothing(grounds)
         return "unchecked", reason
-    shown = _shown_by(grounds.gains)
+    first = grounds.gains[0]
+    # Where parts are left out little may be left; the hat matrix leaves out one each.
+    chances = [g.better for g in grounds.gains if g.quantity == first.quantity]
+    shown = first.mean > 0.0 and min(chances) < OPTIONS.gain_chance
     if nothing and not shown:
         return "no-gain", _nothing(grounds)
     if reason := _disproved(grounds):
@@ -273,15 +276,6 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
         f"only {100.0 * workspace.better:.0f} %; measure configurations that differ "
         "more"
     )
-
-
-def _shown_by(gains: Sequence[Gain]) -> bool:
-    """Whether held-out measurements show a gain.
-
-    Where parts are left out little may be left; the hat matrix leaves out one each.
-    """
-    chances = [gain.better for gain in gains if gain.quantity == gains[0].quantity]
-    return gains[0].mean > 0.0 and min(chances) < OPTIONS.gain_chance
 
 
 def _as_nominal(fitted: Fit) -> bool:

@@ -172,7 +172,7 @@ def _result(
         validation=Validation(
             method=held_out.method,
             count=sum(len(part.before) for part in held_out.counted),
-            placed=checked.registered if checked else (),
+            located=checked.registered if checked else (),
             skipped=held_out.skipped,
         ),
         solver=SolverSummary(

@@ -64,7 +64,7 @@ def evaluate(
         verdict="untrusted" if ready.reason else "good",
         reason=ready.reason,
         outside=outside,
-        placed=ready.placed,
+        located=ready.located,
     )
 
 
@@ -77,15 +77,15 @@ class Prepared:
         theta: Its parameter values, shape (P,).
         registered: Whether base, tool and instrument were fitted to them.
         reason: Why that must not be trusted; empty where it may.
-        placed: Names of places, such as sockets, that were not there before and stand
-            where the measurements put them.
+        located: Names of references, such as sockets, that were not there before and
+            stand where the measurements put them.
     """
 
     problem: Problem
     theta: Floats
     registered: bool
     reason: str
-    placed: tuple[str, ...]
+    located: tuple[str, ...]
 
 
 def prepared(

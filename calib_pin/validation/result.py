@@ -359,8 +359,8 @@ class Evaluation:
         verdict: `good` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
         outside: Number of them outside the region of a learned correction.
-        placed: Names of places, such as sockets, that were not there before and stand
-            where these measurements put them.
+        located: Names of references, such as sockets, that were not there before and
+            stand where the measurements put them.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
@@ -369,5 +369,5 @@ class Evaluation:
     verdict: str = "good"
     reason: str = ""
     outside: int = 0
-    placed: tuple[str, ...] = ()
+    located: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()

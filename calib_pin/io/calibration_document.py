@@ -71,7 +71,7 @@ def calibration_document(
             **described.pop("measurements"),
             "training": len(result.fitted),
             "validation": result.validation.count,
-            "placed_by_validation": list(result.validation.placed),
+            "placed_by_validation": list(result.validation.located),
         },
         "rotation_to_base": result.fitted.to_base.tolist(),
         **described,

@@ -28,7 +28,7 @@ from calib_pin.estimation.statistics.systematic import systematic
 from calib_pin.estimation.statistics.variance_components import variance_components
 from calib_pin.estimation.unit_weights import balanced
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.progress import Progress
 from calib_pin.solvers import LeastSquaresResult, Status
 

@@ -37,7 +37,7 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
             chain,
             setup.parameters,
             setup=setup,
-            estimate_base=model.external if base is None else base,
+            estimate_base=model.declaration.external if base is None else base,
             estimate_tool=model.sees_tool if tool is None else tool,
         )
     except OptionError as mistake:

@@ -21,7 +21,7 @@ from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.model import Model
 from calib_pin.estimation.row_blocks import Blocks, Expected, Priors
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import absent, assumed_sigma
+from calib_pin.measurement_models.mixed import absent, assumed_sigma
 from calib_pin.observations import Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup

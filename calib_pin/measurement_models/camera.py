@@ -160,10 +160,6 @@ class CameraModel(DeclaredModel):
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
         return np.asarray(seen)
 
-    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
-        """Predicted minus measured pixel, shape (N, 2) [px]."""
-        return self.predict(T, instrument, data.target) - data.values
-
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
     ) -> Linearization:

@@ -10,7 +10,13 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
+from calib_pin.measurement_models.contact import (
+    SiteModel,
+    directions,
+    rays,
+    round_bend,
+    rounds,
+)
 from calib_pin.measurement_models.contact_registration import (
     Reached,
     register_distances,
@@ -29,7 +35,6 @@ from calib_pin.measurement_models.named_points import (
     xyz_or_none,
 )
 from calib_pin.measurement_models.references import Anchor, ReferenceObject
-from calib_pin.measurement_models.registered_sites import SiteModel
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,

@@ -16,43 +16,39 @@ from calib_pin.measurement_models.base import (
     Geometry,
     Linearization,
     MeasurementModel,
-    ReferenceParameters,
 )
-from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.measurement_models.declaration import Declaration
 from calib_pin.measurement_models.references import Frame, ReferenceObject
 from calib_pin.observations import Measurements
 
 
 @dataclass(frozen=True)
-class _Wrapper(ReferenceParameters):
-    """A model with another inside, whose name, numbers and targets are its own."""
+class Mounted(MeasurementModel):
+    """A model that sees the poses `D T E` where others see T.
+
+    It stands in the measurement frame of the others, and has a tool frame of its own.
+
+    Attributes:
+        model: The model.
+        stand: Pose D of the measuring frame in that of the model.
+        mount: Pose E of the model's tool frame in the tool frame.
+    """
 
     model: MeasurementModel
+    stand: Frame
+    mount: Frame
+
+    sees_tool = False
+
+    @staticmethod
+    def of(model: MeasurementModel) -> Mounted:
+        """A model with unknown frames of its own, named after it."""
+        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
 
     @property
-    def name(self) -> str:
-        """That of the model."""
-        return self.model.name
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """Those of the model."""
-        return self.model.quantities
-
-    @property
-    def width(self) -> int:
-        """That of the model."""
-        return self.model.width
-
-    @property
-    def contact(self) -> bool:
-        """That of the model."""
-        return self.model.contact
-
-    @property
-    def relative(self) -> bool:
-        """That of the model."""
-        return self.model.relative
+    def declaration(self) -> Declaration:
+        """That of the model, which is no longer external."""
+        return replace(self.model.declaration, external=False)
 
     @property
     def missing(self) -> str:
@@ -67,35 +63,6 @@ class _Wrapper(ReferenceParameters):
     def disturb(self, values: Floats, noise: Floats) -> Floats:
         """As the model does."""
         return self.model.disturb(values, noise)
-
-
-@dataclass(frozen=True)
-class Mounted(_Wrapper):
-    """A model that sees the poses `D T E` where others see T.
-
-    Attributes:
-        model: The model.
-        stand: Pose D of the measuring frame in that of the model.
-        mount: Pose E of the model's tool frame in the tool frame.
-    """
-
-    stand: Frame
-    mount: Frame
-
-    @staticmethod
-    def of(model: MeasurementModel) -> Mounted:
-        """A model with unknown frames of its own, named after it."""
-        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
-
-    @property
-    def external(self) -> bool:
-        """False: it stands in the measurement frame of the others."""
-        return False
-
-    @property
-    def sees_tool(self) -> bool:
-        """False: the model has a tool frame of its own."""
-        return False
 
     @property
     def references(self) -> Sequence[ReferenceObject]:

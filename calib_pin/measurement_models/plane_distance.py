@@ -106,10 +106,6 @@ class PlaneDistance(DeclaredModel):
         steep = cosine > np.cos(self.incidence)
         return np.asarray((h > self.near) & (h < self.reach) & steep)
 
-    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
-        """Predicted minus measured distance, shape (N, 1) [m]."""
-        return self.predict(T, instrument, data.target) - data.values
-
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
     ) -> Linearization:

@@ -209,7 +209,7 @@ class PointModel(PointsAndSites):
     def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
         value = self._look(T, instrument, target).touch.value
-        return np.zeros((len(T), 0)) if self.contact else value
+        return np.zeros((len(T), 0)) if self.declaration.contact else value
 
     def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value, shape (N, d)."""
@@ -306,7 +306,7 @@ class PointModel(PointsAndSites):
             return Geometry(points, self.seen(instrument[:, size:]))
 
         rows, values = np.arange(len(data)), data.values
-        if self.contact:
+        if self.declaration.contact:
             values = np.zeros_like(weights)
         how = self.comparison
         return [Batch(how, rows, point, site, values, weights, geometry)]
@@ -336,7 +336,7 @@ class PointModel(PointsAndSites):
 
     def _deviation(self, value: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value; angles within half a turn of zero."""
-        if self.contact:
+        if self.declaration.contact:
             return value
         result = value - data.values
         for quantity in self.quantities:

@@ -83,10 +83,11 @@ def test_names_and_quantities(equipped: Setup) -> None:
     ]
     assert model.targets[:3] == ("position:probe", "position:nest", "pose:")
     assert "fixed-point:nest@left/1" in model.targets
-    assert model.external and not model.contact and not model.relative
+    stated = model.declaration
+    assert stated.external and not stated.contact and not stated.relative
     contacts = mixed(equipped, "fixed-point", "sphere-contact")
-    assert contacts.contact and not contacts.external
-    assert mixed(equipped, "pose", "relative-distance").relative
+    assert contacts.declaration.contact and not contacts.declaration.external
+    assert mixed(equipped, "pose", "relative-distance").declaration.relative
 
 
 def test_targets_of_the_parts() -> None:

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Targets = Sequence[str]
+"""The name of the target of each measurement."""
 
 PLUS = "+"
 """Stands between the names of models that are measured together."""
@@ -70,8 +74,8 @@ class Measurements:
     target: tuple[str, ...] = ()
     payload: tuple[str, ...] = ()
     start: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    validate: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    validate: Booleans = field(default_factory=lambda: np.zeros(0, bool))
+    lines: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
     files: tuple[str, ...] = ()
     weight: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -164,7 +168,7 @@ class Measurements:
         ]
         return self.rows(np.sort(np.concatenate(chosen)))
 
-    def groups(self) -> NDArray[np.int64]:
+    def groups(self) -> Indices:
         """Label rows that must stay together when data are split, shape (N,).
 
         Rows of one configuration are repetitions: with one of them fitted the others
@@ -173,7 +177,7 @@ class Measurements:
         return self._groups
 
     @cached_property
-    def _groups(self) -> NDArray[np.int64]:
+    def _groups(self) -> Indices:
         # A label is the number of rows in the groups before: to split a group leaves
         # all others as they are, and a row that stands alone is done with.
         label = np.zeros(len(self), np.int64)
@@ -187,7 +191,7 @@ class Measurements:
                 shared = _split_groups(label, shared, position)
         used = np.zeros(len(self) + 1, np.int64)
         used[label] = 1
-        result: NDArray[np.int64] = (np.cumsum(used) - 1)[label]
+        result: Indices = (np.cumsum(used) - 1)[label]
         result.setflags(write=False)
         return result
 
@@ -295,9 +299,7 @@ def rows_by_part(target: Sequence[str]) -> dict[str, NDArray[np.intp]]:
     return {model: np.array(rows, np.intp) for model, rows in found.items()}
 
 
-def _split_groups(
-    label: NDArray[np.int64], shared: NDArray[np.int64], position: Floats
-) -> NDArray[np.int64]:
+def _split_groups(label: Indices, shared: Indices, position: Floats) -> Indices:
     """Split groups of rows at gaps between the positions of one joint.
 
     Args:

@@ -36,7 +36,7 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.mixed import contact_rows
-from calib_pin.measurement_models.references import Frame
+from calib_pin.measurement_models.mount import Frame
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     AnchorSetup,

@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.references import ReferenceObject, slices
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
@@ -108,24 +108,22 @@ class MeasurementModel(ABC):
         average.
 
         Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
             data: The measurements.
         """
         return self
 
     @abstractmethod
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
 
         Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
             instrument: Values of the model's parameters, shape (K,).
             target: Name of the target of each measurement.
         """
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether the instrument can measure at each pose at all, shape (N,)."""
         return np.ones(len(T), bool)
 
@@ -214,19 +212,12 @@ class Batch:
 
     comparison: str
     rows: NDArray[np.intp]
-    point: NDArray[np.int64]
-    site: NDArray[np.int64]
+    point: Indices
+    site: Indices
     values: Floats
     weights: Floats
     geometry: Callable[[Floats], Geometry]
     inward: bool = False
-
-
-def tool_geometry(instrument: Floats) -> Geometry:
-    """The origin of the tool, compared with values alone."""
-    return Geometry(
-        np.zeros((len(instrument), 1, 3)), np.zeros((len(instrument), 1, 3))
-    )
 
 
 @runtime_checkable
@@ -261,13 +252,11 @@ class Curvature:
 class CurvedModel(Protocol):
     """A measurement model whose rows can be differentiated by the configuration."""
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives where the measured values are the predicted ones.
 
         Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
             instrument: Values of the model's parameters, shape (K,).
             target: Name of the target of each row.
         """

@@ -21,12 +21,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats, nearest_rotation
 from calib_pin.measurement_models.pinhole import NEAR
 from calib_pin.measurement_models.registration import fit_pose, register_poses
+from calib_pin.observations import Indices
 
 IMAGES = 50
 """Images that a start is made from; more do not help it."""
@@ -61,9 +61,9 @@ class Rays:
 
     F: Floats
     points: Floats
-    index: NDArray[np.int64]
+    index: Indices
     rays: Floats
-    image: NDArray[np.int64]
+    image: Indices
 
     def ends(
         self, outer: Floats | None, inner: Floats | None, guess: tuple[bool, bool]
@@ -195,7 +195,7 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
 
 def carried_points(
     F: Floats,
-    label: NDArray[np.int64],
+    label: Indices,
     rays: Floats,
     points: Floats,
     camera: Floats | None = None,

@@ -8,7 +8,6 @@ from typing import Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
@@ -24,14 +23,19 @@ from calib_pin.measurement_models.named_points import (
     tip_points,
     xyz_or_none,
 )
-from calib_pin.measurement_models.planes import Plane, turned_planes
-from calib_pin.measurement_models.references import Anchor, ReferenceObject, Sphere
+from calib_pin.measurement_models.references import (
+    Anchor,
+    Plane,
+    ReferenceObject,
+    Sphere,
+    turned_planes,
+)
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
     PointModel,
 )
-from calib_pin.observations import Measurements
+from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 
 GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
@@ -47,7 +51,7 @@ class SiteModel(PointModel):
         """What the rows of one place and one point tell in closed form.
 
         Args:
-            F: Tip poses in the measuring frame, shape (N, 4, 4).
+            F: Tip poses in the measurement frame, shape (N, 4, 4).
             data: The rows.
             point: The point in the tip frame where it is known, shape (3,) [m].
             site: The place, not placed yet.
@@ -107,15 +111,14 @@ class PlaneContact(SiteModel):
         naming=Naming("plane", "all or none"),
     )
     comparison = "height"
+    unknown = staticmethod(Plane)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
         """The planes."""
         return planes_of_setup(setup, names)
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The height, with the plane turned by (u, v) and shifted by f."""
         n, f, by_turn = self._planes(site, values)
         height = np.einsum("ni,ni->n", n, p) + f
@@ -129,9 +132,7 @@ class PlaneContact(SiteModel):
         planes = [plane for plane in self.sites if isinstance(plane, Plane)]
         return turned_planes(planes, values)
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """A plane is flat; what it turns about is as far as the point."""
         _, _, by_turn = self._planes(site, values)
         by_plane = np.zeros((len(p), 1, 3, 3))
@@ -149,13 +150,7 @@ class PlaneContact(SiteModel):
         assert isinstance(site, Plane)
         return replace(site, normal=reached.site, offset=reached.size)
 
-    def new(self, name: str) -> Plane:
-        """A plane that nobody has given."""
-        return Plane(name)
-
-    def _planes(
-        self, site: NDArray[np.int64], values: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def _planes(self, site: Indices, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
         # Rows of one plane share its parameters.
         first = {int(k): int(np.argmax(site == k)) for k in np.unique(site)}
@@ -186,6 +181,7 @@ class SphereContact(SiteModel):
         yardstick="the radius of the sphere",
     )
     comparison = "distance"
+    unknown = staticmethod(Sphere)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
@@ -199,9 +195,7 @@ class SphereContact(SiteModel):
             spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
         return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The height."""
         e, distance = rays(p, self.sites, site, values)
         height = distance - self._radii[site] - values[:, 3]
@@ -218,9 +212,7 @@ class SphereContact(SiteModel):
         spheres = [s for s in self.sites if isinstance(s, Sphere)]
         return np.array([sphere.radius for sphere in spheres], float)
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the point is far from the center."""
         e, distance = rays(p, self.sites, site, values)
         return round_bend(e, distance)
@@ -239,10 +231,6 @@ class SphereContact(SiteModel):
         assert isinstance(site, Sphere)
         radius = reached.size if site.radius is None else site.radius
         return replace(site, xyz=reached.site, radius=radius)
-
-    def new(self, name: str) -> Sphere:
-        """A sphere that nobody has given."""
-        return Sphere(name)
 
 
 def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
@@ -267,12 +255,12 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
 
 
 def rays(
-    p: Floats, sites: Sequence[ReferenceObject], site: NDArray[np.int64], values: Floats
+    p: Floats, sites: Sequence[ReferenceObject], site: Indices, values: Floats
 ) -> tuple[Floats, Floats]:
     """Directions and lengths from the centers of spheres or anchors to points.
 
     Args:
-        p: Points in the measuring frame, shape (N, 3) [m].
+        p: Points in the measurement frame, shape (N, 3) [m].
         sites: The spheres or anchors.
         site: Position of each row's, shape (N,).
         values: Its parameters, the coordinates first, shape (N, k).

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact import (
@@ -40,7 +39,7 @@ from calib_pin.measurement_models.tool_point import (
     PointMeasurement,
     PointModel,
 )
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, Indices, Measurements
 from calib_pin.setup import Setup
 
 QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
@@ -59,6 +58,7 @@ class PointDistance(SiteModel):
         yardstick=INSTRUMENT,
     )
     comparison = "distance"
+    unknown = staticmethod(Anchor)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
@@ -69,9 +69,7 @@ class PointDistance(SiteModel):
             for name, a in stated
         ) or tuple(map(Anchor, given_names(names, "anchor")))
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The reading."""
         e, distance = rays(p, self.sites, site, values)
         bias = self._biases[site]
@@ -87,9 +85,7 @@ class PointDistance(SiteModel):
     def _biases(self) -> Floats:
         return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the point is far from the anchor."""
         return round_bend(*rays(p, self.sites, site, values))
 
@@ -105,10 +101,6 @@ class PointDistance(SiteModel):
         """The anchor with its place, and the bias where it was unknown."""
         assert isinstance(site, Anchor)
         return replace(site, xyz=reached.site, bias=reached.size)
-
-    def new(self, name: str) -> Anchor:
-        """An anchor that nobody has given."""
-        return Anchor(name)
 
 
 @dataclass(frozen=True)
@@ -136,9 +128,7 @@ class RelativeDistance(PointModel):
         """Points, each before the name of a start that is yet to come."""
         return tuple(f"{name}{AT}" if name else "" for name in super().targets)
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The length of the way."""
         e, distance = directions(p)
         return PointMeasurement(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
@@ -147,9 +137,7 @@ class RelativeDistance(PointModel):
         """The start, from which on the kernel counts."""
         return np.zeros((len(values), 1, 4))
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the way is long."""
         across = round_bend(*directions(p)).by_point
         return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))

@@ -4,7 +4,7 @@ A row belongs to one of the models, its part; its target is qualified by the nam
 that, as in `fixed-point:front/0`. The residual has the components of all parts; those
 of the others are zero in a row, and their standard deviation is infinite.
 
-All parts share the measuring frame and the tool, and references of the same kind and
+All parts share the measurement frame and the tool, and references of the same kind and
 name are the same: the ball that a tracker sees is the one that rests in a socket. Only
 a camera, which is a frame of its own, has its own stand and its own place on the tool.
 """
@@ -30,7 +30,14 @@ from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.mount import Mounted
 from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.measurement_models.side_by_side import by_part
-from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
+from calib_pin.observations import (
+    PART,
+    PLUS,
+    Booleans,
+    Measurements,
+    Targets,
+    rows_by_part,
+)
 
 
 @dataclass(frozen=True)
@@ -141,12 +148,12 @@ class Mixed(MeasurementModel):
     def extended(self, T: Floats, data: Measurements) -> Mixed:
         """Every part extended by its rows, with what the parts before have located."""
         mixed = self
-        for name, (rows, instrument) in by_part(data).items():
-            part = mixed.parts[name].extended(T[rows], instrument)
+        for name, (rows, seen) in by_part(data).items():
+            part = mixed.parts[name].extended(T[rows], seen)
             mixed = Mixed({**mixed.parts, name: part})
         return mixed
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Values of all parts side by side, shape (N, D)."""
         result = np.zeros((len(T), self.width))
         for name, rows, names in self._split(target):
@@ -156,9 +163,7 @@ class Mixed(MeasurementModel):
             )
         return result
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether each row's part can measure there."""
         result = np.ones(len(T), bool)
         for name, rows, names in self._split(target):
@@ -221,7 +226,7 @@ class Mixed(MeasurementModel):
     ) -> tuple[Mixed, pin.SE3, pin.SE3]:
         """Part by part: each takes over what those before it have placed.
 
-        What has a measuring frame of its own comes first, since places stand in it.
+        What has a measurement frame of its own comes first, since places stand in it.
         """
         mixed = self
 
@@ -232,8 +237,8 @@ class Mixed(MeasurementModel):
             return mounted, not part.declaration.external, not part.sees_tool
 
         for name in sorted(by_part(data), key=turn):
-            (rows, instrument), part = by_part(data)[name], mixed.parts[name]
-            found, new_base, new_tool = part.register(F[rows], instrument, base, tool)
+            (rows, seen), part = by_part(data)[name], mixed.parts[name]
+            found, new_base, new_tool = part.register(F[rows], seen, base, tool)
             # A part that sees no base or tool frame has nothing to say of it.
             if part.declaration.external or not self.declaration.external:
                 base = base or new_base
@@ -245,7 +250,7 @@ class Mixed(MeasurementModel):
             )
         return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
 
-    def unstated(self, target: Sequence[str]) -> Floats:
+    def unstated(self, target: Targets) -> Floats:
         """Standard deviations of rows that state none, shape (N, d)."""
         result = np.full((len(target), self._components), np.inf)
         for name, rows in rows_by_part(target).items():
@@ -285,7 +290,7 @@ class Mixed(MeasurementModel):
         }
 
     def _split(
-        self, target: Sequence[str]
+        self, target: Targets
     ) -> Iterator[tuple[str, NDArray[np.intp], tuple[str, ...]]]:
         """Name, rows and plain targets of every part that has rows."""
         for name, rows in rows_by_part(target).items():
@@ -306,32 +311,28 @@ def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> 
     )
 
 
-def absent(measurement: MeasurementModel, target: Sequence[str]) -> Floats | None:
+def absent(measurement: MeasurementModel, target: Targets) -> Floats | None:
     """Standard deviations of mixed rows that state none, see `Measurements.sigma`."""
     if not isinstance(measurement, Mixed):
         return None
     return measurement.unstated(target)
 
 
-def relative_rows(
-    measurement: MeasurementModel, target: Sequence[str]
-) -> NDArray[np.bool_]:
+def relative_rows(measurement: MeasurementModel, target: Targets) -> Booleans:
     """The rows that are measured relative to a start, shape (N,)."""
     return _rows_where(measurement, target, lambda part: part.declaration.relative)
 
 
-def contact_rows(
-    measurement: MeasurementModel, target: Sequence[str]
-) -> NDArray[np.bool_]:
+def contact_rows(measurement: MeasurementModel, target: Targets) -> Booleans:
     """The rows at which the tool touches something, shape (N,)."""
     return _rows_where(measurement, target, lambda part: part.declaration.contact)
 
 
 def _rows_where(
     measurement: MeasurementModel,
-    target: Sequence[str],
+    target: Targets,
     holds: Callable[[MeasurementModel], bool],
-) -> NDArray[np.bool_]:
+) -> Booleans:
     """The rows of whose measurement model something holds, shape (N,).
 
     Args:

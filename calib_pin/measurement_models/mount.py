@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models.base import (
@@ -18,8 +17,83 @@ from calib_pin.measurement_models.base import (
     MeasurementModel,
 )
 from calib_pin.measurement_models.declaration import Declaration
-from calib_pin.measurement_models.references import Frame, ReferenceObject
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.references import (
+    ReferenceObject,
+    nuisances,
+    triple,
+)
+from calib_pin.observations import Booleans, Measurements, Targets
+from calib_pin.parameters import Parameter
+from calib_pin.setup import FrameSetup
+
+
+@dataclass(frozen=True)
+class Frame:
+    """A frame of an instrument that is one among others.
+
+    Attributes:
+        name: Name of the instrument.
+        kind: `base` for where it stands, `tool` for its place on the tool.
+        pose: Reference; None until it is registered.
+        estimate: Whether it is estimated.
+    """
+
+    name: str
+    kind: str
+    pose: pin.SE3 | None = None
+    estimate: bool = True
+
+    @property
+    def section(self) -> str:
+        """`<kind> frames`; a setup file does not state it."""
+        return f"{self.kind} frames"
+
+    @property
+    def located(self) -> bool:
+        """Whether it is registered."""
+        return self.pose is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<name>.<kind>.x..rz`, screws in their order as those of the two frames."""
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        units = zip(names, ("m",) * 3 + ("rad",) * 3, strict=True)
+        components = ((c, u, self.estimate) for c, u in units)
+        return nuisances(self.name, self.kind, components, self.kind == "base")
+
+    def rebased(self, values: Floats) -> Frame:
+        """Moved by the screws."""
+        assert self.pose is not None
+        pose = self.pose
+        for k in np.flatnonzero(values):
+            pose = pose * pin.exp6(np.eye(6)[k] * values[k])
+        return replace(self, pose=pose)
+
+    def moved(self, values: Floats) -> Floats:
+        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
+        from calib_pin.compiled import link_kernels
+
+        assert self.pose is not None
+        reference = self.pose.homogeneous[:3].reshape(1, 12)
+        result, first = np.empty((len(values), 1, 12)), np.zeros(6, np.int64)
+        screws = first, np.arange(6), np.eye(6)
+        link_kernels.links(reference, *screws, np.ascontiguousarray(values), result)
+        return result[:, 0]
+
+    def twists(self, values: Floats) -> Floats:
+        """Body twists of the frame by its parameters, shape (6, 6)."""
+        result, behind = np.eye(6), pin.SE3.Identity()
+        for k in reversed(range(6)):
+            result[:, k] = behind.toActionMatrixInverse()[:, k]
+            behind = pin.exp6(np.eye(6)[k] * values[k]) * behind
+        return result
+
+    def stated(self) -> FrameSetup:
+        """Its pose."""
+        assert self.pose is not None
+        roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
+        xyz = triple(self.pose.translation)
+        return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
 
 
 @dataclass(frozen=True)
@@ -30,7 +104,7 @@ class Mounted(MeasurementModel):
 
     Attributes:
         model: The model.
-        stand: Pose D of the measuring frame in that of the model.
+        stand: Pose D of the measurement frame in that of the model.
         mount: Pose E of the model's tool frame in the tool frame.
     """
 
@@ -75,14 +149,12 @@ class Mounted(MeasurementModel):
         assert isinstance(stand, Frame) and isinstance(mount, Frame)
         return Mounted(self.model.with_references(inner), stand, mount)
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Values of the model at its own poses."""
         inner, D, E = self._split(instrument)
         return self.model.predict(D @ T @ E, inner, target)
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether the model can measure at its own poses."""
         inner, D, E = self._split(instrument)
         return self.model.observable(D @ T @ E, inner, target)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
@@ -25,10 +24,14 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.planes import Plane, turned_planes
-from calib_pin.measurement_models.references import ReferenceObject, locate
+from calib_pin.measurement_models.references import (
+    Plane,
+    ReferenceObject,
+    locate,
+    turned_planes,
+)
 from calib_pin.measurement_models.registration import register_plane
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.setup import RangerSetup, Setup
 
 GRAZING = 1e-3
@@ -91,14 +94,12 @@ class PlaneDistance(DeclaredModel):
         planes = tuple(plane for plane in references if isinstance(plane, Plane))
         return replace(self, planes=planes)
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Distances along the beam, shape (N, 1) [m]; negative behind the tool."""
         normal, offset, _ = self._rows(instrument, target)
         return self._distance(T, normal, offset)[:, None]
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Where the beam meets the plane in front, within range and not too flat."""
         normal, offset, _ = self._rows(instrument, target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
@@ -136,9 +137,7 @@ class PlaneDistance(DeclaredModel):
         J_instrument[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, J_pose, J_instrument)
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives of the distance.
 
         With `m = R^T n / c` the rows are `(-m, h m x e_z)` and `-(p + h b) / c`, and a
@@ -224,14 +223,12 @@ class PlaneDistance(DeclaredModel):
             raise data.error(row, f"the beam is parallel to the plane '{name}'")
         return registered, base, tool
 
-    def _index(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> NDArray[np.int64]:
+    def _index(self, target: Targets, data: Measurements | None = None) -> Indices:
         """Position of each row's plane; data tell where a wrong name stands."""
         return locate(target, self.planes, "plane", data)
 
     def _rows(
-        self, instrument: Floats, target: Sequence[str]
+        self, instrument: Floats, target: Targets
     ) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,) and derivative (N, 3, 2) of each row's plane."""
         turned = [

@@ -10,17 +10,15 @@ from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
 from typing import Protocol, Self
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.observations import Indices, Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
     AnchorSetup,
@@ -94,7 +92,7 @@ def nuisances(
 
 @dataclass(frozen=True)
 class Point:
-    """A point: of the tool in the tool frame, or of a socket in the measuring frame.
+    """A point: of the tool in the tool frame, or of a socket in the measurement frame.
 
     Attributes:
         name: Name that rows give.
@@ -140,8 +138,88 @@ class Point:
 
 
 @dataclass(frozen=True)
+class Plane:
+    """Reference of a plane `n . p + f = 0` in the measurement frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        normal: Unit normal n, shape (3,); None until it is registered.
+        offset: Offset f [m].
+        estimate: Whether the plane is estimated.
+    """
+
+    name: str
+    normal: Floats | None = None
+    offset: float = 0.0
+    estimate: bool = True
+
+    section = "planes"
+
+    @property
+    def located(self) -> bool:
+        """Whether it is given or registered."""
+        return self.normal is not None
+
+    @property
+    def parameters(self) -> Sequence[Parameter]:
+        """`<plane>.plane.u|v|f`."""
+        units = (("u", "rad"), ("v", "rad"), ("f", "m"))
+        return nuisances(self.name, "plane", ((c, u, self.estimate) for c, u in units))
+
+    @cached_property
+    def tangents(self) -> Floats:
+        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
+        assert self.normal is not None
+        # Of components that are equal but for rounding, the first.
+        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
+        first = np.cross(self.normal, helper)
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.normal, first)])
+
+    def turned(self, values: Floats) -> tuple[Floats, float, Floats]:
+        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+
+        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
+
+        Returns:
+            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+        """
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        first, second = so3_exp(values[0] * t_1), so3_exp(values[1] * t_2)
+        halfway = second @ self.normal
+        normal = first @ halfway
+        by_u = np.cross(t_1, normal)
+        by_v = first @ np.cross(t_2, halfway)
+        return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
+
+    def turned_many(self, values: Floats) -> Floats:
+        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
+        assert self.normal is not None
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        # Element by element: a product of matrices may round by the place of a row.
+        t_1, t_2 = self.tangents
+        u, v = values[:, :1], values[:, 1:2]
+        normals = np.sin(v) * t_1 + np.cos(v) * (
+            np.cos(u) * self.normal - np.sin(u) * t_2
+        )
+        return np.column_stack([normals, self.offset + values[:, 2]])
+
+    def rebased(self, values: Floats) -> Plane:
+        """Turned and shifted by (u, v, f)."""
+        normal, offset, _ = self.turned(values)
+        return replace(self, normal=normal, offset=offset)
+
+    def stated(self) -> PlaneSetup:
+        """Its normal and offset."""
+        normal = triple(self.normal)
+        assert normal is not None
+        return PlaneSetup(normal, float(self.offset), self.estimate)
+
+
+@dataclass(frozen=True)
 class Sphere:
-    """A sphere in the measuring frame.
+    """A sphere in the measurement frame.
 
     Attributes:
         name: Name that rows give as their target.
@@ -190,7 +268,7 @@ class Anchor:
 
     Attributes:
         name: Name that rows give as their target.
-        xyz: Place in the measuring frame, shape (3,) [m]; None until registered.
+        xyz: Place in the measurement frame, shape (3,) [m]; None until registered.
         bias: What is added to every true distance [m].
         estimate: Whether the place is estimated.
         estimate_bias: Whether the bias is.
@@ -231,73 +309,11 @@ class Anchor:
         )
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame of an instrument that is one among others.
-
-    Attributes:
-        name: Name of the instrument.
-        kind: `base` for where it stands, `tool` for its place on the tool.
-        pose: Reference; None until it is registered.
-        estimate: Whether it is estimated.
-    """
-
-    name: str
-    kind: str
-    pose: pin.SE3 | None = None
-    estimate: bool = True
-
-    @property
-    def section(self) -> str:
-        """`<kind> frames`; a setup file does not state it."""
-        return f"{self.kind} frames"
-
-    @property
-    def located(self) -> bool:
-        """Whether it is registered."""
-        return self.pose is not None
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.<kind>.x..rz`, screws in their order as those of the two frames."""
-        names = ("x", "y", "z", "rx", "ry", "rz")
-        units = zip(names, ("m",) * 3 + ("rad",) * 3, strict=True)
-        components = ((c, u, self.estimate) for c, u in units)
-        return nuisances(self.name, self.kind, components, self.kind == "base")
-
-    def rebased(self, values: Floats) -> Frame:
-        """Moved by the screws."""
-        assert self.pose is not None
-        pose = self.pose
-        for k in np.flatnonzero(values):
-            pose = pose * pin.exp6(np.eye(6)[k] * values[k])
-        return replace(self, pose=pose)
-
-    def moved(self, values: Floats) -> Floats:
-        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
-        from calib_pin.compiled import link_kernels
-
-        assert self.pose is not None
-        reference = self.pose.homogeneous[:3].reshape(1, 12)
-        result, first = np.empty((len(values), 1, 12)), np.zeros(6, np.int64)
-        screws = first, np.arange(6), np.eye(6)
-        link_kernels.links(reference, *screws, np.ascontiguousarray(values), result)
-        return result[:, 0]
-
-    def twists(self, values: Floats) -> Floats:
-        """Body twists of the frame by its parameters, shape (6, 6)."""
-        result, behind = np.eye(6), pin.SE3.Identity()
-        for k in reversed(range(6)):
-            result[:, k] = behind.toActionMatrixInverse()[:, k]
-            behind = pin.exp6(np.eye(6)[k] * values[k]) * behind
-        return result
-
-    def stated(self) -> FrameSetup:
-        """Its pose."""
-        assert self.pose is not None
-        roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
-        xyz = triple(self.pose.translation)
-        return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
+def turned_planes(planes: Sequence[Plane], values: Floats) -> Floats:
+    """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
+    parts = [values[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
+    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
+    return np.stack(turned, axis=1)
 
 
 def slices(references: Sequence[ReferenceObject]) -> list[slice]:
@@ -312,7 +328,7 @@ def locate(
     what: str,
     data: Measurements | None = None,
     alone: bool = True,
-) -> NDArray[np.int64]:
+) -> Indices:
     """Position of the reference object that each measurement names.
 
     Args:

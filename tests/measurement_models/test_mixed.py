@@ -20,8 +20,7 @@ from calib_pin.estimation.registration import extended, registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.mixed import qualified
-from calib_pin.measurement_models.mount import Mounted
-from calib_pin.measurement_models.references import Frame
+from calib_pin.measurement_models.mount import Frame, Mounted
 from calib_pin.measurement_models.side_by_side import by_part, concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import (

@@ -31,6 +31,10 @@ AT = "@"
 SAME = 1e-6
 """Largest difference of joint positions within one configuration [rad, m]."""
 
+ARRAYS = ("q", "values", "validate", "lines", "weight")
+WORDS = ("target", "payload", "files")
+"""Attributes of `Measurements` with one entry for each, beside sigma and start."""
+
 
 @dataclass(frozen=True)
 class Measurements:
@@ -83,9 +87,7 @@ class Measurements:
         """Fill the optional columns and check shapes and values."""
         count = len(self.q)
         defaults = {
-            "target": ("",) * count,
-            "payload": ("",) * count,
-            "files": ("",) * count,
+            **dict.fromkeys(WORDS, ("",) * count),
             "validate": np.zeros(count, bool),
             "lines": np.zeros(count, np.int64),
             "weight": np.ones(count),
@@ -131,18 +133,61 @@ class Measurements:
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
         order = np.arange(len(self))[index]
+        arrays = {name: getattr(self, name)[order] for name in ARRAYS}
+        words: dict[str, Any] = {
+            name: tuple(map(getattr(self, name).__getitem__, order.tolist()))
+            for name in WORDS
+        }
         return replace(
             self,
-            q=self.q[order],
-            values=self.values[order],
+            **arrays,
+            **words,
             sigma=None if self.sigma is None else self.sigma[order],
-            target=tuple(map(self.target.__getitem__, order.tolist())),
-            payload=tuple(map(self.payload.__getitem__, order.tolist())),
             start=self.start[order] if self.start.size else self.start,
-            validate=self.validate[order],
-            lines=self.lines[order],
-            files=tuple(map(self.files.__getitem__, order.tolist())),
-            weight=self.weight[order],
+        )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Measurements]) -> Measurements:
+        """Join measurements of one chain and one model, or of the same side by side.
+
+        Those of different models are joined by `side_by_side.concatenate`.
+
+        Raises:
+            InputError: If joints or models differ, or only some of the measurements
+                have standard deviations.
+        """
+        first = parts[0]
+        for part in parts[1:]:
+            if part.joints != first.joints:
+                raise InputError("cannot join measurements of different joints")
+            if part.model != first.model:
+                raise InputError("cannot join measurements of different models")
+        parts = [part for part in parts if len(part)] or parts[:1]
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        for part in parts:
+            require_alike(part, (part.sigma is None) == (first.sigma is None))
+        sigmas = [part.sigma for part in parts if part.sigma is not None]
+        starts = [
+            part.start if part.start.size else np.full(part.q.shape, np.nan)
+            for part in parts
+        ]
+        started = any(part.start.size for part in parts)
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ARRAYS
+        }
+        words: dict[str, Any] = {
+            name: tuple(chain.from_iterable(getattr(part, name) for part in parts))
+            for name in WORDS
+        }
+        return replace(
+            first,
+            **arrays,
+            **words,
+            sigma=np.concatenate(sigmas) if sigmas else None,
+            start=np.concatenate(starts) if started else first.start,
         )
 
     def sample(self, count: int) -> Measurements:
@@ -235,43 +280,6 @@ def fitted_and_held_out(data: Measurements) -> tuple[Measurements, Measurements]
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
-
-
-def stacked(parts: Sequence[Measurements]) -> Measurements:
-    """Join measurements of one chain and one model, or of the same ones side by side.
-
-    Raises:
-        InputError: If only some of them have standard deviations.
-    """
-    parts = [part for part in parts if len(part)] or parts[:1]
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    for part in parts:
-        require_alike(part, (part.sigma is None) == (first.sigma is None))
-    sigmas = [part.sigma for part in parts if part.sigma is not None]
-    started = any(part.start.size for part in parts)
-    return Measurements(
-        joints=first.joints,
-        q=np.concatenate([part.q for part in parts]),
-        model=first.model,
-        values=np.concatenate([part.values for part in parts]),
-        sigma=np.concatenate(sigmas) if sigmas else None,
-        target=tuple(chain.from_iterable(part.target for part in parts)),
-        payload=tuple(chain.from_iterable(part.payload for part in parts)),
-        start=np.concatenate(
-            [
-                part.start if part.start.size else np.full(part.q.shape, np.nan)
-                for part in parts
-            ]
-        )
-        if started
-        else first.start,
-        validate=np.concatenate([part.validate for part in parts]),
-        lines=np.concatenate([part.lines for part in parts]),
-        files=tuple(chain.from_iterable(part.files for part in parts)),
-        weight=np.concatenate([part.weight for part in parts]),
-    )
 
 
 def require_alike(part: Measurements, alike: bool) -> None:

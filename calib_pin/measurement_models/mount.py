@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -19,16 +19,14 @@ from calib_pin.measurement_models.base import (
 from calib_pin.measurement_models.declaration import Declaration
 from calib_pin.measurement_models.references import (
     ReferenceObject,
-    nuisances,
     triple,
 )
 from calib_pin.observations import Booleans, Measurements, Targets
-from calib_pin.parameters import Parameter
 from calib_pin.setup import FrameSetup
 
 
 @dataclass(frozen=True)
-class Frame:
+class Frame(ReferenceObject):
     """A frame of an instrument that is one among others.
 
     Attributes:
@@ -54,12 +52,16 @@ class Frame:
         return self.pose is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.<kind>.x..rz`, screws in their order as those of the two frames."""
+    def outer(self) -> bool:
+        """Whether it is where the instrument stands."""
+        return self.kind == "base"
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Screws x..rz in their order, as those of the two frames of the robot."""
         names = ("x", "y", "z", "rx", "ry", "rz")
-        units = zip(names, ("m",) * 3 + ("rad",) * 3, strict=True)
-        components = ((c, u, self.estimate) for c, u in units)
-        return nuisances(self.name, self.kind, components, self.kind == "base")
+        units = ("m",) * 3 + ("rad",) * 3
+        return ((c, u, self.estimate) for c, u in zip(names, units, strict=True))
 
     def rebased(self, values: Floats) -> Frame:
         """Moved by the screws."""

@@ -25,7 +25,7 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.references import Point
+from calib_pin.measurement_models.references import Point, ReferenceObject
 from calib_pin.parameters import Parameter
 from calib_pin.setup import CameraSetup, Setup
 
@@ -47,7 +47,7 @@ INTRINSICS = (
 
 
 @dataclass(frozen=True)
-class Camera:
+class Camera(ReferenceObject):
     """A pinhole camera with Brown-Conrady distortion.
 
     Attributes:
@@ -63,6 +63,7 @@ class Camera:
     estimate: bool = False
 
     name = "camera"
+    kind = "intrinsics"
     section = "camera"
 
     @staticmethod
@@ -97,7 +98,7 @@ class Camera:
         """`camera.intrinsics.fx|fy|cx|cy|k1|k2|p1|p2|k3`."""
         return tuple(
             Parameter(
-                f"{self.name}.intrinsics.{name}",
+                f"{self.name}.{self.kind}.{name}",
                 unit,
                 scale,
                 nuisance=True,

@@ -8,11 +8,12 @@ measurement model is only the formula that relates a tool pose to some of them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
 
@@ -38,60 +39,56 @@ Stated = PointSetup | PlaneSetup | SphereSetup | AnchorSetup | CameraSetup | Fra
 """A reference as a setup file would state it."""
 
 
-class ReferenceObject(Protocol):
-    """Something with a name that rows refer to."""
+class ReferenceObject(ABC):
+    """Something with a name that measurements refer to."""
 
-    @property
-    def name(self) -> str:
-        """Name that rows give."""
-        ...
+    name: str
+    """Name that measurements give."""
+
+    kind: str
+    """Its kind, as in the names of its parameters."""
 
     @property
     def section(self) -> str:
         """Where it stands in a setup file, such as `planes`."""
-        ...
+        return f"{self.kind}s"
 
     @property
+    @abstractmethod
     def located(self) -> bool:
-        """Whether it has a reference."""
-        ...
+        """Whether its reference is given or registered."""
+
+    @property
+    def outer(self) -> bool:
+        """Whether it stands where the base does and not on the tool."""
+        return True
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Name and unit of each parameter, and whether it is estimated."""
+        return ()
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Its parameters, deviations from the reference."""
-        ...
+        """Deviations from the reference, `<name>.<kind>.<component>`."""
+        return tuple(
+            Parameter(
+                f"{self.name}.{self.kind}.{name}", unit, METER, True, self.outer, free
+            )
+            for name, unit, free in self.components
+        )
 
+    @abstractmethod
     def rebased(self, values: Floats) -> Self:
-        """The same about moved references; shape (K,)."""
-        ...
+        """The same with its parameters, shape (K,), moved into the reference."""
 
+    @abstractmethod
     def stated(self) -> Stated:
         """Its reference as a setup file would state it."""
-        ...
-
-
-def nuisances(
-    owner: str,
-    kind: str,
-    components: Iterable[tuple[str, str, bool]],
-    outer: bool = True,
-) -> tuple[Parameter, ...]:
-    """Parameters `<owner>.<kind>.<component>` of a reference object.
-
-    Args:
-        owner: Name of the object.
-        kind: Kind of the object.
-        components: Name, unit, and whether it is estimated.
-        outer: Whether it stands where the base does and not on the tool.
-    """
-    return tuple(
-        Parameter(f"{owner}.{kind}.{name}", unit, METER, True, outer, free)
-        for name, unit, free in components
-    )
 
 
 @dataclass(frozen=True)
-class Point:
+class Point(ReferenceObject):
     """A point: of the tool in the tool frame, or of a socket in the measurement frame.
 
     Attributes:
@@ -107,21 +104,19 @@ class Point:
     estimate: bool = True
 
     @property
-    def section(self) -> str:
-        """`targets` or `sockets`."""
-        return f"{self.kind}s"
-
-    @property
     def located(self) -> bool:
         """Whether its place is given or registered."""
         return self.xyz is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.<kind>.x|y|z`."""
-        free = self.estimate
-        components = ((c, "m", free) for c in "xyz")
-        return nuisances(self.name, self.kind, components, self.kind != "target")
+    def outer(self) -> bool:
+        """Whether it is no point of the tool."""
+        return self.kind != "target"
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its coordinates x, y, z."""
+        return ((c, "m", self.estimate) for c in "xyz")
 
     def at(self, values: Floats) -> Floats:
         """Its place, shape (3,) [m]."""
@@ -138,7 +133,7 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Plane:
+class Plane(ReferenceObject):
     """Reference of a plane `n . p + f = 0` in the measurement frame.
 
     Attributes:
@@ -153,7 +148,7 @@ class Plane:
     offset: float = 0.0
     estimate: bool = True
 
-    section = "planes"
+    kind = "plane"
 
     @property
     def located(self) -> bool:
@@ -161,10 +156,10 @@ class Plane:
         return self.normal is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<plane>.plane.u|v|f`."""
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its turns u and v about the tangents, and a shift f."""
         units = (("u", "rad"), ("v", "rad"), ("f", "m"))
-        return nuisances(self.name, "plane", ((c, u, self.estimate) for c, u in units))
+        return ((name, unit, self.estimate) for name, unit in units)
 
     @cached_property
     def tangents(self) -> Floats:
@@ -218,7 +213,7 @@ class Plane:
 
 
 @dataclass(frozen=True)
-class Sphere:
+class Sphere(ReferenceObject):
     """A sphere in the measurement frame.
 
     Attributes:
@@ -235,7 +230,7 @@ class Sphere:
     estimate: bool = True
     estimate_radius: bool = True
 
-    section = "spheres"
+    kind = "sphere"
 
     @property
     def located(self) -> bool:
@@ -243,11 +238,10 @@ class Sphere:
         return self.xyz is not None and self.radius is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<sphere>.sphere.x|y|z|r`."""
-        center = [(c, "m", self.estimate) for c in "xyz"]
-        radius = ("r", "m", self.estimate_radius)
-        return nuisances(self.name, "sphere", [*center, radius])
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its center x, y, z and its radius r."""
+        center = ((c, "m", self.estimate) for c in "xyz")
+        return (*center, ("r", "m", self.estimate_radius))
 
     def rebased(self, values: Floats) -> Sphere:
         """Moved by (x, y, z) and larger by r."""
@@ -263,7 +257,7 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Anchor:
+class Anchor(ReferenceObject):
     """A fixed point that distances are measured from, with the bias of its readings.
 
     Attributes:
@@ -280,7 +274,7 @@ class Anchor:
     estimate: bool = True
     estimate_bias: bool = False
 
-    section = "anchors"
+    kind = "anchor"
 
     @property
     def located(self) -> bool:
@@ -288,12 +282,10 @@ class Anchor:
         return self.xyz is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<anchor>.anchor.x|y|z|bias`."""
-        site = [(c, "m", self.estimate) for c in "xyz"]
-        return nuisances(
-            self.name, "anchor", [*site, ("bias", "m", self.estimate_bias)]
-        )
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its coordinates x, y, z and its bias."""
+        site = ((c, "m", self.estimate) for c in "xyz")
+        return (*site, ("bias", "m", self.estimate_bias))
 
     def rebased(self, values: Floats) -> Anchor:
         """Moved by (x, y, z), with another bias."""

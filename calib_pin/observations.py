@@ -125,11 +125,6 @@ class Measurements:
         """Names of the models."""
         return tuple(self.model.split(PLUS))
 
-    @property
-    def stated(self) -> bool:
-        """Whether the rows state all their standard deviations."""
-        return self.sigma is not None and not bool(np.isnan(self.sigma).any())
-
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
         order = np.arange(len(self))[index]
@@ -264,6 +259,11 @@ class Measurements:
         if file := self.files[row]:
             return InputError(reason, file=file, line=int(self.lines[row]), **told)
         return InputError(f"{self.source(row)}: {reason}", **told)
+
+
+def states_sigmas(data: Measurements) -> bool:
+    """Whether the measurements state all their standard deviations."""
+    return data.sigma is not None and not bool(np.isnan(data.sigma).any())
 
 
 def trusted(data: Measurements) -> Measurements:

@@ -12,7 +12,6 @@ import pinocchio as pin
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact_registration import (
-    Reached,
     register_distances,
     register_touched_plane,
 )
@@ -45,21 +44,17 @@ GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
 class SiteModel(PointModel):
     """A point of the tool against places that are registered from rows of theirs."""
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
-        """What the rows of one place and one point tell in closed form.
+    ) -> tuple[Floats, ReferenceObject]:
+        """The point in the tip frame and its site in closed form.
 
         Args:
             F: Tip poses in the measurement frame, shape (N, 4, 4).
-            data: The rows.
+            data: The measurements of one point at one site.
             point: The point in the tip frame where it is known, shape (3,) [m].
-            site: The place, not placed yet.
+            site: The site, not located yet.
         """
-        raise NotImplementedError
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The place where that has put it."""
         raise NotImplementedError
 
     def register(
@@ -77,8 +72,8 @@ class SiteModel(PointModel):
             found, sizes = [], []
             for s in np.unique(site[label == k]):
                 rows = (label == k) & (site == s)
-                reached = self.reached(F[rows], data.rows(rows), None, self.sites[s])
-                found.append(reached.point)
+                part = data.rows(rows)
+                found.append(self.fit_site(F[rows], part, None, self.sites[s])[0])
                 sizes.append(rows.sum())
             # The place with most rows: a poor one would spoil an average.
             tip[k] = found[int(np.argmax(sizes))]
@@ -91,10 +86,8 @@ class SiteModel(PointModel):
         for s, reference in enumerate(sites):
             rows = site == s
             if not reference.located and rows.any():
-                reached = self.reached(
-                    moved[rows], data.rows(rows), np.zeros(3), reference
-                )
-                sites[s] = self.found(reference, reached)
+                part = data.rows(rows)
+                _, sites[s] = self.fit_site(moved[rows], part, np.zeros(3), reference)
         return replace(self, points=points, sites=tuple(sites)), base, tool
 
 
@@ -139,16 +132,13 @@ class PlaneContact(SiteModel):
         by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
         return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
+    ) -> tuple[Floats, Plane]:
         """The plane through the points."""
-        return register_touched_plane(F, point)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The plane with normal and offset."""
         assert isinstance(site, Plane)
-        return replace(site, normal=reached.site, offset=reached.size)
+        reached = register_touched_plane(F, point)
+        return reached.point, replace(site, normal=reached.site, offset=reached.size)
 
     def _planes(self, site: Indices, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
@@ -217,20 +207,15 @@ class SphereContact(SiteModel):
         e, distance = rays(p, self.sites, site, values)
         return round_bend(e, distance)
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
-        """The sphere through the points."""
+    ) -> tuple[Floats, Sphere]:
+        """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        if site.radius is None:
-            return register_distances(F, None, point)
-        return register_distances(F, np.full(len(F), site.radius), point)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The sphere with its center, and the radius where it was unknown."""
-        assert isinstance(site, Sphere)
+        known = None if site.radius is None else np.full(len(F), site.radius)
+        reached = register_distances(F, known, point)
         radius = reached.size if site.radius is None else site.radius
-        return replace(site, xyz=reached.site, radius=radius)
+        return reached.point, replace(site, xyz=reached.site, radius=radius)
 
 
 def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:

@@ -17,7 +17,6 @@ from calib_pin.measurement_models.contact import (
     rounds,
 )
 from calib_pin.measurement_models.contact_registration import (
-    Reached,
     register_distances,
     register_relative_distances,
 )
@@ -89,18 +88,14 @@ class PointDistance(SiteModel):
         """As round as the point is far from the anchor."""
         return round_bend(*rays(p, self.sites, site, values))
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
-        """The anchor at these distances from the points."""
+    ) -> tuple[Floats, Anchor]:
+        """The anchor at these distances from the points, with an unknown bias."""
         assert isinstance(site, Anchor)
         bias = None if site.estimate_bias else site.bias
-        return register_distances(F, data.values[:, 0], point, bias)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The anchor with its place, and the bias where it was unknown."""
-        assert isinstance(site, Anchor)
-        return replace(site, xyz=reached.site, bias=reached.size)
+        reached = register_distances(F, data.values[:, 0], point, bias)
+        return reached.point, replace(site, xyz=reached.site, bias=reached.size)
 
 
 @dataclass(frozen=True)

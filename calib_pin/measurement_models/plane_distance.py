@@ -199,24 +199,17 @@ class PlaneDistance(DeclaredModel):
         T = base.homogeneous @ F @ tool.homogeneous
         hits = T[:, :3, 3] + data.values * T[:, :3, 2]
         index = self._index(data.target, data)
-        planes = tuple(
-            replace(plane, normal=normal, offset=offset)
-            for plane, (normal, offset) in (
-                (
-                    plane,
-                    register_plane(hits[index == k])
-                    if plane.normal is None
-                    else (plane.normal, plane.offset),
-                )
-                for k, plane in enumerate(self.planes)
-            )
-        )
+        planes = list(self.planes)
+        for k, plane in enumerate(planes):
+            if plane.normal is None:
+                normal, offset = register_plane(hits[index == k])
+                planes[k] = replace(plane, normal=normal, offset=offset)
         # Rows may reach farther than the setup says or a simulation would.
         farthest = float(np.abs(data.values).max())
         reach = self.reach if farthest <= self.reach else 1.5 * farthest
-        registered = replace(self, planes=planes, reach=reach)
-        normal, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
-        cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
+        registered = replace(self, planes=tuple(planes), reach=reach)
+        normals, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
+        cosine = np.abs(np.einsum("ni,ni->n", normals, T[:, :3, 2]))
         if (cosine < GRAZING).any():
             row = int(np.argmin(cosine))
             name = planes[index[row]].name

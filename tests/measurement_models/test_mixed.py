@@ -22,7 +22,7 @@ from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurement_models.mount import Frame, Mounted
 from calib_pin.measurement_models.side_by_side import by_part, concatenate
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.setup import (
     CameraSetup,
     DistanceSetup,
@@ -221,7 +221,7 @@ def test_stated_sigmas_are_those_of_their_rows(simulated: Simulated) -> None:
     stated = replace(position.data, sigma=np.full((4, 3), 2e-5))
     data = concatenate([stated, fixed.data])
     problem = make_problem(ARM, data, setup)
-    assert not data.stated
+    assert not states_sigmas(data)
     expected = np.full((8, 6), np.inf)
     expected[:4, :3], expected[4:, 3:] = 2e-5, 1e-4
     np.testing.assert_array_equal(problem.sigma, expected)

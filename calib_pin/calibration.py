@@ -19,7 +19,7 @@ from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import among, targets_of
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, Measurements, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
@@ -191,7 +191,7 @@ def _result(
             chi2=chi2,
             dof=fitted.dof,
             sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
-            stated_sigma=training.stated,
+            stated_sigma=states_sigmas(training),
             noise=fitted.noise,
             outliers=fitted.outliers,
             displaced=_displaced(model, seed),

@@ -101,7 +101,7 @@ def evaluator(
         parameters: Number of parameters P.
     """
     few = len(data) * model.components * parameters < MANY
-    if few or not model.error.geometric or model.measurement.relative:
+    if few or not model.error.geometric or model.measurement.declaration.relative:
         return RowByRow(model, data, sigma)
     from calib_pin.estimation.many_rows import ManyRows
 

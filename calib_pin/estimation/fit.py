@@ -28,7 +28,8 @@ from calib_pin.estimation.statistics.systematic import systematic
 from calib_pin.estimation.statistics.variance_components import variance_components
 from calib_pin.estimation.unit_weights import balanced
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
+from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
 from calib_pin.solvers import LeastSquaresResult, Status
 
@@ -231,7 +232,7 @@ def _fit(
     solutions = stages.solutions
     last = solutions[-1]
     unit = last.sigma0
-    if len(problem.units) or (problem.data.stated and not np.isfinite(unit)):
+    if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(unit)):
         unit = 1.0
     evidence, result = _shrunk(problem, last, unit)
     found_by = [solution.found for solution in reversed(solutions)]

@@ -21,8 +21,8 @@ from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.model import Model
 from calib_pin.estimation.row_blocks import Blocks, Expected, Priors
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import absent, assumed_sigma
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.mixed import absent, assumed_sigma
+from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 
@@ -100,7 +100,7 @@ class Problem(Model):
 
         Infinite for the components that one of mixed measurements does not have.
         """
-        if self.data.sigma is not None and self.data.stated:
+        if self.data.sigma is not None and states_sigmas(self.data):
             return self.data.sigma
         return _filled(self, self.data.sigma, len(self.data))
 

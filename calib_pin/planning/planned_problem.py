@@ -21,8 +21,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, tracked
+from calib_pin.measurement_models.mixed import assumed_sigma
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.observations import PLUS, Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.information import Information

@@ -14,10 +14,10 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import tracked
-from calib_pin.measurement_models.intrinsics import Camera
+from calib_pin.measurement_models.mount import Frame
+from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.references import Frame
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify

@@ -18,10 +18,9 @@ from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.references import Point
+from calib_pin.measurement_models.references import Plane, Point
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import Payload

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from calib_pin.estimation.problem import Problem, repeated
 from calib_pin.estimation.statistics.chi_square import chi_square_tail, f_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
 
 REPEATED = 4
 """Degrees of freedom from which repetitions tell the pure error, to a factor of two."""

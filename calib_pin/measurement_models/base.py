@@ -21,7 +21,7 @@ from calib_pin.setup import Setup
 
 @dataclass(frozen=True)
 class Linearization:
-    """Residuals of N rows and their derivatives.
+    """Residuals of N measurements and their derivatives.
 
     Attributes:
         residual: Predicted minus measured, shape (N, d).
@@ -46,7 +46,7 @@ class MeasurementModel(ABC):
     @property
     @abstractmethod
     def declaration(self) -> Declaration:
-        """What users and other rooms may know of it."""
+        """Name, columns, components and scope, as users and other rooms see them."""
 
     @property
     def name(self) -> str:
@@ -73,7 +73,7 @@ class MeasurementModel(ABC):
 
     @property
     def missing(self) -> str:
-        """What a study without measurements lacks; empty where nothing."""
+        """Things that a study without measurements lacks; empty where none."""
         return ""
 
     @property
@@ -83,7 +83,7 @@ class MeasurementModel(ABC):
 
     @property
     def references(self) -> Sequence[ReferenceObject]:
-        """What measurements refer to, in the order of the model's parameters."""
+        """The objects that measurements refer to, in the order of the parameters."""
         return ()
 
     def with_references(self, references: Sequence[ReferenceObject]) -> Self:
@@ -162,7 +162,7 @@ class DeclaredModel(MeasurementModel):
     """A member of the family, which its declaration introduces to all."""
 
     declaration: ClassVar[Declaration]
-    """What users and other rooms may know of it."""
+    """Name, columns, components and scope, as users and other rooms see them."""
 
     @classmethod
     @abstractmethod
@@ -180,7 +180,7 @@ class DeclaredModel(MeasurementModel):
 
 @dataclass(frozen=True)
 class Geometry:
-    """What rows look at, for the S members of a population.
+    """Both sides of a comparison, for the S members of a population.
 
     Attributes:
         points: Points that are carried through the chain, shape (S, J, 3) [m].
@@ -197,7 +197,7 @@ class Geometry:
 
 @dataclass(frozen=True)
 class Batch:
-    """What a compiled kernel needs to cost a whole population on some rows.
+    """Some measurements as a compiled kernel costs them for a whole population.
 
     Attributes:
         comparison: One of `kernels.COMPARISONS`.
@@ -225,10 +225,10 @@ class BatchedModel(Protocol):
     """A measurement model that a compiled kernel can evaluate."""
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
-        """The batch form of some rows; empty where they have none.
+        """The batch form of some measurements; empty where they have none.
 
         Args:
-            data: The rows.
+            data: The measurements.
             weights: Reciprocal standard deviations of the residual, shape (N, d).
         """
         ...
@@ -250,7 +250,7 @@ class Curvature:
 
 @runtime_checkable
 class CurvedModel(Protocol):
-    """A measurement model whose rows can be differentiated by the configuration."""
+    """A measurement model with second derivatives by the configuration."""
 
     def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives where the measured values are the predicted ones.

@@ -60,7 +60,7 @@ class CameraModel(DeclaredModel):
         camera: The camera.
         points: The points that it looks at: of a camera on the hand in the measuring
             frame, of a camera in the world in the tool frame.
-        spare: Other points of a known place, which rows to come may name.
+        spare: Other points of a known place, which measurements to come may name.
     """
 
     camera: Camera
@@ -135,7 +135,7 @@ class CameraModel(DeclaredModel):
         return replace(self, camera=camera, points=kept)
 
     def extended(self, T: Floats, data: Measurements) -> CameraModel:
-        """With the spare points that the rows name."""
+        """With the spare points that the measurements name."""
         named = set(data.target)
         more = tuple(point for point in self.spare if point.name in named)
         return replace(self, points=(*self.points, *more)) if more else self
@@ -261,8 +261,8 @@ class CameraModel(DeclaredModel):
         References of intrinsics and points stay.
 
         Raises:
-            InputError: If points are not given, rows are too few for a start, or a
-                point is behind the camera there.
+            InputError: If points are not given, measurements are too few for a start,
+                or a point is behind the camera there.
         """
         if self.missing:
             raise InputError(f"the model 'camera' needs known points: {self.missing}")
@@ -313,12 +313,12 @@ class CameraModel(DeclaredModel):
 
     @property
     def _columns(self) -> Indices:
-        """First column of each point among the own parameters, -1 for a known one."""
+        """First column of each point among the parameters, -1 for a known one."""
         parts = slices(self.references)[1:]
         return np.array([p.start if p.stop > p.start else -1 for p in parts], np.int64)
 
     def _index(self, target: Targets, data: Measurements | None = None) -> Indices:
-        """Position of each row's point; data tell where a wrong name stands."""
+        """Position of each measurement's point; data tell where a wrong name stands."""
         return locate(target, self.points, "target", data)
 
     def _look(self, T: Floats, instrument: Floats, index: Indices) -> _View:
@@ -344,7 +344,7 @@ class CameraModel(DeclaredModel):
 
 @dataclass(frozen=True)
 class _View:
-    """What rows see, by components.
+    """The points as they are seen, by components.
 
     Attributes:
         R: Rotations of the tool, shape (3, 3, N).

@@ -49,14 +49,14 @@ DEGENERATE = 1e-9
 
 @dataclass(frozen=True)
 class Rays:
-    """What a start is made from.
+    """The rays that a start is made from.
 
     Attributes:
         F: The chain, from the end at the camera to that at the points, (N, 4, 4).
         points: The points P by position, shape (J, 3) [m].
-        index: Position of each row's point, shape (N,).
+        index: Position of each ray's point, shape (N,).
         rays: What the camera sees, shape (N, 2).
-        image: Number of each row's image, shape (N,).
+        image: Number of each ray's image, shape (N,).
     """
 
     F: Floats

@@ -60,7 +60,7 @@ def declared(name: str) -> Declaration:
 
 
 def tracked(model: str) -> set[str]:
-    """What of the tool the models of a name follow, see `Declaration.tracks`.
+    """The parts of the tool that the models of a name follow, see `Declaration.tracks`.
 
     Args:
         model: Name of a measurement model, or of several with a plus between them.

@@ -42,7 +42,7 @@ GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
 
 @dataclass(frozen=True)
 class SiteModel(PointModel):
-    """A point of the tool against places that are registered from rows of theirs."""
+    """A point of the tool against sites that are registered from measurements."""
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
@@ -60,7 +60,7 @@ class SiteModel(PointModel):
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
     ) -> tuple[Self, pin.SE3, pin.SE3]:
-        """Unknown points by all their places, then unknown places by all rows.
+        """Unknown points by all their sites, then unknown sites by all measurements.
 
         A base that is not given stays where the URDF puts it.
         """
@@ -75,11 +75,11 @@ class SiteModel(PointModel):
                 part = data.rows(rows)
                 found.append(self.fit_site(F[rows], part, None, self.sites[s])[0])
                 sizes.append(rows.sum())
-            # The place with most rows: a poor one would spoil an average.
+            # The site with most measurements: a poor one would spoil an average.
             tip[k] = found[int(np.argmax(sizes))]
         points, tool = located_tool(tip, self.points, tool)
         at = tip_points(points, tool)[label]
-        # With the points in place, every row tells of its place.
+        # With the points known, every measurement tells of its site.
         moved = F.copy()
         moved[:, :3, 3] += np.einsum("nij,nj->ni", F[:, :3, :3], at)
         sites = list(self.sites)

@@ -64,7 +64,7 @@ def register_sockets(
 
 @dataclass(frozen=True)
 class Reached:
-    """What a tool point that touches something, or hangs on a wire, tells.
+    """A tool point that touches something, or hangs on a wire, and its site.
 
     Attributes:
         point: The point in the tip frame, shape (3,) [m].
@@ -185,7 +185,7 @@ def _best(
     candidates: Sequence[Floats],
     through: Callable[[Floats], tuple[Floats, float, Floats]],
 ) -> Reached:
-    """What fits the points of the best candidate for the point of the tool."""
+    """The fit with the best candidate for the point of the tool."""
     found = []
     for t in candidates:
         site, size, misfit = through(F[:, :3, :3] @ t + F[:, :3, 3])

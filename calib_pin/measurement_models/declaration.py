@@ -1,4 +1,4 @@
-"""What a measurement model is, stated once: its columns, residual, target and scope.
+"""A measurement model, declared once: its columns, residual, target and scope.
 
 Files, messages, simulation, planning and reports ask the declaration for the property
 that matters to them, never for the name of a model.
@@ -43,7 +43,7 @@ class Quantity:
     noise: str = ""
 
     def errors(self, residual: Floats) -> Floats:
-        """Size of the error of each row that has this quantity, (N, d) -> (n,).
+        """Size of the error of each measurement of this quantity, (N, d) -> (n,).
 
         The others have NaN.
         """
@@ -53,7 +53,7 @@ class Quantity:
 
 @dataclass(frozen=True)
 class Naming:
-    """What the `target` of a measurement names.
+    """The objects that the `target` of measurements names.
 
     Attributes:
         noun: What it is called in messages, such as `socket`.
@@ -86,7 +86,7 @@ class Inference:
 
 @dataclass(frozen=True)
 class Declaration:
-    """What users and other rooms may know of a measurement model.
+    """A measurement model as users and other rooms see it.
 
     Attributes:
         name: Name as users write it.

@@ -1,8 +1,8 @@
 """Several ways of measuring in one fit, each weighted by its own sigma.
 
-A row belongs to one of the models, its part; its target is qualified by the name of
-that, as in `fixed-point:front/0`. The residual has the components of all parts; those
-of the others are zero in a row, and their standard deviation is infinite.
+A measurement belongs to one of the models, its part; its target is qualified by the
+name of that, as in `fixed-point:front/0`. The residual has the components of all parts;
+those of the others are zero, and their standard deviation is infinite.
 
 All parts share the measurement frame and the tool, and references of the same kind and
 name are the same: the ball that a tracker sees is the one that rests in a socket. Only
@@ -112,7 +112,7 @@ class Mixed(MeasurementModel):
 
     @property
     def missing(self) -> str:
-        """What the first part lacks that lacks anything."""
+        """Things that the first part lacks that lacks any."""
         return next(filter(None, (p.missing for p in self.parts.values())), "")
 
     @property
@@ -146,7 +146,7 @@ class Mixed(MeasurementModel):
         )
 
     def extended(self, T: Floats, data: Measurements) -> Mixed:
-        """Every part extended by its rows, with what the parts before have located."""
+        """Every part extended by its measurements, with what those before located."""
         mixed = self
         for name, (rows, seen) in by_part(data).items():
             part = mixed.parts[name].extended(T[rows], seen)
@@ -164,7 +164,7 @@ class Mixed(MeasurementModel):
         return result
 
     def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
-        """Whether each row's part can measure there."""
+        """Whether each measurement's part can measure there."""
         result = np.ones(len(T), bool)
         for name, rows, names in self._split(target):
             part = self.parts[name]
@@ -224,15 +224,15 @@ class Mixed(MeasurementModel):
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
     ) -> tuple[Mixed, pin.SE3, pin.SE3]:
-        """Part by part: each takes over what those before it have placed.
+        """Part by part: each takes over what those before it have located.
 
-        What has a measurement frame of its own comes first, since places stand in it.
+        What has a measurement frame of its own comes first, since sites stand in it.
         """
         mixed = self
 
         def turn(name: str) -> tuple[bool, bool, bool]:
             part = self.parts[name]
-            # Points are placed about a tool that others may tell more of.
+            # Points are located about a tool that others may tell more of.
             mounted = isinstance(part, Mounted)
             return mounted, not part.declaration.external, not part.sees_tool
 
@@ -251,7 +251,7 @@ class Mixed(MeasurementModel):
         return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
 
     def unstated(self, target: Targets) -> Floats:
-        """Standard deviations of rows that state none, shape (N, d)."""
+        """Standard deviations of measurements that state none, shape (N, d)."""
         result = np.full((len(target), self._components), np.inf)
         for name, rows in rows_by_part(target).items():
             result[rows, self._layout[name][1]] = np.nan

@@ -31,7 +31,7 @@ class Frame(ReferenceObject):
 
     Attributes:
         name: Name of the instrument.
-        kind: `base` for where it stands, `tool` for its place on the tool.
+        kind: `base` for where it stands, `tool` for its mount on the tool.
         pose: Reference; None until it is registered.
         estimate: Whether it is estimated.
     """
@@ -128,7 +128,7 @@ class Mounted(MeasurementModel):
 
     @property
     def missing(self) -> str:
-        """What the model lacks."""
+        """Things that the model lacks."""
         return self.model.missing
 
     @property

@@ -1,4 +1,4 @@
-"""What measurements refer to beside the robot: points, planes, spheres, anchors.
+"""The objects that measurements refer to: points, planes, spheres, fixed points.
 
 A reference object is frozen and carries a reference, that it may lack until it is
 registered; its parameters are deviations from that. Measurements name it as their
@@ -92,7 +92,7 @@ class Point(ReferenceObject):
     """A point: of the tool in the tool frame, or of a socket in the measurement frame.
 
     Attributes:
-        name: Name that rows give.
+        name: Name that measurements give.
         kind: `target` for a point of the tool or of a board, `socket` for a socket.
         xyz: Reference, shape (3,) [m]; None until it is registered.
         estimate: Whether it is estimated.
@@ -137,7 +137,7 @@ class Plane(ReferenceObject):
     """Reference of a plane `n . p + f = 0` in the measurement frame.
 
     Attributes:
-        name: Name that rows give as their target.
+        name: Name that measurements give as their target.
         normal: Unit normal n, shape (3,); None until it is registered.
         offset: Offset f [m].
         estimate: Whether the plane is estimated.
@@ -217,7 +217,7 @@ class Sphere(ReferenceObject):
     """A sphere in the measurement frame.
 
     Attributes:
-        name: Name that rows give as their target.
+        name: Name that measurements give as their target.
         xyz: Center, shape (3,) [m]; None until it is registered.
         radius: Radius [m]; None until it is registered.
         estimate: Whether the center is estimated.
@@ -258,10 +258,10 @@ class Sphere(ReferenceObject):
 
 @dataclass(frozen=True)
 class Anchor(ReferenceObject):
-    """A fixed point that distances are measured from, with the bias of its readings.
+    """A fixed reference point of distances, with the bias of its readings.
 
     Attributes:
-        name: Name that rows give as their target.
+        name: Name that measurements give as their target.
         xyz: Place in the measurement frame, shape (3,) [m]; None until registered.
         bias: What is added to every true distance [m].
         estimate: Whether the place is estimated.

@@ -1,7 +1,7 @@
 """Models of a point of the tool: what they share.
 
-A row names the point of the tool that is measured, the place that it is measured
-against, or both as `point@site`. Without a point it is the origin of the tool frame.
+A measurement names the point of the tool, the site that it is measured against,
+or both as `point@site`. Without a point it is the origin of the tool frame.
 """
 
 from __future__ import annotations
@@ -35,7 +35,7 @@ from calib_pin.setup import Setup
 
 @dataclass(frozen=True)
 class PointMeasurement:
-    """What is measured of N points, and its derivatives.
+    """The measured quantity of N points, and its derivatives.
 
     Attributes:
         value: Values, shape (N, d).
@@ -63,12 +63,12 @@ class PointCurvature:
 
 @dataclass(frozen=True)
 class PointsAndSites(DeclaredModel):
-    """Points of the tool, and the places that they are measured against.
+    """Points of the tool, and the sites that they are measured against.
 
     Attributes:
-        points: Named points of the tool; rows without a name mean its origin.
-        sites: What points are measured against.
-        origin: Whether rows look at the origin of the tool frame.
+        points: Named points of the tool; without a name its origin is meant.
+        sites: The sites that points are measured against.
+        origin: Whether the origin of the tool frame is looked at.
     """
 
     points: tuple[Point, ...] = ()
@@ -76,13 +76,13 @@ class PointsAndSites(DeclaredModel):
     origin: bool = True
 
     alone: ClassVar[bool] = False
-    """Whether a target names a point and nothing behind it, no place and no start."""
+    """Whether a target names a point and nothing behind it, no site and no start."""
 
     @classmethod
     def sites_of_setup(
         cls, setup: Setup, names: Sequence[str]
     ) -> tuple[ReferenceObject, ...]:
-        """What points are measured against; empty where points are by themselves.
+        """The sites of a setup; empty where points are measured by themselves.
 
         Args:
             setup: What the user states.
@@ -97,7 +97,7 @@ class PointsAndSites(DeclaredModel):
 
     @property
     def missing(self) -> str:
-        """Points and places that nobody has given."""
+        """Points and sites that nobody has given."""
         lacking = [f for f in self.references if not f.located]
         if not lacking:
             return ""
@@ -110,7 +110,7 @@ class PointsAndSites(DeclaredModel):
 
     @property
     def targets(self) -> Sequence[str]:
-        """Points, places, or their combinations."""
+        """Points, sites, or their combinations."""
         points = [*([""] if self.origin else []), *(p.name for p in self.points)]
         if not self.sites:
             return tuple(points) if self.points else ()
@@ -122,11 +122,11 @@ class PointsAndSites(DeclaredModel):
 
     @property
     def references(self) -> Sequence[ReferenceObject]:
-        """Points, then places."""
+        """Points, then sites."""
         return (*self.points, *self.sites)
 
     def with_references(self, references: Sequence[ReferenceObject]) -> Self:
-        """The same about other references of points and places."""
+        """The same about other references of points and sites."""
         count = len(self.points)
         points = tuple(f for f in references[:count] if isinstance(f, Point))
         return replace(self, points=points, sites=tuple(references[count:]))
@@ -134,10 +134,10 @@ class PointsAndSites(DeclaredModel):
     def names(
         self, target: Targets, data: Measurements | None = None
     ) -> tuple[Indices, Indices]:
-        """Position of each row's point, the last for the origin, and of its place.
+        """Position of each row's point, the last for the origin, and of its site.
 
         Raises:
-            InputError: If a row names what is not there; data tell where.
+            InputError: If a measurement names what is not there; data tell where.
         """
         number = {name: k for k, name in enumerate(dict.fromkeys(target))}
         if data is None and len(number) < len(target):
@@ -168,25 +168,25 @@ class PointsAndSites(DeclaredModel):
         return point, site
 
     def split(self, target: Targets) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The point and the place that each row names."""
+        """The point and the site that each measurement names."""
         return split_names(target, not self.alone)
 
     def sites_of(self, target: Targets) -> tuple[str, ...]:
-        """The place that each row names; the only one where it names none."""
+        """The site that each measurement names; the only one where it names none."""
         only = self.sites[0].name if len(self.sites) == 1 else ""
         return tuple(name or only for name in split_names(target, True)[1])
 
 
 @dataclass(frozen=True)
 class PointModel(PointsAndSites):
-    """A measurement of a point of the tool, against a place or by itself.
+    """A measurement of a point of the tool, against a site or by itself.
 
     A member says what is measured of a point (`compare`) and how that bends; this does
     the rest: names, the way from the tool frame to the point, references.
     """
 
     comparison: ClassVar[str] = ""
-    """How a kernel compares a point with a place, see `kernels.COMPARISONS`; empty
+    """How a kernel compares a point with a site, see `kernels.COMPARISONS`; empty
     where none does."""
 
     @classmethod
@@ -246,7 +246,7 @@ class PointModel(PointsAndSites):
         )
 
     def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
-        """What is measured of points.
+        """The measured quantity of points, and its derivatives.
 
         Args:
             p: Points in the measurement frame, shape (N, 3) [m].
@@ -293,7 +293,7 @@ class PointModel(PointsAndSites):
         raise NotImplementedError
 
     def extended(self, T: Floats, data: Measurements) -> Self:
-        """With a place for each that is new, by the rows that name it."""
+        """With a site for each that is new, by the measurements that name it."""
         if not self.sites:
             return self
         known = {site.name for site in self.sites}
@@ -360,7 +360,7 @@ class PointModel(PointsAndSites):
 
 @dataclass(frozen=True)
 class _View:
-    """What rows look at.
+    """The points and sites of measurements.
 
     Attributes:
         point: Position of each row's point, the last for the origin, shape (N,).

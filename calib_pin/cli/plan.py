@@ -159,13 +159,13 @@ def plan(
     from dataclasses import replace
 
     from calib_pin.io.documents import plan_document
+    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (
         check_columns,
         encode_configurations,
         read_configurations,
     )
-    from calib_pin.io.staging import write_files
     from calib_pin.observations import fitted_and_held_out
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run

@@ -20,9 +20,6 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
-FILE_NAME = "measurements.csv"
-"""Name beside `calibration.json`."""
-
 SETS = ("train", "validate")
 WORDS = ("set", "file", "line", "target", "payload")
 """Columns that hold no numbers, but for the line."""

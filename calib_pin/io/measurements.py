@@ -22,8 +22,7 @@ from calib_pin.io.joint_columns import (
     joint_sources,
     read_positions,
 )
-from calib_pin.io.measurement_parts import check_places, read_parts
-from calib_pin.io.models_of_files import check_model
+from calib_pin.io.measurement_parts import check_model, check_places, read_parts
 from calib_pin.io.table import read_table
 from calib_pin.io.written_columns import configuration_columns, measurement_columns
 from calib_pin.kinematics.chain import Chain

@@ -22,6 +22,7 @@ from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, require_format
+from calib_pin.io.result_folder import RESIDUAL_MODEL
 from calib_pin.kinematics.chain import Chain
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection, restore
@@ -30,9 +31,6 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 
 FORMAT = "calib-pin/residual-model"
 VERSION = 1
-
-FILE_NAME = "residual_model.json"
-"""Name beside `calibration.json`."""
 
 
 def encode_residual_model(
@@ -62,7 +60,7 @@ def encode_residual_model(
 def reference(data: bytes) -> dict[str, str]:
     """How `calibration.json` refers to the bytes of such a file beside it."""
     name = json.loads(data)["model"]["kind"]
-    return {"name": name, "file": FILE_NAME, "sha256": sha256(data)}
+    return {"name": name, "file": RESIDUAL_MODEL, "sha256": sha256(data)}
 
 
 def read_residual_model(

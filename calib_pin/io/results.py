@@ -13,12 +13,6 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
 from calib_pin.io.calibrated_model import model_of
-from calib_pin.io.calibration_file import (
-    read_document,
-    reading,
-    stated_errors,
-    text,
-)
 from calib_pin.io.files import write_atomically
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json
@@ -28,7 +22,11 @@ from calib_pin.io.result_folder import (
     Read,
     members,
     opened,
+    read_document,
+    reading,
     require_one_run,
+    stated_errors,
+    text,
 )
 from calib_pin.io.urdf import corrected_urdf, locate_robot
 from calib_pin.io.urdf_tree import parse_robot

@@ -26,8 +26,7 @@ from calib_pin.setup import (
     Setup,
     SolverSetup,
 )
-from calib_pin.setup.constraints import Constraint, Keys, Names
-from calib_pin.setup.section import LENIENT, meanings
+from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
 from calib_pin.setup.values import as_number
 from calib_pin.solvers.differential_evolution import (
     INITS,

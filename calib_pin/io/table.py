@@ -17,8 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.io.cell_numbers import read_numbers, what_is_wrong
-from calib_pin.io.columns import Column, Floats, GrowingColumn, Kind, split_header
+from calib_pin.io.columns import (
+    Column,
+    Floats,
+    GrowingColumn,
+    Kind,
+    read_numbers,
+    split_header,
+    what_is_wrong,
+)
 from calib_pin.io.csv_text import CsvText, Stretch, open_csv
 from calib_pin.progress import Progress
 

@@ -17,9 +17,13 @@ from calib_pin.io.joint_columns import (
     read_positions,
     spare_columns,
 )
-from calib_pin.io.measured_columns import POSITION, check_spread, read_values
+from calib_pin.io.measured_columns import (
+    ORIENTATIONS,
+    POSITION,
+    check_spread,
+    read_values,
+)
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.orientation_columns import ORIENTATIONS
 from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain

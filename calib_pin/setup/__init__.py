@@ -17,6 +17,7 @@ from calib_pin.setup.constraints import (
     Distinct,
     Keys,
     Registered,
+    Section,
     listed,
 )
 from calib_pin.setup.references import (
@@ -29,7 +30,6 @@ from calib_pin.setup.references import (
     PointSetup,
     SphereSetup,
 )
-from calib_pin.setup.section import Section
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
     Number,

@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from calib_pin.setup.constraints import Checked, listed
-from calib_pin.setup.section import Section
+from calib_pin.setup.constraints import Checked, Section, listed
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
     Angles,

@@ -14,7 +14,7 @@ from calib_pin.io.setup_schema import SetupFile, json_schema, known_keys
 from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
-from calib_pin.setup.section import meanings
+from calib_pin.setup.constraints import meanings
 from calib_pin.solvers import DifferentialEvolution
 from documentation.setup_reference import DOCS, reference_text, schema_text
 

@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
 from pathlib import Path
 
 import numpy as np
@@ -17,7 +16,6 @@ from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.comparison import BOUND, Comparison, Difference
 from calib_pin.validation.result import (
-    Accuracy,
     CalibrationResult,
     Evaluation,
     Identification,
@@ -82,8 +80,8 @@ def _record(record: CalibrationResult) -> Json:
         "errors": {
             error.name: {
                 "unit": error.unit,
-                "training": asdict(error.after),
-                "validation": _sizes(error.validation_after),
+                "training": plain(error.after),
+                "validation": plain(error.validation_after),
             }
             for error in record.errors
         },
@@ -96,9 +94,9 @@ def _tip(found: Comparison, drift: TipDrift) -> Json:
     return {
         "configurations": len(drift.q),
         "fitted_away": list(drift.absorbed),
-        "position": {**asdict(drift.position), "explained": position},
+        "position": {**plain(drift.position), "explained": position},
         "orientation": (
-            {**asdict(drift.orientation), "explained": orientation}
+            {**plain(drift.orientation), "explained": orientation}
             if found.oriented
             else None
         ),
@@ -119,10 +117,6 @@ def _difference(found: Difference) -> Json:
         "sigma": found.sigma,
         "significance": found.significance,
     }
-
-
-def _sizes(accuracy: Accuracy | None) -> Json | None:
-    return None if accuracy is None else asdict(accuracy)
 
 
 def stated(kind: str, version: int = 1) -> Json:
@@ -182,7 +176,7 @@ def evaluation_document(found: Evaluation) -> Json:
         "placed": list(found.located),
         "verdict": {"status": found.verdict, "reason": found.reason},
         "errors": {
-            name: {"unit": unit, **asdict(accuracy)}
+            name: {"unit": unit, **plain(accuracy)}
             for name, unit, accuracy in found.errors
         },
     }

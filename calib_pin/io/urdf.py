@@ -12,7 +12,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
-from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.files import read_bytes
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import captured_stderr, parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
@@ -174,40 +174,6 @@ def load_robot(name_or_path: str | Path) -> Robot:
         allowed = f"a URDF file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
     return parse_robot(source, name)
-
-
-def write_corrected_urdf(
-    path: str | Path,
-    robot: Robot,
-    corrections: Mapping[str, pin.SE3],
-    check: Callable[[Robot], None] | None,
-    force: bool = False,
-) -> None:
-    """Write a robot's URDF with corrected joint origins.
-
-    Args:
-        path: The new file; never the robot's own.
-        robot: As for `corrected_urdf`.
-        corrections: As for `corrected_urdf`.
-        check: As for `corrected_urdf`.
-        force: Replace an existing file.
-
-    Raises:
-        OptionError: If the file exists and `force` is false, or is the robot's own.
-        OutputError: If it cannot be written or does not read back.
-        RobotError: If the robot has no joint of such a name.
-
-    Example:
-        >>> import tempfile
-        >>> robot = load_robot("example:panda")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     new = Path(folder, "panda.urdf")
-        ...     write_corrected_urdf(new, robot, {}, check=None)
-        ...     new.read_bytes() == robot.source
-        True
-    """
-    corrected = corrected_urdf(path, robot, corrections, check)
-    write_atomically(Path(path), corrected, force=force)
 
 
 def corrected_urdf(

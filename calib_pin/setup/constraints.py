@@ -188,28 +188,29 @@ class Keys(Constraint):
     """A mapping with known keys, each with its own constraint; all are optional.
 
     Attributes:
-        values: Constraint by key.
+        known: Gives the constraint by key, once a file is read.
         meanings: Meaning by key, for the documentation.
     """
 
-    values: Mapping[str, Constraint]
+    known: Callable[[], Mapping[str, Constraint]]
     meanings: Mapping[str, str] = field(default_factory=dict)
 
     def __get_pydantic_core_schema__(self, source: Any, handler: Any) -> Any:
         """A dictionary that refuses other keys; None counts as not written."""
         from pydantic_core import core_schema
 
+        known = self.known()
         fields = {
             key: core_schema.typed_dict_field(
                 handler.generate_schema(Annotated[Any, value]), required=False
             )
-            for key, value in self.values.items()
+            for key, value in known.items()
         }
 
         def prepare(data: object) -> object:
             if not isinstance(data, Mapping):
                 raise ValueError("a mapping of keys to values")
-            return without_empty(data, self.values)
+            return without_empty(data, known)
 
         return core_schema.no_info_before_validator_function(
             prepare, core_schema.typed_dict_schema(fields, extra_behavior="forbid")
@@ -221,7 +222,7 @@ class Keys(Constraint):
         found["properties"] = {
             key: {**value.schema()}
             | ({"description": self.meanings[key]} if key in self.meanings else {})
-            for key, value in self.values.items()
+            for key, value in self.known().items()
         }
         return found
 

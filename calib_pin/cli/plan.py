@@ -158,11 +158,12 @@ def plan(
     """
     from dataclasses import replace
 
+    import numpy as np
+
     from calib_pin.io.documents import plan_document
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (
-        check_columns,
         encode_configurations,
         read_configurations,
     )
@@ -198,7 +199,8 @@ def plan(
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
-    check_columns(chain, stated.joints, names)
+    none = np.empty((0, len(chain.joints)))
+    encode_configurations(chain, none, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
         from calib_pin.io.collision import CLEARANCE, load_collisions

@@ -97,9 +97,8 @@ def result_contents(
     from calib_pin.io.journal import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.residual_model import encode_residual_model, reference
     from calib_pin.io.result_folder import run_id
-    from calib_pin.io.results import encode_urdf
+    from calib_pin.io.results import encode_residual_model, encode_urdf, reference
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 

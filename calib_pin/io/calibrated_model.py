@@ -56,7 +56,7 @@ def model_of(document: Json, chain: Chain) -> CalibratedModel:
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
-            missing or is not what it should be, see `calibration_file.reading`.
+            missing or is not what it should be, see `result_folder.reading`.
     """
     frames = document["frames"]
     (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
@@ -153,8 +153,8 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
     """The measurement model as it was fitted.
 
     Args:
-        about: What the document says of the measurements.
-        fitted: What rows refer to.
+        about: The document's part about the measurements.
+        fitted: The references of the measurements.
         frames: The frames by name.
     """
     name = text(about["model"])
@@ -190,7 +190,7 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
 
 
 def _part(name: str, fitted: Setup, targets: Sequence[str]) -> MeasurementModel:
-    """One of the models, which knows only what its rows can name."""
+    """One of the models, which knows only what its targets can name."""
     if name == "camera" and fitted.camera is None:
         raise ValueError("'camera' is missing")
     halves = {half for target in targets for half in (target, *target.rpartition(AT))}

@@ -46,7 +46,7 @@ def calibration_document(
     Args:
         result: The result.
         provenance: How it came about; default what the result says.
-        residual_model: Where what was learned is written, see `io.residual_model`.
+        residual_model: Where what was learned is written, see `io.results`.
         suggestions: Suggested measurements.
 
     Raises:

@@ -183,7 +183,7 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
 def _link_error(
     robot: Robot, link: str, reason: str, hint: str = "another mesh"
 ) -> RobotError:
-    """An error about a link, in one line with its remedy."""
+    """An error about a link, in one line with what helps."""
     document = parse_document(robot.source, robot.file)
     element = next(
         (

@@ -1,4 +1,4 @@
-"""What a folder is about to hold: a list that decides, and those who complete it.
+"""The next content of a folder: a list that decides, and those who complete it.
 
 A run leaves its files, complete, beside their destinations, and then puts a list of
 them into the folder. From that moment on the new set stands: whoever comes next, be it

@@ -258,10 +258,9 @@ def read_parts(
         part, columns = _read_part(own, chain, name, q[rows], spare)
         parts.append(part)
         used |= columns
-    ignored = [table.columns[name].header for name in spare if name not in used]
-    ignored += ["(unnamed)"] * table.unnamed
+    ignored = table.ignored([name for name in spare if name not in used])
     if ignored and notice is not None:
-        notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
+        notice(ignored)
     return parts
 
 

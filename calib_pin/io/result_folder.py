@@ -23,7 +23,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.result import Accuracy, QuantityErrors
 
 FORMAT, VERSION = "calib-pin/calibration", 1
-"""What is read; the newest version."""
+"""The format that is read, and its newest version."""
 
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
@@ -32,7 +32,7 @@ LARGEST = 1e6
 def read_document(
     path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
 ) -> Json:
-    """What a `calibration.json` holds.
+    """The content of a `calibration.json`.
 
     Args:
         path: The file.
@@ -131,7 +131,7 @@ RESIDUAL_MODEL = "residual_model.json"
 measurements, and what was learned."""
 
 Read = Callable[[str | Path], bytes]
-"""What gives the bytes of a file."""
+"""Gives the bytes of a file."""
 
 MADE = ("command", "created")
 """Keys of the provenance that are new for every run; all others are versions."""

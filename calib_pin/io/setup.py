@@ -61,7 +61,7 @@ ALLOWED: Mapping[str, str] = {
     "dict_type": "a mapping of names to values",
     "tuple_type": "a list in square brackets",
 }
-"""What is allowed where pydantic itself found the wrong type."""
+"""The allowed type where pydantic itself found the wrong type."""
 
 
 def read_setup(path: str | Path) -> Setup:

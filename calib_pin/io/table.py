@@ -115,6 +115,12 @@ class Table:
         again = [name for name in names if name not in found]
         return found | self._cells_of_file(again) if again else found
 
+    def ignored(self, names: Collection[str]) -> str:
+        """A sentence about columns without a meaning; empty if there are none."""
+        headers = [self.columns[name].header for name in names]
+        headers += ["(unnamed)"] * self.unnamed
+        return f"{self.file}: columns ignored: {', '.join(headers)}" * bool(headers)
+
     def numbers(self, name: str, kind: Kind, *, positive: bool = False) -> Floats:
         """A column of numbers in SI units, shape (N,).
 

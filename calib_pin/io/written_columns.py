@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
-from calib_pin.io.joint_columns import column_values, joint_sources
 from calib_pin.io.measured_columns import reserved
-from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, PART, Measurements
-from calib_pin.setup import JointMap
 
 
 def measurement_columns(
@@ -33,9 +30,9 @@ def measurement_columns(
         target = tuple(name.partition(PART)[2] for name in target)
     yield from _measured(rows, models).items()
     if any(target):
-        yield "target", _writable("target", target)
+        yield "target", writable("target", target)
     if any(rows.payload):
-        yield "payload", _writable("payload", rows.payload)
+        yield "payload", writable("payload", rows.payload)
     if rows.validate.any():
         yield "set", ["validate" if late else "train" for late in rows.validate]
 
@@ -152,18 +149,6 @@ def _start_names(
     return tuple(target), first
 
 
-def configuration_columns(
-    chain: Chain, q: Floats, target: Sequence[str], joints: Mapping[str, JointMap]
-) -> dict[str, Floats | Sequence[str]]:
-    """Names and cells of the columns that hold configurations."""
-    columns: dict[str, Floats | Sequence[str]] = {}
-    for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[column_name(name)] = values
-    if any(target):
-        columns["target"] = _writable("target", target)
-    return columns
-
-
 def column_name(joint: str) -> str:
     """The name of a column of joint positions.
 
@@ -175,7 +160,7 @@ def column_name(joint: str) -> str:
     return joint
 
 
-def _writable(column: str, names: Sequence[str]) -> Sequence[str]:
+def writable(column: str, names: Sequence[str]) -> Sequence[str]:
     """The cells of a column of names."""
     for name in dict.fromkeys(names):
         if name != name.strip() or set(name) & set("\r\n\0"):

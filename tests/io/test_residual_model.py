@@ -16,13 +16,13 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
-from calib_pin.io.residual_model import (
+from calib_pin.io.result_folder import RESIDUAL_MODEL
+from calib_pin.io.results import (
     encode_residual_model,
+    read_calibration,
     read_residual_model,
     reference,
 )
-from calib_pin.io.result_folder import RESIDUAL_MODEL
-from calib_pin.io.results import read_calibration
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel

@@ -54,7 +54,7 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[An
     sigmas: dict[str, NDArray[Any]] = {}
     a = b = 0
     for model in rows.parts:
-        stated, own = declared(model), _rows_of(models, model)
+        stated, own = declared(model), np.array(models, str) == model
         c, d = a + len(stated.values), b + len(stated.components)
         _fill(values, stated.values, rows.values[:, a:c], own)
         told = None if rows.sigma is None else rows.sigma[:, b:d]
@@ -65,11 +65,6 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[An
             raise OutputError(f"only some rows of '{model}' have standard deviations")
         _fill(sigmas, [f"sigma_{name}" for name in stated.components], told, own)
     return values | sigmas
-
-
-def _rows_of(models: Sequence[str], model: str) -> NDArray[np.bool_]:
-    """Whether each row is of a model, shape (N,)."""
-    return np.fromiter((name == model for name in models), bool, len(models))
 
 
 def _fill(
@@ -96,7 +91,7 @@ def _with_starts(data: Measurements) -> Measurements:
     model = next((name for name in data.parts if declared(name).relative), None)
     if model is None:
         return data
-    relative = _rows_of(_models(data), model)
+    relative = np.array(_models(data), str) == model
     before = data.parts[: data.parts.index(model)]
     distance = data.values[:, sum(len(declared(name).values) for name in before)]
     start = data.start if data.start.size else np.full(data.q.shape, np.nan)

@@ -199,8 +199,8 @@ def plan(
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
-    none = np.empty((0, len(chain.joints)))
-    encode_configurations(chain, none, names, joints=stated.joints)
+    still = np.zeros((len(names), len(chain.joints)))
+    encode_configurations(chain, still, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
         from calib_pin.io.collision import CLEARANCE, load_collisions

@@ -185,7 +185,7 @@ def encode_configurations(
         >>> chain = calib_pin.load_chain("space6")
         >>> encode_configurations(chain, np.array([[0, 0, 0, 0.5, 0, 0.0]])).split()[1]
         b'0.0,0.0,0.0,0.5,0.0,0.0'
-        >>> encode_configurations(chain, np.empty((0, 6)), ["wall\n"])
+        >>> encode_configurations(chain, np.zeros((1, 6)), ["wall\n"])
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """

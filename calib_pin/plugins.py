@@ -20,29 +20,6 @@ upper: dict[str, Callable[..., Any]] = {}
 """Functions of upper rooms that lower ones call by name; the package sets them."""
 
 
-def members(
-    group: str,
-    bundled: Mapping[str, T],
-    fault: Callable[[str, object], str] = lambda name, member: "",
-) -> Mapping[str, T]:
-    """The members of a family by name: the bundled ones, then those of entry points.
-
-    Entry points are loaded at the first look at the mapping, not before: their modules
-    import the family that they extend.
-
-    Args:
-        group: Group of the entry points, such as `calib_pin.measurement_models`.
-        bundled: The members that come with calib-pin.
-        fault: Says of a name and an object of another package why this cannot be a
-            member; empty where it can.
-
-    Raises:
-        CalibPinError: At the first look, if an entry point cannot be loaded, has the
-            name of another member, or is none.
-    """
-    return _Family(group, bundled, fault)
-
-
 @cache
 def extensions(group: str) -> Mapping[str, Any]:
     """The objects of all entry points of a group, by name and in its order.
@@ -77,22 +54,39 @@ def extensions(group: str) -> Mapping[str, Any]:
     return found
 
 
-class _Family(Mapping[str, T]):
-    """The bundled members and those of entry points."""
+class Members(Mapping[str, T]):
+    """The members of a family by name: the bundled ones, then those of entry points.
+
+    Entry points are loaded at the first look at the mapping, not before: their modules
+    import the family that they extend.
+    """
 
     def __init__(
         self,
         group: str,
         bundled: Mapping[str, T],
-        fault: Callable[[str, object], str],
+        fault: Callable[[str, object], str] = lambda name, member: "",
     ) -> None:
-        """See `members`."""
+        """The members of a group.
+
+        Args:
+            group: Group of the entry points, such as `calib_pin.measurement_models`.
+            bundled: The members that come with calib-pin.
+            fault: Says of a name and an object of another package why this cannot be a
+                member; empty where it can.
+        """
         self._group = group
         self._bundled = bundled
         self._fault = fault
 
     @property
     def _all(self) -> Mapping[str, T]:
+        """All members.
+
+        Raises:
+            CalibPinError: If an entry point cannot be loaded, has the name of another
+                member, or is none.
+        """
         outside = extensions(self._group)
         if not outside:
             return self._bundled
@@ -109,11 +103,14 @@ class _Family(Mapping[str, T]):
         return {**self._bundled, **outside}
 
     def __getitem__(self, name: str) -> T:
+        """The member of a name."""
         # What is bundled needs no other package, broken or not.
         return self._bundled[name] if name in self._bundled else self._all[name]
 
     def __iter__(self) -> Iterator[str]:
+        """The names of the members."""
         return iter(self._all)
 
     def __len__(self) -> int:
+        """Number of members."""
         return len(self._all)

@@ -9,7 +9,7 @@ from pathlib import Path
 import pytest
 
 from calib_pin.errors import CalibPinError
-from calib_pin.plugins import extensions, members
+from calib_pin.plugins import Members, extensions
 
 GROUP = "calib_pin.tests"
 
@@ -35,9 +35,9 @@ def test_bundled_members_come_first(
 ) -> None:
     install(tmp_path, "outside_a", "b = outside_a:B\na = outside_a:A", "A, B = 1, 2\n")
     monkeypatch.syspath_prepend(tmp_path)
-    assert dict(members(GROUP, {"z": 0})) == {"z": 0, "a": 1, "b": 2}
-    assert list(members(GROUP, {"z": 0})) == ["z", "a", "b"]
-    assert len(members(GROUP, {})) == 2 and "c" not in members(GROUP, {})
+    assert dict(Members(GROUP, {"z": 0})) == {"z": 0, "a": 1, "b": 2}
+    assert list(Members(GROUP, {"z": 0})) == ["z", "a", "b"]
+    assert len(Members(GROUP, {})) == 2 and "c" not in Members(GROUP, {})
 
 
 def test_nothing_is_loaded_before_it_is_looked_at(
@@ -45,7 +45,7 @@ def test_nothing_is_loaded_before_it_is_looked_at(
 ) -> None:
     install(tmp_path, "outside_lazy", "x = outside_lazy", "")
     monkeypatch.syspath_prepend(tmp_path)
-    family = members(GROUP, {"z": 0})
+    family = Members(GROUP, {"z": 0})
     assert family["z"] == 0
     assert "outside_lazy" not in sys.modules
     assert "x" in family and "outside_lazy" in sys.modules
@@ -65,7 +65,7 @@ def test_a_broken_plugin_is_one_line(
     name = f"broken_{abs(hash(code))}"
     install(tmp_path, name, f"x = {name}:X", code)
     monkeypatch.syspath_prepend(tmp_path)
-    family = members(GROUP, {"z": 0})
+    family = Members(GROUP, {"z": 0})
     with pytest.raises(CalibPinError, match="cannot be loaded") as caught:
         list(family)
     text = str(caught.value)
@@ -80,7 +80,7 @@ def test_the_name_of_a_bundled_member_is_taken(
     install(tmp_path, "outside_clash", "z = outside_clash:Z", "Z = 1\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(CalibPinError, match=r"'z' .* has the name of a bundled member"):
-        list(members(GROUP, {"z": 0}))
+        list(Members(GROUP, {"z": 0}))
 
 
 def test_two_packages_cannot_share_a_name(
@@ -90,4 +90,4 @@ def test_two_packages_cannot_share_a_name(
     install(tmp_path, "outside_two", "x = outside_two:X", "X = 2\n")
     monkeypatch.syspath_prepend(tmp_path)
     with pytest.raises(CalibPinError, match=r"'x' .* is there twice"):
-        list(members(GROUP, {}))
+        list(Members(GROUP, {}))

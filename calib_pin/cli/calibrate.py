@@ -121,7 +121,7 @@ def calibrate(
 
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.staging import write_files
+    from calib_pin.io.files import write_files
     from calib_pin.measurement_models.side_by_side import repeated_targets
     from calib_pin.observations import AT
     from calib_pin.planning.suggestions import calibrated_setup, suggestions

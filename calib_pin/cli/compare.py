@@ -50,10 +50,10 @@ def compare(
     calibrations must not be trusted.
     """
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.comparisons import comparison_document
+    from calib_pin.io.documents import comparison_document
+    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_file import read_result
-    from calib_pin.io.staging import write_files
     from calib_pin.report.comparison import comparison_report
     from calib_pin.validation.comparison import compare as run
 

@@ -100,10 +100,10 @@ def compensate(
 
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
+    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
-    from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
     from calib_pin.measurement_models import tracked
     from calib_pin.report.accuracy import judged

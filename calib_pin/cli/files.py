@@ -37,7 +37,7 @@ def open_setup(
 
     from calib_pin.estimation.robust.weights import LOSSES
     from calib_pin.estimation.solve import SOLVERS
-    from calib_pin.io.models_of_files import check_model
+    from calib_pin.io.measurement_parts import check_model
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS

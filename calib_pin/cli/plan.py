@@ -158,14 +158,15 @@ def plan(
     """
     from dataclasses import replace
 
+    import numpy as np
+
     from calib_pin.io.documents import plan_document
+    from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (
-        check_columns,
         encode_configurations,
         read_configurations,
     )
-    from calib_pin.io.staging import write_files
     from calib_pin.observations import fitted_and_held_out
     from calib_pin.planning.plan import CRITERION_NAMES
     from calib_pin.planning.plan import plan as run
@@ -198,7 +199,8 @@ def plan(
     measured = require_model(stated)
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
-    check_columns(chain, stated.joints, names)
+    still = np.zeros((len(names), len(chain.joints)))
+    encode_configurations(chain, still, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
         from calib_pin.io.collision import CLEARANCE, load_collisions

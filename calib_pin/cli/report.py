@@ -46,10 +46,9 @@ def report(
     figures of single measurements. Exit status 2: the calibration must not be trusted.
     """
     from calib_pin.estimation.evidence import TRUSTED
-    from calib_pin.io.measurement_errors import FILE_NAME
+    from calib_pin.io.files import write_files
     from calib_pin.io.result_file import document_file, read_suggestions, read_written
-    from calib_pin.io.result_folder import REPORT
-    from calib_pin.io.staging import write_files
+    from calib_pin.io.result_folder import MEASUREMENTS, REPORT
     from calib_pin.report.html import html_report
     from calib_pin.report.text import report as blocks
 
@@ -58,11 +57,11 @@ def report(
     page = output or file.parent / REPORT
     own = output is None and REPORT in document.get("files", {})
     pictures = figure_files(figures, figure_format, "calibration")
-    inputs: list[str | Path | None] = [file, file.parent / FILE_NAME]
+    inputs: list[str | Path | None] = [file, file.parent / MEASUREMENTS]
     inputs.append(result.model.chain.robot.file)
     check_outputs([page, *pictures], inputs, force or own)
-    if FILE_NAME not in document.get("files", {}):
-        notice(f"{file} has no {FILE_NAME}: nothing is known of single measurements")
+    if MEASUREMENTS not in document.get("files", {}):
+        notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")
     suggestions = read_suggestions(document)
     with progress_bar(quiet=quiet) as bar:
         drawn = draw_calibration(result, bar)

@@ -45,13 +45,14 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.io import measurement_errors, residual_model
-    from calib_pin.io.result_folder import DOCUMENT, NOMINAL, REPORT, urdf_name
+    from calib_pin.io import result_folder as folders
 
     if exists(folder) and not folder.is_dir():
         raise OptionError("is a file, not a folder", file=folder)
-    learned, measured = residual_model.FILE_NAME, measurement_errors.FILE_NAME
-    names = urdf_name(robot), NOMINAL, learned, DOCUMENT, measured, REPORT
+    names = (
+        *(folders.urdf_name(robot), folders.NOMINAL, folders.RESIDUAL_MODEL),
+        *(folders.DOCUMENT, folders.MEASUREMENTS, folders.REPORT),
+    )
     return ResultFiles(*(folder / name for name in names))
 
 
@@ -96,9 +97,8 @@ def result_contents(
     from calib_pin.io.journal import inside, listed, sha256
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurement_errors import encode_errors
-    from calib_pin.io.residual_model import encode_residual_model, reference
     from calib_pin.io.result_folder import run_id
-    from calib_pin.io.results import encode_urdf
+    from calib_pin.io.results import encode_residual_model, encode_urdf, reference
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
@@ -139,9 +139,9 @@ def write_results(
     What is there of an earlier run and not written now would pass for a result of this
     one, so it is removed.
     """
+    from calib_pin.io.files import write_folder
     from calib_pin.io.journal import listed
     from calib_pin.io.result_folder import written_before
-    from calib_pin.io.staging import write_folder
 
     folder = files.json.parent
     names = {listed(path, folder) for path in (*contents, files.nominal)}

@@ -105,14 +105,14 @@ def simulate(
     import numpy as np
 
     from calib_pin.estimation.formulation import nominal_problem
+    from calib_pin.io.files import write_files
     from calib_pin.io.measurements import (
         encode_measurements,
         read_configurations,
         read_names,
     )
     from calib_pin.io.results import encode_urdf
-    from calib_pin.io.staging import write_files
-    from calib_pin.io.true_errors import read_true_errors
+    from calib_pin.io.setup import read_true_errors
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel

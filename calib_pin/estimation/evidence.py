@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
+from typing import Literal, NamedTuple
 
 VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
 """What a calibration can come to."""
@@ -128,6 +128,13 @@ class Gain:
     ratio: float
 
 
+class PoseErrors(NamedTuple):
+    """Sizes of the errors of a pose: of position [m] and of orientation [rad]."""
+
+    position: float
+    orientation: float
+
+
 @dataclass(frozen=True)
 class ExpectedAccuracy:
     """How far the tool is expected to be off, over a set of configurations.
@@ -145,9 +152,9 @@ class ExpectedAccuracy:
             95 %.
     """
 
-    nominal: tuple[float, float]
-    calibrated: tuple[float, float]
-    bound: tuple[float, float]
-    unmodeled: tuple[float, float]
+    nominal: PoseErrors
+    calibrated: PoseErrors
+    bound: PoseErrors
+    unmodeled: PoseErrors
     better: float
     share: float

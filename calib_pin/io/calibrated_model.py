@@ -3,16 +3,16 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable, Mapping, Sequence
-from dataclasses import replace
+from collections.abc import Mapping, Sequence
+from dataclasses import fields, replace
 from itertools import permutations, product
-from typing import Any
+from typing import Any, TypeVar
 
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.io.calibration_file import numbers, text
-from calib_pin.io.json_text import Json
+from calib_pin.io.json_text import Json, typed
+from calib_pin.io.result_folder import numbers, text
 from calib_pin.io.setup import setup_of
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
@@ -29,14 +29,21 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
     SphereSetup,
-    Triple,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
+
+_T = TypeVar("_T")
 
 ENDS = ("base", "tool")
 """The frames at the two ends of a chain."""
 
-SECTIONS = ("planes", "targets", "sockets", "spheres", "anchors")
+SECTIONS: Mapping[str, type] = {
+    "planes": PlaneSetup,
+    "targets": PointSetup,
+    "sockets": PointSetup,
+    "spheres": SphereSetup,
+    "anchors": AnchorSetup,
+}
 """Sections of what measurements can refer to by name."""
 
 
@@ -49,7 +56,7 @@ def model_of(document: Json, chain: Chain) -> CalibratedModel:
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
-            missing or is not what it should be, see `calibration_file.reading`.
+            missing or is not what it should be, see `result_folder.reading`.
     """
     frames = document["frames"]
     (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
@@ -57,7 +64,10 @@ def model_of(document: Json, chain: Chain) -> CalibratedModel:
     if "setup" in document:
         setup = setup_of(document["setup"])
     else:  # It is no part of the contract; what is known follows from the rest.
-        known = (_known_frame(base, free_base), _known_frame(tool, free_tool))
+        known = [
+            FrameSetup(estimate=True) if estimated else frame_setup(pose, known=True)
+            for pose, estimated in ((base, free_base), (tool, free_tool))
+        ]
         setup = replace(fitted, base_frame=known[0], tool_frame=known[1])
     fitted = replace(fitted, ranger=setup.ranger)
     measurement = _measurement(document["measurements"], fitted, frames)
@@ -109,28 +119,42 @@ def reference_of(document: Json, model: CalibratedModel) -> CalibratedModel:
 
 
 def _instrument(document: Json) -> Setup:
-    """What rows refer to as it was fitted; files may lack what came later."""
-
-    def section(key: str, read: Callable[[Json], Any]) -> dict[str, Any]:
-        return {name: read(entry) for name, entry in document.get(key, {}).items()}
-
+    """The references of the measurements as they were fitted."""
+    sections: dict[str, Any] = {
+        # Files may lack what came later.
+        section: {
+            name: _reference(kind, entry)
+            for name, entry in document.get(section, {}).items()
+        }
+        for section, kind in SECTIONS.items()
+    }
+    for plane in sections["planes"].values():
+        if not 0.99 < math.hypot(*plane.normal) < 1.01:
+            raise ValueError("the normal of a plane is not of unit length")
+    if any(sphere.radius <= 0.0 for sphere in sections["spheres"].values()):
+        raise ValueError("the radius of a sphere is not positive")
     camera = document.get("camera")
-    return Setup(
-        planes=section("planes", _read_plane),
-        targets=section("targets", _read_point),
-        sockets=section("sockets", _read_point),
-        spheres=section("spheres", _read_sphere),
-        anchors=section("anchors", _read_anchor),
-        camera=None if camera is None else _read_camera(camera),
-    )
+    if camera is not None:
+        camera = _reference(CameraSetup, camera)
+    return Setup(**sections, camera=camera)
+
+
+def _reference(kind: type[_T], entry: Json) -> _T:
+    """One of them, of which a document states every key."""
+    keys = [part.name for part in fields(kind)]  # type: ignore[arg-type]
+    stated = {key: entry[key.replace("estimate", "estimated")] for key in keys}
+    for key, value in stated.items():
+        if not isinstance(value, str | bool) and (key, value) != ("size", None):
+            numbers(value if isinstance(value, list) else [value])
+    return typed(kind, stated)
 
 
 def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
     """The measurement model as it was fitted.
 
     Args:
-        about: What the document says of the measurements.
-        fitted: What rows refer to.
+        about: The document's part about the measurements.
+        fitted: The references of the measurements.
         frames: The frames by name.
     """
     name = text(about["model"])
@@ -144,20 +168,16 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
     named = qualified(parts, targets) if mixed else {name: targets}
     made = {part: _part(part, fitted, seen) for part, seen in named.items()}
     model: MeasurementModel = Mixed.create(made) if mixed else made[name]
-    model = model.with_references(
-        [
-            _read_stand(reference, frames)
-            if isinstance(reference, Frame)
-            else reference
-            for reference in model.references
-        ]
-    )
-    for reference in model.references:
-        if not reference.located:
-            raise ValueError(
-                f"'{reference.name}' is missing under '{reference.section}'"
-            )
-    used = {(reference.section, reference.name) for reference in model.references}
+    references = list(model.references)
+    for k, frame in enumerate(references):
+        if isinstance(frame, Frame):  # Of an instrument that is one among others.
+            pose, estimated = _read_frame(frames[f"{frame.name}.{frame.kind}"])
+            references[k] = replace(frame, pose=pose, estimate=estimated)
+    model = model.with_references(references)
+    for part in references:
+        if not part.located:
+            raise ValueError(f"'{part.name}' is missing under '{part.section}'")
+    used = {(part.section, part.name) for part in references}
     for section in SECTIONS:
         for member in getattr(fitted, section):
             if (section, member) not in used:
@@ -170,7 +190,7 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
 
 
 def _part(name: str, fitted: Setup, targets: Sequence[str]) -> MeasurementModel:
-    """One of the models, which knows only what its rows can name."""
+    """One of the models, which knows only what its targets can name."""
     if name == "camera" and fitted.camera is None:
         raise ValueError("'camera' is missing")
     halves = {half for target in targets for half in (target, *target.rpartition(AT))}
@@ -230,73 +250,12 @@ def _error_model(
 
 def _kind(name: str) -> str:
     """The kind in `<owner>.<kind>.<component>`; an owner may contain points."""
-    _, kind, _ = name.rsplit(".", 2)
-    return kind
+    return name.rsplit(".", 2)[1]
 
 
 def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:
     """A frame and whether it was estimated."""
     roll, pitch, yaw = numbers(entry["rpy"], 3)
     position = np.array(numbers(entry["xyz"], 3))
-    return pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), position), _flag(entry)
-
-
-def _known_frame(pose: pin.SE3, estimated: bool) -> FrameSetup:
-    return FrameSetup(estimate=True) if estimated else frame_setup(pose, known=True)
-
-
-def _read_stand(frame: Frame, frames: Json) -> Frame:
-    """A frame of an instrument that is one among others."""
-    pose, estimated = _read_frame(frames[f"{frame.name}.{frame.kind}"])
-    return replace(frame, pose=pose, estimate=estimated)
-
-
-def _read_plane(entry: Mapping[str, Any]) -> PlaneSetup:
-    x, y, z = numbers(entry["normal"], 3)
-    if not 0.99 < math.hypot(x, y, z) < 1.01:
-        raise ValueError("the normal of a plane is not of unit length")
-    (offset,) = numbers([entry["offset"]], 1)
-    return PlaneSetup(normal=(x, y, z), offset=offset, estimate=_flag(entry))
-
-
-def _read_point(entry: Mapping[str, Any]) -> PointSetup:
-    return PointSetup(_xyz(entry), _flag(entry))
-
-
-def _read_sphere(entry: Mapping[str, Any]) -> SphereSetup:
-    (radius,) = numbers([entry["radius"]], 1)
-    if radius <= 0.0:
-        raise ValueError("the radius of a sphere is not positive")
-    return SphereSetup(_xyz(entry), radius, _flag(entry), _flag(entry, "_radius"))
-
-
-def _read_anchor(entry: Mapping[str, Any]) -> AnchorSetup:
-    (bias,) = numbers([entry["bias"]], 1)
-    return AnchorSetup(_xyz(entry), bias, _flag(entry), _flag(entry, "_bias"))
-
-
-def _read_camera(entry: Mapping[str, Any]) -> CameraSetup:
-    mount = entry["mount"]
-    if mount not in ("hand", "world"):
-        raise ValueError("the mount of the camera is neither hand nor world")
-    f_x, f_y, c_x, c_y = numbers([*entry["focal"], *entry["center"]], 4)
-    k_1, k_2, p_1, p_2, k_3 = numbers(entry["distortion"], 5)
-    size = None
-    if entry["size"] is not None:
-        width, height = numbers(entry["size"], 2)
-        size = width, height
-    return CameraSetup(
-        mount, (f_x, f_y), (c_x, c_y), (k_1, k_2, p_1, p_2, k_3), size, _flag(entry)
-    )
-
-
-def _xyz(entry: Mapping[str, Any]) -> Triple:
-    x, y, z = numbers(entry["xyz"], 3)
-    return x, y, z
-
-
-def _flag(entry: Mapping[str, Any], of: str = "") -> bool:
-    flag = entry[f"estimated{of}"]
-    if not isinstance(flag, bool):
-        raise ValueError(f"'estimated{of}' is neither true nor false")
-    return flag
+    pose = pin.SE3(pin.rpy.rpyToMatrix(roll, pitch, yaw), position)
+    return pose, typed(bool, entry["estimated"])

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import hashlib
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import asdict
@@ -13,9 +12,9 @@ from pathlib import Path
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.evidence import ExpectedAccuracy
+from calib_pin.estimation.evidence import PoseErrors
 from calib_pin.io.documents import identification_parts, stated
-from calib_pin.io.files import read_blocks
+from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.setup import setup_document
@@ -26,6 +25,12 @@ from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, QuantityErrors, UrdfResult
 from calib_pin.validation.summaries import ModelSelection, Provenance, ToolAccuracy
+
+SAMPLES = ("configurations", "points", "position", "orientation")
+"""Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
+
+CURVE = ("measurements", "position")
+"""Keys of that uncertainty by the number of measurements."""
 
 
 def calibration_document(
@@ -41,7 +46,7 @@ def calibration_document(
     Args:
         result: The result.
         provenance: How it came about; default what the result says.
-        residual_model: Where what was learned is written, see `io.residual_model`.
+        residual_model: Where what was learned is written, see `io.results`.
         suggestions: Suggested measurements.
 
     Raises:
@@ -193,38 +198,18 @@ def _errors(errors: Sequence[QuantityErrors], method: str) -> Json:
 def _predicted(accuracy: ToolAccuracy) -> Json | None:
     """Errors of the tool to expect: what noise leaves by the fit, and all of them."""
     stages = {"measured": accuracy.measured, "workspace": accuracy.workspace}
-    known = {name: _expected(found) for name, found in stages.items() if found}
+    known = {name: plain(found) for name, found in stages.items() if found}
     if accuracy.tip is None:
         return {"position": None, "orientation": None, **known} if known else None
     tip = accuracy.tip
-    (position, orientation), alone = tip.rms, tip.of_robot
-    counts, errors = tip.by_count.curve
+    samples = tip.q, tip.points, tip.position, tip.orientation
     return {
-        "position": position,
-        "orientation": orientation,
-        "robot": {"position": alone[0], "orientation": alone[1]},
+        **PoseErrors(*tip.rms)._asdict(),
+        "robot": PoseErrors(*tip.of_robot)._asdict(),
         **known,
-        "samples": {
-            "configurations": tip.q.tolist(),
-            "points": tip.points.tolist(),
-            "position": tip.position.tolist(),
-            "orientation": tip.orientation.tolist(),
-        },
-        "by_count": {"measurements": counts.tolist(), "position": errors.tolist()},
+        "samples": plain(dict(zip(SAMPLES, samples, strict=True))),
+        "by_count": plain(dict(zip(CURVE, tip.by_count.curve, strict=True))),
     }
-
-
-def _expected(found: ExpectedAccuracy) -> Json:
-    sizes = {
-        stage: dict(zip(("position", "orientation"), size, strict=True))
-        for stage, size in (
-            ("nominal", found.nominal),
-            ("calibrated", found.calibrated),
-            ("bound", found.bound),
-            ("unmodeled", found.unmodeled),
-        )
-    }
-    return {**sizes, "better": found.better, "share": found.share}
 
 
 def _urdf(urdf: UrdfResult, method: str) -> Json:
@@ -263,15 +248,10 @@ def _ladder(ladder: ModelSelection) -> Json:
     }
 
 
-def _setup_file(file: str) -> Json | None:
-    return {"file": file, "sha256": _sha256_of(file)} if file else None
-
-
 def _sha256_of(file: str) -> str:
     # A pipe cannot be read twice.
-    if not Path(file).is_file():
-        return ""
-    digest = hashlib.sha256()
-    for block in read_blocks(file, 1 << 20):
-        digest.update(block)
-    return digest.hexdigest()
+    return sha256(read_bytes(file)) if Path(file).is_file() else ""
+
+
+def _setup_file(file: str) -> Json | None:
+    return {"file": file, "sha256": _sha256_of(file)} if file else None

@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, RobotError
 from calib_pin.io.files import read_bytes
-from calib_pin.io.meshes import locate_mesh
-from calib_pin.io.urdf import locate_robot
+from calib_pin.io.urdf import locate_mesh, locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.chain import Chain, Robot
@@ -184,7 +183,7 @@ def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryMod
 def _link_error(
     robot: Robot, link: str, reason: str, hint: str = "another mesh"
 ) -> RobotError:
-    """An error about a link, in one line with its remedy."""
+    """An error about a link, in one line with what helps."""
     document = parse_document(robot.source, robot.file)
     element = next(
         (

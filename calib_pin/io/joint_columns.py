@@ -112,7 +112,7 @@ def read_positions(
 
 
 def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats]:
-    """What the columns of a file must hold for given positions.
+    """The values of a file's columns for given positions.
 
     Columns that are coupled to a joint of the chain without being one of its own (an
     external axis) are zero.

@@ -8,24 +8,25 @@ nominal and the calibrated robot are off. Numbers come back exactly.
 from __future__ import annotations
 
 import csv
-from collections.abc import Sequence
+import io
+import math
+from collections.abc import Mapping, Sequence
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib_pin.io.measurements import encode_table
+from calib_pin.io.columns import GrowingColumn
+from calib_pin.io.csv_text import CsvText
+from calib_pin.io.measurements import LINES
+from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
-FILE_NAME = "measurements.csv"
-"""Name beside `calibration.json`."""
-
 SETS = ("train", "validate")
 WORDS = ("set", "file", "line", "target", "payload")
-"""Columns that hold no numbers, but for the line."""
+"""The first columns; all others hold numbers."""
 
 LEGEND = """\
 calib-pin measurements of a calibration, run {run}; lengths in m, angles in rad, images
@@ -45,18 +46,33 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
         result: The result.
         run: Id of the run that it is of.
     """
+    from pydantic_core import to_json
+
     parts = [result.fitted, *([] if result.held_out is None else [result.held_out])]
     tables = [p.table(name) for p, name in zip(parts, SETS, strict=False)]
-    cells: dict[str, list[object]] = {name: [] for t in tables for name in t}
-    for table, part in zip(tables, parts, strict=True):
-        for name, column in cells.items():
-            column += map(_cell, table.get(name, [""] * len(part)))
-    return encode_table(cells, LEGEND.format(run=run).splitlines())
-
-
-def _cell(value: object) -> object:
-    """A cell; empty for a number that there is not."""
-    return "" if value != value else value
+    names = dict.fromkeys(name for table in tables for name in table)
+    numbers = [name for name in names if name not in WORDS]
+    text, found = io.StringIO(newline=""), list[bytes]()
+    text.write("".join(f"# {line}\n" for line in LEGEND.format(run=run).splitlines()))
+    csv.writer(text, lineterminator="\n").writerow([*WORDS, *numbers])
+    # Files may have names that are not UTF-8.
+    found.append(text.getvalue().encode("utf-8", "backslashreplace"))
+    for table in tables:
+        unknown = [math.nan] * len(table["set"])
+        for start in range(0, len(unknown), LINES):
+            part = slice(start, start + LINES)
+            words = io.StringIO(newline="")
+            csv.writer(words, lineterminator="\0").writerows(
+                zip(*(table[name][part] for name in WORDS), strict=True)
+            )
+            heads = words.getvalue().encode("utf-8", "backslashreplace").split(b"\0")
+            cells = zip(*(table.get(n, unknown)[part] for n in numbers), strict=True)
+            # A JSON writer is four times faster than `repr`, and as exact.
+            lines = to_json(list(cells), inf_nan_mode="constants")
+            lines = lines.replace(b"NaN", b"").replace(b"Infinity", b"inf")
+            tails = lines[2:-2].split(b"],[")
+            found += (b"%b,%b\n" % line for line in zip(heads, tails, strict=False))
+    return b"".join(found)
 
 
 def decode_errors(
@@ -70,76 +86,76 @@ def decode_errors(
         to_base: Rotation from the measurement frame to the base link, shape (3, 3).
 
     Raises:
-        ValueError: If a column or a number is missing, or is none.
+        ValueError: If a column is missing, or there is no measurement.
+        InputError: If it is no CSV file.
     """
-    text = data.decode("utf-8", "surrogateescape")
-    lines = (line for line in text.splitlines() if not line.startswith("#"))
-    header, *cells = csv.reader(lines)
-    if any(len(row) != len(header) for row in cells):
-        raise ValueError("a line has more or fewer cells than the header")
-    columns = dict(zip(header, zip(*cells, strict=True), strict=False))
-    for name in WORDS:
-        if name not in header:
-            raise ValueError(f"the column '{name}' is missing")
-    found = [_part(columns, model, to_base, name) for name in SETS]
-    fitted, held_out = found
+    first, stretches = CsvText(MEASUREMENTS, len(data), data).split()
+    header = first.cells(0)
+    if missing := set(WORDS) - set(header):
+        raise ValueError(f"columns are missing: {', '.join(sorted(missing))}")
+    words: dict[str, list[str]] = {name: [] for name in WORDS}
+    numbers = {name: GrowingColumn() for name in header if name not in words}
+    for stretch in stretches:
+        for name, cells in zip(header, stretch.columns(header), strict=True):
+            (words[name] if name in words else numbers[name]).extend(cells)
+    columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
+    fitted, held_out = (_part(words, columns, model, to_base, name) for name in SETS)
     if fitted is None:
         raise ValueError("there are no measurements")
     return fitted, held_out
 
 
 def _part(
-    columns: dict[str, tuple[str, ...]],
+    words: Mapping[str, Sequence[str]],
+    columns: Mapping[str, Floats],
     model: CalibratedModel,
     to_base: Floats,
     name: str,
 ) -> MeasurementErrors | None:
-    chosen = [k for k, word in enumerate(columns.get("set", ())) if word == name]
-    if not chosen:
+    """The errors of one set; None where it is empty."""
+    chosen = np.flatnonzero(np.array(words["set"]) == name)
+    if not len(chosen):
         return None
-    joints, quantities = model.chain.joints, tuple(model.measurement.quantities)
+    file, line, target, payload = (
+        tuple(words[column][row] for row in chosen.tolist()) for column in WORDS[1:]
+    )
 
-    def words(column: str) -> tuple[str, ...]:
-        return tuple(map(columns[column].__getitem__, chosen))
-
-    def numbers(names: Sequence[str]) -> Floats:
+    def numbers(*names: str) -> Floats:
         for column in names:
             if column not in columns:
                 raise ValueError(f"the column '{column}' is missing")
-        table = [[float(cell or "nan") for cell in words(column)] for column in names]
-        return np.array(table, float).reshape(len(names), len(chosen)).T.copy()
+        return np.stack([columns[column][chosen] for column in names], axis=1)
 
     components = unknown_errors(model, 0).components
     stated = [f"{component}.stated" for component in components]
+    joints = model.chain.joints
     starts = [f"start.{joint}" for joint in joints]
-    width = model.measurement.width
-    lines: NDArray[np.int64] = np.array([int(word) for word in words("line")])
     rows = Measurements(
         joints=joints,
-        q=numbers([f"joint.{joint}" for joint in joints]),
+        q=numbers(*(f"joint.{joint}" for joint in joints)),
         model=model.measurement.name,
-        values=numbers([f"measured.{k + 1}" for k in range(width)]),
-        sigma=numbers(stated) if stated[0] in columns else None,
-        target=words("target"),
-        payload=words("payload"),
-        start=numbers(starts) if starts[0] in columns else np.zeros((0, 0)),
-        lines=lines,
-        files=words("file"),
-        weight=numbers(["weight"])[:, 0],
+        values=numbers(*(f"measured.{k + 1}" for k in range(model.measurement.width))),
+        sigma=numbers(*stated) if stated[0] in columns else None,
+        target=target,
+        payload=payload,
+        start=numbers(*starts) if starts[0] in columns else np.zeros((0, 0)),
+        lines=np.array(line, np.int64),
+        files=file,
+        weight=numbers("weight")[:, 0],
     )
     before, after, sigma = (
-        numbers([f"{component}.{stage}" for component in components])
+        numbers(*(f"{component}.{stage}" for component in components))
         for stage in ("before", "after", "sigma")
     )
     return MeasurementErrors(
         rows=rows,
-        quantities=quantities,
+        quantities=tuple(model.measurement.quantities),
         before=before,
         after=after,
         sigma=sigma,
-        points=numbers([f"tool.{axis}" for axis in AXES]),
+        points=numbers(*(f"tool.{axis}" for axis in AXES)),
         to_base=to_base,
-        leverage=numbers(["leverage"])[:, 0],
+        leverage=numbers("leverage")[:, 0],
     )
 
 

@@ -19,13 +19,17 @@ from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import (
+    column_values,
     joint_sources,
     read_positions,
 )
-from calib_pin.io.measurement_parts import check_places, read_parts
-from calib_pin.io.models_of_files import check_model
+from calib_pin.io.measurement_parts import check_model, check_places, read_parts
 from calib_pin.io.table import read_table
-from calib_pin.io.written_columns import configuration_columns, measurement_columns
+from calib_pin.io.written_columns import (
+    column_name,
+    measurement_columns,
+    writable,
+)
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import PLUS, Measurements
@@ -154,69 +158,6 @@ def read_names(path: str | Path, column: str) -> tuple[str, ...]:
     return table.texts(column) if column in table else ()
 
 
-def check_columns(
-    chain: Chain, joints: Mapping[str, JointMap] = {}, targets: Sequence[str] = ()
-) -> None:
-    r"""Refuse what `write_configurations` could not write, before there is anything.
-
-    Args:
-        chain: The chain.
-        joints: How file columns become joints.
-        targets: Names that targets may have.
-
-    Raises:
-        InputError: If the joint map cannot be undone.
-        OutputError: If a name would not read back.
-
-    Example:
-        >>> import calib_pin
-        >>> check_columns(calib_pin.load_chain("space6"), targets=["wall\n"])
-        Traceback (most recent call last):
-        calib_pin.errors.OutputError: target 'wall\n' would not read back
-    """
-    configuration_columns(chain, np.empty((0, len(chain.joints))), targets, joints)
-
-
-def write_configurations(
-    path: str | Path,
-    chain: Chain,
-    q: Floats,
-    target: Sequence[str] = (),
-    *,
-    joints: Mapping[str, JointMap] = {},
-    comments: Sequence[str] = (),
-    force: bool = False,
-) -> None:
-    r"""Write configurations to be measured as a CSV file.
-
-    Args:
-        path: File to write.
-        chain: The chain.
-        q: Joint positions, shape (N, n) [rad, m].
-        target: Target of each; no column where none is named.
-        joints: How file columns become joints; the file holds what a controller
-            needs.
-        comments: Lines for the head of the file.
-        force: Whether an existing file is replaced.
-
-    Raises:
-        OptionError: If the file exists and `force` is false.
-        InputError: If the joint map cannot be undone.
-        OutputError: If a name would not read back, or the file cannot be written.
-
-    Example:
-        >>> import calib_pin, tempfile
-        >>> chain = calib_pin.load_chain("space6")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = Path(folder) / "plan.csv"
-        ...     write_configurations(file, chain, np.array([[0, 0, 0, 0.5, 0, 0.0]]))
-        ...     file.read_text().splitlines()[1]
-        '0.0,0.0,0.0,0.5,0.0,0.0'
-    """
-    data = encode_configurations(chain, q, target, joints=joints, comments=comments)
-    write_atomically(Path(path), data, force=force)
-
-
 def encode_configurations(
     chain: Chain,
     q: Floats,
@@ -225,13 +166,35 @@ def encode_configurations(
     joints: Mapping[str, JointMap] = {},
     comments: Sequence[str] = (),
 ) -> bytes:
-    """The file that `write_configurations` writes.
+    r"""Configurations to be measured as a CSV file.
+
+    Args:
+        chain: The chain.
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target of each; no column where none is named.
+        joints: How file columns become joints; the file holds what a controller
+            needs.
+        comments: Lines for the head of the file.
 
     Raises:
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> encode_configurations(chain, np.array([[0, 0, 0, 0.5, 0, 0.0]])).split()[1]
+        b'0.0,0.0,0.0,0.5,0.0,0.0'
+        >>> encode_configurations(chain, np.zeros((1, 6)), ["wall\n"])
+        Traceback (most recent call last):
+        calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    return encode_table(configuration_columns(chain, q, target, joints), comments)
+    columns: dict[str, Floats | Sequence[str]] = {}
+    for name, values in column_values(q, joint_sources(chain, joints)).items():
+        columns[column_name(name)] = values
+    if any(target):
+        columns["target"] = writable("target", target)
+    return encode_table(columns, comments)
 
 
 def write_measurements(

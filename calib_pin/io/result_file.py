@@ -11,13 +11,27 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.evidence import VERDICTS, ExpectedAccuracy, Finding
+from calib_pin.estimation.evidence import (
+    VERDICTS,
+    ExpectedAccuracy,
+    Finding,
+    PoseErrors,
+)
 from calib_pin.estimation.predicted_tip import FoundCurve, TipAccuracy
 from calib_pin.io.calibrated_model import model_of, reference_of
-from calib_pin.io.calibration_file import numbers, reading, stated_errors, text
+from calib_pin.io.calibration_document import CURVE, SAMPLES
 from calib_pin.io.json_text import Json, typed
-from calib_pin.io.measurement_errors import FILE_NAME, decode_errors, unknown_errors
-from calib_pin.io.result_folder import DOCUMENT, Read, opened
+from calib_pin.io.measurement_errors import decode_errors, unknown_errors
+from calib_pin.io.result_folder import (
+    DOCUMENT,
+    MADE,
+    MEASUREMENTS,
+    Read,
+    numbers,
+    opened,
+    reading,
+    stated_errors,
+)
 from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -97,35 +111,27 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
     with opened(file) as read:
         document, model = read_model(file, read)
         with reading(file):
-            result = _result(document, model, str(file), _errors(file, read))
+            result = _result(document, model, str(file), read)
     return result, document
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
     """The suggested measurements that a document holds."""
-    stated = document["identifiability"].get("remedies", [])
-    return tuple(typed(Suggestion, entry) for entry in stated)
-
-
-def _errors(file: Path, read: Read) -> bytes | None:
-    """The measurements of a folder; None where there are none."""
-    try:
-        return read(file.parent / FILE_NAME)
-    except InputError:
-        return None
+    stated = document["identifiability"].get("remedies", ())
+    return typed(tuple[Suggestion, ...], stated)
 
 
 def _result(
-    document: Json, model: CalibratedModel, file: str, errors: bytes | None
+    document: Json, model: CalibratedModel, file: str, read: Read
 ) -> CalibrationResult:
     verdict, about = document["verdict"], document["measurements"]
     if verdict["status"] not in VERDICTS:
         raise ValueError(f"{repr(verdict['status'])} is no verdict")
     stated = stated_errors(document)
     parameters, groups = _estimates(document)
+    made, solver = document.get("provenance", {}), document.get("solver", {})
     sections = {key: {**older, **document[key]} for key, older in LATER.items()}
-    (training,) = numbers([about["training"]], 1)
-    fitted, held_out = _measured(document, model, errors, int(training))
+    fitted, held_out = _measured(document, model, Path(file).parent, read)
     names = [parameter.name for parameter in parameters]
     unknown = np.full((len(names), len(names)), np.nan)
     covariance = document.get("covariance") or unknown
@@ -138,7 +144,7 @@ def _result(
         model=model,
         reference=reference_of(document, model),
         verdict=verdict["status"],
-        reason=_words(verdict["reason"]),
+        reason=typed(str, verdict["reason"]),
         errors=tuple(errors for errors, _ in stated),
         validation=typed(Validation, document.get("validation", validation)),
         solver=typed(SolverSummary, sections["solver"]),
@@ -147,15 +153,26 @@ def _result(
         covariance=NamedArray.of(covariance, names, names),
         fitted=fitted,
         held_out=held_out,
-        files=tuple(_words(entry["file"]) for entry in about["files"]),
+        files=tuple(typed(str, entry["file"]) for entry in about["files"]),
         model_selection=_ladder(document.get("model_ladder")),
-        urdf=None if urdf is None else _urdf(urdf, model),
-        rejected=document.get("rejected_residual_model", ""),
-        distances=tuple(
-            typed(FoundDistance, entry) for entry in document.get("distances", ())
+        urdf=None
+        if urdf is None
+        else UrdfResult(
+            model=model_of(urdf["model"], model.chain) if urdf.get("model") else None,
+            errors=tuple(errors for errors, _ in stated_errors(urdf)),
+            reason=typed(str, urdf["reason"]),
         ),
-        findings=tuple(typed(Finding, entry) for entry in document.get("findings", ())),
-        provenance=_provenance(document, file),
+        rejected=document.get("rejected_residual_model", ""),
+        distances=typed(tuple[FoundDistance, ...], document.get("distances", ())),
+        findings=typed(tuple[Finding, ...], document.get("findings", ())),
+        provenance=Provenance(
+            command=tuple(made.get("command", ())),
+            created=typed(str, made.get("created", "")),
+            seconds=float(solver.get("seconds") or np.nan),
+            versions={k: v for k, v in made.items() if k not in MADE},
+            file=file,
+            hashes=tuple(typed(str, entry["sha256"]) for entry in about["files"]),
+        ),
     )
 
 
@@ -177,12 +194,14 @@ def _estimates(
 
 
 def _measured(
-    document: Json, model: CalibratedModel, errors: bytes | None, training: int
+    document: Json, model: CalibratedModel, folder: Path, read: Read
 ) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements."""
-    rotation = document.get("rotation_to_base")
-    if errors is None or rotation is None:
-        return unknown_errors(model, training), None
+    try:
+        errors = read(folder / MEASUREMENTS)
+        rotation = document["rotation_to_base"]
+    except (InputError, KeyError):
+        return unknown_errors(model, int(document["measurements"]["training"])), None
     return decode_errors(errors, model, np.array(rotation, float))
 
 
@@ -190,7 +209,7 @@ def _accuracy(entry: Mapping[str, Any] | None, joints: int) -> ToolAccuracy:
     if entry is None:
         return ToolAccuracy()
     known = {
-        name: _expected(entry[name])
+        name: typed(ExpectedAccuracy, entry[name])
         for name in ("measured", "workspace")
         if name in entry
     }
@@ -200,52 +219,15 @@ def _accuracy(entry: Mapping[str, Any] | None, joints: int) -> ToolAccuracy:
 
 
 def _tip(entry: Mapping[str, Any], joints: int) -> TipAccuracy:
-    sizes = numbers([entry["position"], entry["orientation"]], 2)
-    alone = entry.get("robot") or {"position": None, "orientation": None}
-    samples = (
-        entry.get("samples")
-        or {  # Older files have their mean alone.
-            "configurations": np.zeros((0, joints)),
-            "points": np.zeros((0, 3)),
-            "position": sizes[:1],
-            "orientation": sizes[1:],
-        }
-    )
-    by_count = entry.get("by_count", {"measurements": [], "position": []})
-    arrays = {name: np.array(values, float) for name, values in samples.items()}
-    return TipAccuracy(
-        q=arrays["configurations"],
-        points=arrays["points"],
-        position=arrays["position"],
-        orientation=arrays["orientation"],
-        of_robot=_pair(alone),
-        by_count=FoundCurve(
-            (
-                np.array(by_count["measurements"], float),
-                np.array(by_count["position"], float),
-            )
-        ),
-    )
-
-
-def _expected(entry: Mapping[str, Any]) -> ExpectedAccuracy:
-    return ExpectedAccuracy(
-        nominal=_pair(entry["nominal"]),
-        calibrated=_pair(entry["calibrated"]),
-        bound=_pair(entry["bound"]),
-        unmodeled=_pair(entry["unmodeled"]),
-        better=float(entry["better"]),
-        share=float(entry["share"]),
-    )
-
-
-def _pair(entry: Mapping[str, Any]) -> tuple[float, float]:
-    """A position and an orientation; null is unknown."""
-    position, orientation = (
-        np.nan if entry[key] is None else float(entry[key])
-        for key in ("position", "orientation")
-    )
-    return position, orientation
+    means = ([mean] for mean in typed(PoseErrors, entry))
+    older = np.zeros((0, joints)), np.zeros((0, 3)), *means
+    samples = entry.get("samples") or dict(zip(SAMPLES, older, strict=True))
+    q, points, position, orientation = (np.array(samples[k], float) for k in SAMPLES)
+    curve = entry.get("by_count", dict.fromkeys(CURVE, ()))
+    counts, errors = (np.array(curve[key], float) for key in CURVE)
+    alone = typed(PoseErrors, entry.get("robot") or dict.fromkeys(PoseErrors._fields))
+    by_count = FoundCurve((counts, errors))
+    return TipAccuracy(q, points, position, orientation, alone, by_count)
 
 
 def _ladder(entry: Mapping[str, Any] | None) -> ModelSelection | None:
@@ -265,31 +247,3 @@ def _ladder(entry: Mapping[str, Any] | None) -> ModelSelection | None:
         for rung in entry["rungs"]
     )
     return ModelSelection(rungs, [rung.name for rung in rungs].index(entry["chosen"]))
-
-
-def _urdf(entry: Json, model: CalibratedModel) -> UrdfResult:
-    described = entry.get("model")
-    return UrdfResult(
-        model=None if described is None else model_of(described, model.chain),
-        errors=tuple(errors for errors, _ in stated_errors(entry)),
-        reason=_words(entry["reason"]),
-    )
-
-
-def _provenance(document: Json, file: str) -> Provenance:
-    about = document.get("provenance", {})
-    created = _words(about.get("created", ""))
-    versions = {k: v for k, v in about.items() if k not in ("command", "created")}
-    return Provenance(
-        command=tuple(about.get("command", ())),
-        created=created,
-        seconds=float(document.get("solver", {}).get("seconds") or np.nan),
-        versions=versions,
-        file=file,
-        hashes=tuple(_words(e["sha256"]) for e in document["measurements"]["files"]),
-    )
-
-
-def _words(value: object) -> str:
-    """Any words, or none."""
-    return "" if value == "" else text(value)

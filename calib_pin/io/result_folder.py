@@ -9,25 +9,132 @@ leaves the same manifest at any time.
 from __future__ import annotations
 
 import re
-from collections.abc import Callable, Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path, PurePosixPath
+from reprlib import repr
 from typing import Any
 
-from calib_pin.errors import InputError
-from calib_pin.io.calibration_file import read_document
+from calib_pin.errors import CalibPinError, InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import inside, settled, sha256
-from calib_pin.io.json_text import Json, encode
-from calib_pin.io.residual_model import FILE_NAME
+from calib_pin.io.json_text import Json, decode, encode, require_format, typed
+from calib_pin.units import DISPLAY
+from calib_pin.validation.result import Accuracy, QuantityErrors
+
+FORMAT, VERSION = "calib-pin/calibration", 1
+"""The format that is read, and its newest version."""
+
+LARGEST = 1e6
+"""Largest number that a value, a position or an offset can be [m, rad, px]."""
+
+
+def read_document(
+    path: str | Path, read: Callable[[str | Path], bytes] = read_bytes
+) -> Json:
+    """The content of a `calibration.json`.
+
+    Args:
+        path: The file.
+        read: Gives its bytes.
+
+    Raises:
+        InputError: If the file is not such a document or of a later version.
+    """
+    try:
+        document = decode(read(path))
+    except RecursionError as error:
+        raise InputError("not a calibration of calib-pin", file=path) from error
+    except ValueError as error:
+        line = getattr(error, "lineno", None)
+        reason = f"not a calibration: {getattr(error, 'msg', error)}"
+        raise InputError(reason, file=path, line=line) from error
+    return require_format(document, "calibration", FORMAT, VERSION, path)
+
+
+@contextmanager
+def reading(path: str | Path) -> Iterator[None]:
+    """Turn what goes wrong with the parts of a document into one line.
+
+    Raises:
+        InputError: If a part is missing or is not what it should be.
+    """
+    try:
+        yield
+    except KeyError as error:
+        reason = f"damaged or edited calibration: {error} is missing"
+        raise InputError(reason, file=path) from error
+    except (CalibPinError, TypeError, ValueError, AttributeError) as error:
+        reason = f"damaged or edited calibration: {error}"
+        raise InputError(reason, file=path) from error
+
+
+def stated_errors(document: Json) -> tuple[tuple[QuantityErrors, str], ...]:
+    """Accuracy by quantity, each with how it was validated.
+
+    Raises:
+        KeyError, TypeError, ValueError, AttributeError: See `reading`.
+    """
+    result = []
+    for name, entry in document["errors"].items():
+        training, validation = entry["training"], entry["validation"]
+        unit = text(entry["unit"])
+        if unit not in DISPLAY:
+            raise ValueError(f"{repr(unit)} is no unit of '{name}'")
+        fitted = (_accuracy(training[stage]) for stage in ("before", "after"))
+        unseen = (
+            None if validation[stage] is None else _accuracy(validation[stage])
+            for stage in ("before", "after")
+        )
+        errors = QuantityErrors(name, unit, *fitted, *unseen)
+        result.append((errors, text(validation["method"])))
+    return tuple(result)
+
+
+def _accuracy(entry: Mapping[str, Any]) -> Accuracy:
+    return typed(Accuracy, {"p95": None, **entry})  # Older files have no 95 %.
+
+
+def text(value: object) -> str:
+    """A name.
+
+    Raises:
+        ValueError: If it is none, or empty.
+    """
+    if not isinstance(value, str) or not value:
+        raise ValueError(f"{repr(value)} stands in the place of a name")
+    return value
+
+
+def numbers(values: Sequence[object], count: int | None = None) -> list[float]:
+    """Finite numbers, of a count where that is known.
+
+    Raises:
+        ValueError: If there are more or fewer, or one is no such number.
+    """
+    if count is not None and len(values) != count:
+        raise ValueError(f"{len(values)} numbers stand in the place of {count}")
+    for value in values:
+        number = isinstance(value, float | int) and not isinstance(value, bool)
+        # Python reads NaN, Infinity and numbers of any length, JSON knows none.
+        if not number or not abs(value) < LARGEST:  # type: ignore[arg-type]
+            raise ValueError(f"{repr(value)} stands in the place of a number")
+    return [float(value) for value in values]  # type: ignore[arg-type]
+
 
 DOCUMENT = "calibration.json"
 REPORT = "report.html"
 NOMINAL = "nominal.urdf"
-"""Names in every folder: what was found, the page, and the robot as it was."""
+MEASUREMENTS = "measurements.csv"
+RESIDUAL_MODEL = "residual_model.json"
+"""Names in a folder: the result, the page, the robot as it was, the errors of the
+measurements, and what was learned."""
 
 Read = Callable[[str | Path], bytes]
-"""What gives the bytes of a file."""
+"""Gives the bytes of a file."""
+
+MADE = ("command", "created")
+"""Keys of the provenance that are new for every run; all others are versions."""
 
 PICTURES = (".png", ".pdf", ".svg")
 """Endings of files from which no program takes a number: these may be edited."""
@@ -59,9 +166,7 @@ def run_id(document: Json, learned: bytes | None) -> str:
         **document,
         "residual_model": None,
         "solver": {k: v for k, v in solver.items() if k != "seconds"},
-        "provenance": {
-            k: v for k, v in about.items() if k not in ("command", "created")
-        },
+        "provenance": {k: v for k, v in about.items() if k not in MADE},
     }
     return sha256(encode(content) + (learned or b""))[:16]
 
@@ -183,7 +288,9 @@ def _known(document: Mapping[str, Any], folder: Path, read: Read) -> Iterator[st
     urdf = urdf_name(robot["name"])
     if holds(urdf, lambda data: bool(tag.search(data)) and sha256(data) != content):
         yield urdf
-    if learned and holds(FILE_NAME, lambda data: sha256(data) == learned["sha256"]):
-        yield FILE_NAME
+    if learned and holds(
+        RESIDUAL_MODEL, lambda data: sha256(data) == learned["sha256"]
+    ):
+        yield RESIDUAL_MODEL
     if holds(REPORT, lambda data: content.encode() in data):
         yield REPORT

@@ -26,9 +26,8 @@ from calib_pin.setup import (
     Setup,
     SolverSetup,
 )
-from calib_pin.setup.constraints import Constraint, Keys, Names
-from calib_pin.setup.section import LENIENT, meanings
-from calib_pin.setup.values import as_number
+from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
+from calib_pin.setup.values import Positive, as_number
 from calib_pin.solvers.differential_evolution import (
     INITS,
     STRATEGIES,
@@ -76,14 +75,25 @@ class EvolutionOption(Constraint):
         return found if default == -math.inf else {**found, "default": default}
 
 
-SOLVER: Mapping[str, Constraint] = {
-    "name": Names(SOLVERS),
-    **{
-        option.name: EvolutionOption(option.name, str(option.type))
-        for option in fields(DifferentialEvolution)
-    },
-}
-"""Keys of `solver`: its name and the options of the evolution."""
+def solver_keys() -> dict[str, Constraint]:
+    """Keys of `solver`: its name and the options of the evolution."""
+    options = fields(DifferentialEvolution)
+    evolution = {o.name: EvolutionOption(o.name, str(o.type)) for o in options}
+    return {"name": Names(SOLVERS), **evolution}
+
+
+BLURRED = 1e3
+"""Largest standard deviation of a pixel [px]."""
+
+
+def noise_keys() -> dict[str, Constraint]:
+    """Keys of `noise`: the quantities of all measurement models."""
+    words = f"a standard deviation in px, at most {BLURRED:g}"
+    return {
+        q.name: Positive("px", BLURRED, words) if q.unit == "px" else Positive(q.unit)
+        for model in MEASUREMENT_MODELS.values()
+        for q in model.declaration.quantities
+    }
 
 
 @dataclass(frozen=True)
@@ -102,12 +112,17 @@ class SetupFile(PlanSetup, FitSetup, MeasurementSetup, FrameKeys, RobotSetup):
     """A setup file of calib-pin.
 
     The keys of a `Setup`, but for two that a file groups otherwise: it has both frames
-    under `frames`, and the options of the evolution beside the name of the solver.
+    under `frames`, and the options of the evolution beside the name of the solver. The
+    quantities of `noise` are known here alone.
     """
+
+    noise: Annotated[Mapping[str, float], Keys(noise_keys)] = field(
+        default_factory=dict
+    )
 
     solver: Annotated[
         Mapping[str, Any],
-        Keys(SOLVER, meanings(SolverSetup) | meanings(DifferentialEvolution)),
+        Keys(solver_keys, meanings(SolverSetup) | meanings(DifferentialEvolution)),
     ] = field(default_factory=dict)  # type: ignore[assignment]
 
     @classmethod

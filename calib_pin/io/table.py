@@ -17,8 +17,15 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.io.cell_numbers import read_numbers, what_is_wrong
-from calib_pin.io.columns import Column, Floats, GrowingColumn, Kind, split_header
+from calib_pin.io.columns import (
+    Column,
+    Floats,
+    GrowingColumn,
+    Kind,
+    read_numbers,
+    split_header,
+    what_is_wrong,
+)
 from calib_pin.io.csv_text import CsvText, Stretch, open_csv
 from calib_pin.progress import Progress
 
@@ -107,6 +114,12 @@ class Table:
                 found[name] = words
         again = [name for name in names if name not in found]
         return found | self._cells_of_file(again) if again else found
+
+    def ignored(self, names: Collection[str]) -> str:
+        """A sentence about columns without a meaning; empty if there are none."""
+        headers = [self.columns[name].header for name in names]
+        headers += ["(unnamed)"] * self.unnamed
+        return f"{self.file}: columns ignored: {', '.join(headers)}" * bool(headers)
 
     def numbers(self, name: str, kind: Kind, *, positive: bool = False) -> Floats:
         """A column of numbers in SI units, shape (N,).

@@ -17,9 +17,13 @@ from calib_pin.io.joint_columns import (
     read_positions,
     spare_columns,
 )
-from calib_pin.io.measured_columns import POSITION, check_spread, read_values
+from calib_pin.io.measured_columns import (
+    ORIENTATIONS,
+    POSITION,
+    check_spread,
+    read_values,
+)
 from calib_pin.io.measurements import encode_table
-from calib_pin.io.orientation_columns import ORIENTATIONS
 from calib_pin.io.table import Table, read_table
 from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
@@ -34,7 +38,7 @@ ROW = "row"
 
 @dataclass(frozen=True)
 class Targets:
-    """What a file wants of a robot with n joints.
+    """The targets or the motion that a file asks of a robot with n joints.
 
     Attributes:
         table: The file.
@@ -111,10 +115,9 @@ def read_target_file(
     used_columns, values = read_values(table, model, spare)
     center = np.zeros(3) if base is None else base
     check_spread(table, chain, values[:, :3], center)
-    ignored = [table.columns[name].header for name in spare if name not in used_columns]
-    ignored += ["(unnamed)"] * table.unnamed
+    ignored = table.ignored([name for name in spare if name not in used_columns])
     if ignored and notice is not None:
-        notice(f"{table.file}: columns ignored: {', '.join(ignored)}")
+        notice(ignored)
     T = np.tile(np.eye(4), (len(values), 1, 1))
     T[:, :3, 3] = values[:, :3]
     if oriented:

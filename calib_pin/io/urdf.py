@@ -3,16 +3,77 @@
 from __future__ import annotations
 
 import importlib.metadata
-from collections.abc import Callable, Mapping, Sequence
+import os
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
+import numpy as np
 import pinocchio as pin
+from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
-from calib_pin.io.files import read_bytes, write_atomically
+from calib_pin.io.files import read_bytes
 from calib_pin.io.urdf_bytes import edit_origins
-from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.io.urdf_tree import captured_stderr, parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.spatial import Floats
+
+
+def locate_mesh(
+    written: str, urdf: Path, package_dirs: Sequence[str | Path] = ()
+) -> Path | None:
+    """The file of a mesh, or None if there is none.
+
+    Args:
+        written: The name in the URDF: a path from its own folder, or `package://`.
+        urdf: Path of the URDF.
+        package_dirs: Folders that hold the packages of `package://` meshes; then come
+            those of ROS and the folders above the URDF.
+    """
+    scheme, _, rest = written.rpartition("://")
+    folders: Iterable[Path] = (urdf.parent,)
+    if scheme in ("package", "model"):
+        folders = (*_package_folders(package_dirs), *urdf.parents)
+        rest = rest.lstrip("/")  # Some write a third slash.
+    files = (folder / rest for folder in folders)
+    return next((file.absolute() for file in files if file.is_file()), None)
+
+
+def read_mesh(path: Path, scale: Sequence[float]) -> tuple[Floats, NDArray[np.int64]]:
+    """The surface in a mesh file of any format that Pinocchio reads.
+
+    Args:
+        path: The file.
+        scale: Factors of the coordinates, shape (3,).
+
+    Returns:
+        Vertices, shape (V, 3) [m], and the three vertices of every triangle, shape
+        (F, 3).
+
+    Raises:
+        InputError: If the file cannot be read.
+    """
+    # Boxes along the axes are the quickest to build of what nobody asks for here.
+    loader = pin.coal.MeshLoader(pin.coal.NODE_TYPE.BV_AABB)
+    try:
+        with captured_stderr():
+            surface = loader.load(str(path), np.asarray(scale, float))
+    except Exception as failure:  # Whatever C++ throws.
+        raise InputError("the mesh cannot be read", file=path) from failure
+    corners = map(surface.tri_indices, range(surface.num_tris))
+    triangles = np.array([(t[0], t[1], t[2]) for t in corners], np.int64)
+    return np.array(surface.vertices()), triangles.reshape(-1, 3)
+
+
+def _package_folders(package_dirs: Sequence[str | Path]) -> Iterator[Path]:
+    """Folders that hold packages; a package may also be named by itself."""
+    of_ros = os.environ.get("ROS_PACKAGE_PATH", "").split(os.pathsep)
+    for folder in (*package_dirs, *filter(None, of_ros)):
+        yield from (Path(folder), Path(folder).absolute().parent)
+    for prefix in os.environ.get("AMENT_PREFIX_PATH", "").split(os.pathsep):
+        if prefix:
+            yield Path(prefix, "share")
+
 
 _EXAMPLE = "example:"
 
@@ -113,40 +174,6 @@ def load_robot(name_or_path: str | Path) -> Robot:
         allowed = f"a URDF file, a bundled robot{names}, or {_EXAMPLE}NAME"
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
     return parse_robot(source, name)
-
-
-def write_corrected_urdf(
-    path: str | Path,
-    robot: Robot,
-    corrections: Mapping[str, pin.SE3],
-    check: Callable[[Robot], None] | None,
-    force: bool = False,
-) -> None:
-    """Write a robot's URDF with corrected joint origins.
-
-    Args:
-        path: The new file; never the robot's own.
-        robot: As for `corrected_urdf`.
-        corrections: As for `corrected_urdf`.
-        check: As for `corrected_urdf`.
-        force: Replace an existing file.
-
-    Raises:
-        OptionError: If the file exists and `force` is false, or is the robot's own.
-        OutputError: If it cannot be written or does not read back.
-        RobotError: If the robot has no joint of such a name.
-
-    Example:
-        >>> import tempfile
-        >>> robot = load_robot("example:panda")
-        >>> with tempfile.TemporaryDirectory() as folder:
-        ...     new = Path(folder, "panda.urdf")
-        ...     write_corrected_urdf(new, robot, {}, check=None)
-        ...     new.read_bytes() == robot.source
-        True
-    """
-    corrected = corrected_urdf(path, robot, corrections, check)
-    write_atomically(Path(path), corrected, force=force)
 
 
 def corrected_urdf(

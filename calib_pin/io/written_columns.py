@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from itertools import count
 from typing import Any
@@ -12,12 +12,9 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
-from calib_pin.io.joint_columns import column_values, joint_sources
 from calib_pin.io.measured_columns import reserved
-from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import declared
 from calib_pin.observations import AT, PART, Measurements
-from calib_pin.setup import JointMap
 
 
 def measurement_columns(
@@ -33,9 +30,9 @@ def measurement_columns(
         target = tuple(name.partition(PART)[2] for name in target)
     yield from _measured(rows, models).items()
     if any(target):
-        yield "target", _writable("target", target)
+        yield "target", writable("target", target)
     if any(rows.payload):
-        yield "payload", _writable("payload", rows.payload)
+        yield "payload", writable("payload", rows.payload)
     if rows.validate.any():
         yield "set", ["validate" if late else "train" for late in rows.validate]
 
@@ -57,7 +54,7 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[An
     sigmas: dict[str, NDArray[Any]] = {}
     a = b = 0
     for model in rows.parts:
-        stated, own = declared(model), _rows_of(models, model)
+        stated, own = declared(model), np.array(models, str) == model
         c, d = a + len(stated.values), b + len(stated.components)
         _fill(values, stated.values, rows.values[:, a:c], own)
         told = None if rows.sigma is None else rows.sigma[:, b:d]
@@ -68,11 +65,6 @@ def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[An
             raise OutputError(f"only some rows of '{model}' have standard deviations")
         _fill(sigmas, [f"sigma_{name}" for name in stated.components], told, own)
     return values | sigmas
-
-
-def _rows_of(models: Sequence[str], model: str) -> NDArray[np.bool_]:
-    """Whether each row is of a model, shape (N,)."""
-    return np.fromiter((name == model for name in models), bool, len(models))
 
 
 def _fill(
@@ -99,7 +91,7 @@ def _with_starts(data: Measurements) -> Measurements:
     model = next((name for name in data.parts if declared(name).relative), None)
     if model is None:
         return data
-    relative = _rows_of(_models(data), model)
+    relative = np.array(_models(data), str) == model
     before = data.parts[: data.parts.index(model)]
     distance = data.values[:, sum(len(declared(name).values) for name in before)]
     start = data.start if data.start.size else np.full(data.q.shape, np.nan)
@@ -152,18 +144,6 @@ def _start_names(
     return tuple(target), first
 
 
-def configuration_columns(
-    chain: Chain, q: Floats, target: Sequence[str], joints: Mapping[str, JointMap]
-) -> dict[str, Floats | Sequence[str]]:
-    """Names and cells of the columns that hold configurations."""
-    columns: dict[str, Floats | Sequence[str]] = {}
-    for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[column_name(name)] = values
-    if any(target):
-        columns["target"] = _writable("target", target)
-    return columns
-
-
 def column_name(joint: str) -> str:
     """The name of a column of joint positions.
 
@@ -175,7 +155,7 @@ def column_name(joint: str) -> str:
     return joint
 
 
-def _writable(column: str, names: Sequence[str]) -> Sequence[str]:
+def writable(column: str, names: Sequence[str]) -> Sequence[str]:
     """The cells of a column of names."""
     for name in dict.fromkeys(names):
         if name != name.strip() or set(name) & set("\r\n\0"):

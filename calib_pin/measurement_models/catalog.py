@@ -15,7 +15,7 @@ from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.observations import PLUS
-from calib_pin.plugins import members
+from calib_pin.plugins import Members
 
 
 def _fault(name: str, model: object) -> str:
@@ -28,7 +28,7 @@ def _fault(name: str, model: object) -> str:
     return "" if stated.name == name else f"it declares the name '{stated.name}'"
 
 
-MEASUREMENT_MODELS: Mapping[str, type[DeclaredModel]] = members(
+MEASUREMENT_MODELS: Mapping[str, type[DeclaredModel]] = Members(
     "calib_pin.measurement_models",
     {
         model.declaration.name: model

@@ -23,7 +23,7 @@ from calib_pin.parameterizations.placement import (
     Placement,
 )
 from calib_pin.parameterizations.transmission import Transmission
-from calib_pin.plugins import members
+from calib_pin.plugins import Members
 from calib_pin.setup import Setup
 
 __all__ = [
@@ -52,7 +52,7 @@ _BUNDLED: tuple[type[Parameterization], ...] = (
     Compliance,
 )
 
-PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = members(
+PARAMETERIZATIONS: Mapping[str, type[Parameterization]] = Members(
     "calib_pin.parameterizations", {member.name: member for member in _BUNDLED}
 )
 """All parameterizations by name, those of other packages last."""

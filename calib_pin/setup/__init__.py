@@ -13,10 +13,9 @@ from typing import Annotated
 
 from calib_pin.setup.constraints import (
     Checked,
-    Constraint,
     Distinct,
-    Keys,
     Registered,
+    Section,
     listed,
 )
 from calib_pin.setup.references import (
@@ -29,7 +28,6 @@ from calib_pin.setup.references import (
     PointSetup,
     SphereSetup,
 )
-from calib_pin.setup.section import Section
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
     Number,
@@ -72,20 +70,6 @@ HEAVIEST = 1e5
 
 STRONGEST = 100.0
 """Largest acceleration of gravity [m/s^2]."""
-
-BLURRED = 1e3
-"""Largest standard deviation of a pixel [px]."""
-
-NOISE: Mapping[str, Constraint] = {
-    "position": Positive("m"),
-    "orientation": Positive("rad"),
-    "distance": Positive("m"),
-    "contact": Positive("m"),
-    "pixel": Positive(
-        "px", BLURRED, f"a standard deviation in px, at most {BLURRED:g}"
-    ),
-}
-"""Quantities whose standard deviation may be stated."""
 
 
 def _bound(value: object) -> float | Pair:
@@ -247,7 +231,7 @@ class FitSetup(Section):
         default_factory=dict
     )
     prior: Mapping[str, Annotated[float, Positive("SI")]] = field(default_factory=dict)
-    noise: Annotated[Mapping[str, float], Keys(NOISE)] = field(default_factory=dict)
+    noise: Mapping[str, float] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
 

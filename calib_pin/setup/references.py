@@ -5,8 +5,7 @@ from __future__ import annotations
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from calib_pin.setup.constraints import Checked, listed
-from calib_pin.setup.section import Section
+from calib_pin.setup.constraints import Checked, Section, listed
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
     Angles,
@@ -136,8 +135,7 @@ class PointSetup(Section):
     estimate: Flag | None = None
 
     def _check(self) -> None:
-        if self.estimate is False and self.xyz is None:
-            raise ValueError("estimate: false only together with xyz")
+        _check_place(self)
 
 
 @dataclass(frozen=True)
@@ -158,8 +156,7 @@ class SphereSetup(Section):
     estimate_radius: Flag | None = None
 
     def _check(self) -> None:
-        if self.estimate is False and self.xyz is None:
-            raise ValueError("estimate: false only together with xyz")
+        _check_place(self)
         if self.estimate_radius is False and self.radius is None:
             raise ValueError("estimate_radius: false only together with radius")
 
@@ -190,8 +187,12 @@ class AnchorSetup(Section):
     estimate_bias: Flag = False
 
     def _check(self) -> None:
-        if self.estimate is False and self.xyz is None:
-            raise ValueError("estimate: false only together with xyz")
+        _check_place(self)
+
+
+def _check_place(section: PointSetup | SphereSetup | AnchorSetup) -> None:
+    if section.estimate is False and section.xyz is None:
+        raise ValueError("estimate: false only together with xyz")
 
 
 @dataclass(frozen=True)

@@ -214,7 +214,7 @@ class OneOf(Constraint):
         return self.values[self.values.index(value)]
 
     def schema(self) -> Json:
-        """What is allowed."""
+        """The allowed names or numbers."""
         return {"enum": list(self.values)}
 
 

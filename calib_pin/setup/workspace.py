@@ -9,8 +9,7 @@ from typing import Annotated
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.setup.constraints import Checked, listed
-from calib_pin.setup.section import Section
+from calib_pin.setup.constraints import Checked, Section, listed
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
     SMALLEST,

@@ -3,12 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import starmap
 from math import erf
 
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
+from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.fitted_model import FittedModel
 from calib_pin.estimation.joint_conventions import suggest_conventions
@@ -164,7 +165,7 @@ def expected_accuracy(
         there = fitted.effects.twists(problem.error, q)
         effects = without_frames(J @ absorbed - there, J)
     mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
-    nominal, calibrated, bound, unmodeled = zip(
+    sizes = zip(
         *(
             _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, unit), C, rng)
             for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
@@ -172,6 +173,7 @@ def expected_accuracy(
         strict=True,
     )
     better, share = _better(mean, own[:, :3], effects[:, :3], C)
+    nominal, calibrated, bound, unmodeled = starmap(PoseErrors, sizes)
     return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 

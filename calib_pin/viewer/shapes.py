@@ -15,8 +15,7 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib_pin.errors import InputError
-from calib_pin.io.meshes import locate_mesh, read_mesh
-from calib_pin.io.urdf import locate_robot
+from calib_pin.io.urdf import locate_mesh, locate_robot, read_mesh
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -160,7 +159,7 @@ def robot_shapes(
 
     Args:
         robot: The robot.
-        package_dirs: Folders of packages, see `io.meshes.locate_mesh`.
+        package_dirs: Folders of packages, see `io.urdf.locate_mesh`.
         progress: Told the part that is done, 0 to 1.
     """
     root = fromstring(robot.source)

@@ -10,7 +10,8 @@ from pathlib import Path
 
 import numpy as np
 
-from calib_pin.io.measurements import write_configurations
+from calib_pin.io.files import write_atomically
+from calib_pin.io.measurements import encode_configurations
 from calib_pin.kinematics.spatial import Floats
 from studies import shared
 from studies.liu2022_arm import PUBLISHED, Arm
@@ -71,7 +72,8 @@ def write_plan(path: Path, ours: Search) -> None:
         "the arm keeps its distance from itself.",
     ]
     chain = Arm.load().problem.error.chain
-    write_configurations(path, chain, ours.q, comments=comments, force=True)
+    data = encode_configurations(chain, ours.q, comments=comments)
+    write_atomically(path, data, force=True)
 
 
 def report(settings: Settings, study: Study) -> Report:

@@ -14,7 +14,7 @@ from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.collision import load_collisions
 from calib_pin.io.measurements import read_configurations
-from calib_pin.io.true_errors import read_true_errors
+from calib_pin.io.setup import read_true_errors
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, invert, skew
 from calib_pin.measurement_models.base import Curvature, Linearization

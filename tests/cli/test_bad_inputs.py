@@ -99,7 +99,7 @@ CALIBRATE = "calibrate arm.urdf rows.csv -o out"
 SETUP = "calibrate arm.urdf rows.csv --setup bad.yaml -o out"
 DISTANCES = "calibrate arm.urdf distances.csv --setup plane.yaml -o out"
 EVALUATE = "evaluate done/calibration.json new.csv"
-TRUSTED_OR_NOT = {"calibration.json", "nominal.urdf", "report.html"}
+TRUSTED_OR_NOT = {"calibration.json", "measurements.csv", "nominal.urdf", "report.html"}
 SIMULATE = "simulate arm.urdf --model position --count 5 -o out.csv"
 
 CONTACT = "calibrate arm.urdf touch.csv --setup bad.yaml -o out"
@@ -858,7 +858,8 @@ def test_untrusted(prepare, status, parts, here, run):
     assert ".." not in verdict
     for part in parts.split("|"):
         assert part in verdict
-    assert result.out.endswith("wrote out/calibration.json\nwrote out/report.html\n")
+    written = ("calibration.json", "measurements.csv", "report.html")
+    assert result.out.endswith("".join(f"wrote out/{name}\n" for name in written))
     assert {path.name for path in Path("out").iterdir()} == TRUSTED_OR_NOT
     said = " ".join(first.split()[:2])
     assert said in Path("out/report.html").read_text()

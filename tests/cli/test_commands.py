@@ -50,6 +50,7 @@ def test_a_calibration_as_a_process(here):
         "arm.urdf",
         "calibration.json",
         "nominal.urdf",
+        "measurements.csv",
         "report.html",
     }
 

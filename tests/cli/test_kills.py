@@ -1,7 +1,7 @@
 """Runs that are killed while they write over an earlier result.
 
 `CALIB_PIN_KILLS` is the number of kills by each signal; half of them are aimed at the
-moments of writing. The tests of `tests/io/test_staging.py` fail at every single call;
+moments of writing. The tests of `tests/io/test_files.py` fail at every single call;
 here the processes, the signals and the moments are real.
 """
 

@@ -21,7 +21,13 @@ from calib_pin.viewer.scene import Scene
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 EVALUATE = "evaluate {}/calibration.json new.csv"
-FILES = {"arm.urdf", "calibration.json", "nominal.urdf", "report.html"}
+FILES = {
+    "arm.urdf",
+    "calibration.json",
+    "measurements.csv",
+    "nominal.urdf",
+    "report.html",
+}
 BAD = "calibrate arm.urdf few.csv --setup setup.yaml -o done --force"
 """Three rows, which are too few for a corrected URDF."""
 

@@ -13,16 +13,21 @@ from hypothesis import strategies as st
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.io.files import write_atomically
 from calib_pin.io.joint_columns import column_values, joint_sources
 from calib_pin.io.measurements import (
+    encode_configurations,
     read_configurations,
     read_names,
-    write_configurations,
 )
 from calib_pin.setup import JointMap
 
 CHAIN = calib_pin.load_chain("space6")
 Q = CHAIN.random_configurations(7, np.random.default_rng(0))
+
+
+def write_configurations(path: Path, *about: Any, force: bool = False, **more: Any):
+    write_atomically(path, encode_configurations(*about, **more), force=force)
 
 
 def test_files_read_back_bit_by_bit(tmp_path: Path) -> None:

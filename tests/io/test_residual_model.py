@@ -16,13 +16,13 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
-from calib_pin.io.residual_model import (
-    FILE_NAME,
+from calib_pin.io.result_folder import RESIDUAL_MODEL
+from calib_pin.io.results import (
     encode_residual_model,
+    read_calibration,
     read_residual_model,
     reference,
 )
-from calib_pin.io.results import read_calibration
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -51,7 +51,7 @@ def folder(learned: CalibrationResult, tmp_path: Path) -> Path:
     """What `calibrate` would write."""
     data = encode_residual_model(learned.model)
     assert data is not None
-    (tmp_path / FILE_NAME).write_bytes(data)
+    (tmp_path / RESIDUAL_MODEL).write_bytes(data)
     document = calibration_document(learned, NOTHING, reference(data))
     (tmp_path / "calibration.json").write_bytes(encode(document))
     return tmp_path
@@ -74,7 +74,7 @@ def test_nothing_was_learned(learned: CalibrationResult) -> None:
 
 
 def test_it_is_plain_numbers(folder: Path) -> None:
-    document = json.loads((folder / FILE_NAME).read_text())
+    document = json.loads((folder / RESIDUAL_MODEL).read_text())
     keys = {"format", "version", "robot", "shift", "model", "sha256"}
     assert set(document) == keys
 
@@ -93,14 +93,14 @@ def bad(folder: Path, refused: Callable[..., Any]) -> Callable[..., None]:
     """The file beside the calibration cannot be used: `bad(reason="...", ...)`."""
 
     def bad(**fields: Any) -> None:
-        with refused(InputError, file=str(folder / FILE_NAME), **fields):
+        with refused(InputError, file=str(folder / RESIDUAL_MODEL), **fields):
             read_calibration(folder / "calibration.json")
 
     return bad
 
 
 def edit(folder: Path, change: Callable[[dict[str, Any]], None]) -> None:
-    file = folder / FILE_NAME
+    file = folder / RESIDUAL_MODEL
     document = json.loads(file.read_text())
     change(document)
     file.write_text(json.dumps(document))
@@ -116,8 +116,8 @@ def test_a_number_was_edited(folder: Path, bad: Callable[..., None]) -> None:
 
 @pytest.mark.parametrize("part", [0.0, 0.3, 0.9, 0.9999])
 def test_it_was_cut_off(folder: Path, bad: Callable[..., None], part: float) -> None:
-    data = (folder / FILE_NAME).read_bytes()
-    (folder / FILE_NAME).write_bytes(data[: int(part * len(data))])
+    data = (folder / RESIDUAL_MODEL).read_bytes()
+    (folder / RESIDUAL_MODEL).write_bytes(data[: int(part * len(data))])
     bad(reason="truncated")
 
 
@@ -131,12 +131,12 @@ def test_another_version(
 
 @pytest.mark.parametrize("content", [b"[]", b"{}", b'{"format": "something"}'])
 def test_another_file(folder: Path, bad: Callable[..., None], content: bytes) -> None:
-    (folder / FILE_NAME).write_bytes(content)
+    (folder / RESIDUAL_MODEL).write_bytes(content)
     bad(reason="not a residual model")
 
 
 def test_it_is_gone(folder: Path, bad: Callable[..., None]) -> None:
-    (folder / FILE_NAME).unlink()
+    (folder / RESIDUAL_MODEL).unlink()
     bad(reason="no such file")
 
 
@@ -145,14 +145,14 @@ def test_of_another_robot(
 ) -> None:
     other = nominal_problem(calib_pin.load_chain("pa10"), "position", Setup())
     with refused(InputError, reason="another robot: 'space6'", allowed="'pa10'"):
-        read_residual_model(folder / FILE_NAME, other.error)
+        read_residual_model(folder / RESIDUAL_MODEL, other.error)
     # The same name with other numbers in it.
     error = learned.model.error
     robot = error.chain.robot
     moved = replace(robot, source=robot.source + b"\n")
     other_chain = calib_pin.Chain(moved, error.chain.base, error.chain.tip)
     with refused(InputError, reason="another robot: other content of its URDF"):
-        read_residual_model(folder / FILE_NAME, replace(error, chain=other_chain))
+        read_residual_model(folder / RESIDUAL_MODEL, replace(error, chain=other_chain))
 
 
 def test_of_another_chain(
@@ -162,7 +162,7 @@ def test_of_another_chain(
     links = [link for link in error.chain.robot.links if link != error.chain.tip]
     other = calib_pin.Chain(error.chain.robot, error.chain.base, links[-1])
     with refused(InputError, reason="another robot: the chain"):
-        read_residual_model(folder / FILE_NAME, replace(error, chain=other))
+        read_residual_model(folder / RESIDUAL_MODEL, replace(error, chain=other))
 
 
 def test_of_another_calibration(
@@ -175,7 +175,7 @@ def test_of_another_calibration(
     error = replace(learned.model.error, learned=changed)
     data = encode_residual_model(replace(learned.model, error=error))
     assert data is not None
-    (folder / FILE_NAME).write_bytes(data)
+    (folder / RESIDUAL_MODEL).write_bytes(data)
     bad(reason="not the file that this calibration was written with")
 
 
@@ -185,7 +185,7 @@ def test_of_other_parameters(
     chain = learned.model.chain
     other = nominal_problem(chain, "position", Setup(parameters=("placement",)))
     with refused(InputError, reason="'shift' has the shape"):
-        read_residual_model(folder / FILE_NAME, other.error)
+        read_residual_model(folder / RESIDUAL_MODEL, other.error)
 
 
 def test_the_file_of_a_calibration_stands_beside_it(

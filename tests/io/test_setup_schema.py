@@ -5,16 +5,19 @@ from __future__ import annotations
 import subprocess
 import sys
 from dataclasses import fields
+from types import SimpleNamespace
 from typing import Any
 
 import pytest
 
 from calib_pin.estimation.solve import SOLVERS
+from calib_pin.io import setup_schema
+from calib_pin.io.setup import setup_of
 from calib_pin.io.setup_schema import SetupFile, json_schema, known_keys
-from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models import MEASUREMENT_MODELS, Quantity
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
-from calib_pin.setup.section import meanings
+from calib_pin.setup.constraints import meanings
 from calib_pin.solvers import DifferentialEvolution
 from documentation.setup_reference import DOCS, reference_text, schema_text
 
@@ -36,6 +39,20 @@ def test_the_names_that_there_are_stand_in_the_schema() -> None:
 def test_the_solver_has_the_options_of_the_evolution() -> None:
     options = [option.name for option in fields(DifferentialEvolution)]
     assert known_keys(("solver", "popsize")) == ["name", *options]
+
+
+def test_the_noise_of_a_quantity_of_another_package(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    angle = SimpleNamespace(quantities=[Quantity("angle", "rad", slice(0, 2), 1e-5)])
+    models = {**MEASUREMENT_MODELS, "theodolite": SimpleNamespace(declaration=angle)}
+    monkeypatch.setattr(setup_schema, "MEASUREMENT_MODELS", models)
+    setup_schema.adapter.cache_clear()
+    try:
+        assert known_keys(("noise", "x"))[-2:] == ["pixel", "angle"]
+        assert setup_of({"noise": {"angle": 1e-5}}).noise == {"angle": 1e-5}
+    finally:
+        setup_schema.adapter.cache_clear()
 
 
 def test_every_key_has_a_meaning() -> None:

@@ -23,9 +23,9 @@ from calib_pin.io import urdf
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.urdf import (
     bundled_robots,
+    corrected_urdf,
     load_robot,
     locate_robot,
-    write_corrected_urdf,
 )
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
@@ -861,6 +861,12 @@ def test_loop_away_from_the_root(bad: Callable[..., None]) -> None:
 
 
 # Writing.
+
+
+def write_corrected_urdf(
+    path: Path, *about: Any, check: Callable[[Robot], None] | None, force: bool = False
+) -> None:
+    write_atomically(path, corrected_urdf(path, *about, check), force=force)
 
 
 def test_write_and_read_back(tmp_path: Path, refused: Callable[..., Any]) -> None:

@@ -16,7 +16,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.measurements import read_configurations
-from calib_pin.io.true_errors import read_true_errors
+from calib_pin.io.setup import read_true_errors
 from calib_pin.kinematics.spatial import adjoint, invert
 
 COMBINATIONS = """

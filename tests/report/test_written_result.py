@@ -18,7 +18,12 @@ from calib_pin.report.html import html_report
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    DistanceSetup,
+    FrameSetup,
     Payload,
+    PointSetup,
     Setup,
     SolverSetup,
 )
@@ -88,6 +93,36 @@ def untrusted() -> CalibrationResult:
     return calib_pin.calibrate(chain, rows)
 
 
+def camera() -> CalibrationResult:
+    board = {
+        f"m{k}": PointSetup((0.1 * (k % 2), 0.08 * (k // 2), 0.1)) for k in range(4)
+    }
+    setup = Setup(
+        parameters=OFFSETS,
+        base_frame=FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True),
+        camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
+        targets=board,
+    )
+    chain, rows = measured("camera", setup, 120)
+    return calib_pin.calibrate(chain, rows, setup)
+
+
+def known_distances() -> CalibrationResult:
+    places = {"a": (1.4, 0.9, 0.2), "b": (1.4, -0.9, 0.2), "c": (-1.0, 0.2, 1.4)}
+    setup = Setup(
+        parameters=OFFSETS,
+        tool_frame=FrameSetup((0.02, 0.03, 0.1)),
+        anchors={
+            name: AnchorSetup(xyz, estimate_bias=True) for name, xyz in places.items()
+        },
+        distances=(DistanceSetup(("a", "b"), 1.8001, 1e-4),),
+    )
+    chain, rows = measured("point-distance", setup, 120)
+    result = calib_pin.calibrate(chain, rows, setup)
+    assert result.distances
+    return result
+
+
 CASES = {
     "position": position_held_out,
     "pose": pose_cross_validated,
@@ -97,6 +132,8 @@ CASES = {
     "learned": learned,
     "untrusted": untrusted,
     "ladder": ladder,
+    "camera": camera,
+    "distances": known_distances,
 }
 SLOW = ("ladder", "evolution")
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.io.comparisons import comparison_document
+from calib_pin.io.documents import comparison_document
 from calib_pin.io.json_text import encode
 from calib_pin.validation.comparison import Comparison, compare
 from calib_pin.validation.summaries import ToolAccuracy

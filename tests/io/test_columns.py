@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from calib_pin.io.cell_numbers import read_numbers, what_is_wrong
+from calib_pin.io.columns import read_numbers, what_is_wrong
 
 
 def halfway(values: np.ndarray) -> list[str]:

@@ -11,8 +11,8 @@ from typing import Any
 import pytest
 
 from calib_pin.errors import OptionError, OutputError
+from calib_pin.io.files import write_files, write_folder
 from calib_pin.io.journal import settled, temporary
-from calib_pin.io.staging import write_files, write_folder
 
 OLD = {"a.json": b"old a", "b.urdf": b"old b", "gone.json": b"old gone"}
 NEW = {"a.json": b"new a", "b.urdf": b"new b", "figures/c.png": b"new c"}

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli import options
+import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs, require_distinct, require_file
 from calib_pin.cli.printing import say, say_written, show
 from calib_pin.cli.results import (

@@ -9,7 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib_pin.cli import options
+import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
     open_setup,

@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli import options
+import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     open_chain,
     open_measurements,

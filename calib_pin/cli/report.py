@@ -7,7 +7,7 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli import options
+import calib_pin.cli.options as options
 from calib_pin.cli.files import check_outputs
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (

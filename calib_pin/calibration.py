@@ -200,7 +200,7 @@ def _result(
             sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
             stated_sigma=training.stated,
             noise=fitted.noise,
-            outliers=fitted.outliers,
+            outliers=fitted.robust.outliers,
             displaced=_displaced(model, seed),
             gains=held_out.gains,
         ),
@@ -222,10 +222,11 @@ def _result(
 
 
 def _solver_summary(fitted: Fit, seed: int) -> SolverSummary:
-    history = () if fitted.evolution is None else fitted.evolution.best_history.tolist()
+    evolution = fitted.solution.evolution
+    history = () if evolution is None else evolution.best_history.tolist()
     return SolverSummary(
-        name=fitted.solver,
-        evaluator=fitted.evaluator,
+        name=fitted.problem.setup.solver.name,
+        evaluator=fitted.solution.evaluator,
         status=fitted.result.status.value,
         iterations=fitted.result.nit,
         evaluations=fitted.result.nfev,
@@ -298,7 +299,7 @@ def _urdf(
 
 def _displaced(model: FittedModel, seed: int) -> float | None:
     """How far the tool would be off with what was set aside [m]; None without it."""
-    squared = model.fit.squared
+    squared = model.fit.robust.squared
     if squared is None:
         return None
     first = CalibratedModel.create(model.fit.problem, model.fit.theta)

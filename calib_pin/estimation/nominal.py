@@ -9,7 +9,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.configurations import asked, observable_configurations
-from calib_pin.estimation.directions import visible_directions
+from calib_pin.estimation.directions import nuisance_basis, visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.estimation.registration import registered
@@ -34,8 +34,7 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
     parameters = problem.parameters
     problem = registered(problem, theta)
     start = np.where(parameters.nuisance, 0.0, theta)
-    free = parameters.free & parameters.nuisance
-    return problem, least_squares(problem, start, np.diag(parameters.scales)[:, free])
+    return problem, least_squares(problem, start, nuisance_basis(parameters))
 
 
 @serial_blas

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, posterior_about
 from calib_pin.estimation.predicted_tip import TipAccuracy, rms
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
@@ -118,7 +118,8 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     # Parameters are deviations from references, and so is their covariance.
-    twists = fitted.settled.twists(error, q, J)
+    settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
+    twists = settled.twists(error, q, J)
     position, orientation = _deviations(twists)
     alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)

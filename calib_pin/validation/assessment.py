@@ -102,11 +102,6 @@ class Estimated(Protocol):
         """The directions that are estimated and those left at nominal."""
         ...
 
-    @property
-    def revealed(self) -> Floats:
-        """Directions that only large errors reveal, shape (P, k)."""
-        ...
-
 
 def estimates(
     parameters: ParameterSet, structure: Structure, fitted: Estimated | None = None
@@ -153,7 +148,7 @@ def estimates(
             return "fixed"
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
-            moved = fitted is not None and fitted.revealed[k].any()
+            moved = fitted is not None and fitted.directions.hidden[k].any()
             return "weak" if moved else "unidentifiable"
         if k in alone:
             return "identifiable" if alone[k] else "weak"
@@ -195,7 +190,7 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         ),
         rank=fitted.rank,
         weak=fitted.directions.weak.shape[1],
-        revealed=fitted.revealed.shape[1],
+        revealed=fitted.directions.revealed,
         correlated=tuple(_correlated(fitted)),
     )
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import ExpectedAccuracy
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.spatial import Floats
@@ -55,7 +55,7 @@ def expected_accuracy(
     own = without_frames(J * scales, J)[:, :, robot]
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
-        absorbed = fitted.deviations.by_effects[:count]
+        absorbed = fitted.posterior.by_effects[:count]
         absorbed = np.where(parameters.nuisance[:count, None], 0.0, absorbed)
         there = fitted.effects.twists(problem.error, q)
         effects = without_frames(J @ absorbed - there, J)
@@ -164,6 +164,7 @@ def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
     """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
     scales = fitted.problem.parameters.scales[: len(robot)][robot]
     halves = [
-        found.by_noise[: len(robot)][robot] / scales[:, None] for found in fitted.likely
+        found.by_noise[: len(robot)][robot] / scales[:, None]
+        for found in likely_posteriors(fitted)
     ]
     return np.array([half @ half.T for half in halves])

@@ -80,7 +80,7 @@ def judge(
             held_out.gains,
             findings,
             workspace,
-            max(aside, fitted.disagreement),
+            max(aside, fitted.robust.disagreement),
             advice,
         )
     )

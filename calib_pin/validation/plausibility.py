@@ -260,9 +260,9 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
         return
     own = fitted.problem.split(fitted.theta)[1]
     v, left = known.residual(own), _decided_by_others(fitted, known.jacobian(own))
-    if fitted.squared is not None and left.min() <= ROUNDING:
+    if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from _distances(fitted.squared)
+        yield from _distances(fitted.robust.squared)
         return
     w = np.abs(v) / np.sqrt(left)
     k = int(np.argmax(w))

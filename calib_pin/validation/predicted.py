@@ -42,7 +42,7 @@ def predicted_variance(
         Variances, shape (N, d); infinite for what a row lacks, NaN where the fit knows
         no covariance.
     """
-    sigma, deviations = problem.sigma, fitted.deviations
+    sigma, deviations = problem.sigma, fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}

@@ -63,7 +63,7 @@ class SolverSummary:
 
     Attributes:
         name: Name of the solver.
-        evaluator: What evaluated the residuals, see `solve.Solved`.
+        evaluator: What evaluated the residuals, see `solve.Solution`.
         status: One of `solvers.Status`, in words.
         iterations: Steps of the solver.
         evaluations: Evaluations of the cost; an evolution counts its members.

@@ -24,7 +24,11 @@ SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0
 def measured(count: int, model: str = "pose") -> Problem:
     problem = nominal_problem(calib_pin.load_chain("space6"), model, SETUP)
     rows = calib_pin.simulate(
-        problem, problem.held, np.random.default_rng(0), count=count, noise=1e-4
+        problem,
+        np.zeros(len(problem.parameters)),
+        np.random.default_rng(0),
+        count=count,
+        noise=1e-4,
     )
     return replace(problem, data=rows)
 

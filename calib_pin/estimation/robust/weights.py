@@ -22,7 +22,6 @@ about it until it stands.
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, RobustDecision
 from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -40,6 +39,8 @@ from calib_pin.estimation.robust.studentized import (
     studentized,
 )
 from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.solve import Solver
+from calib_pin.estimation.unit_weights import balanced
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -104,54 +105,58 @@ class RobustOptions:
 OPTIONS = RobustOptions()
 
 
-def robustly(
-    problem: Problem, fit_once: Callable[[Problem], Fit], rng: np.random.Generator
-) -> Fit:
+def robustly(problem: Problem, solver: Solver) -> Fit:
     """Fit a problem with the loss of its setup.
 
     Without anything to set aside it is the least-squares fit itself.
 
     Args:
         problem: The problem, not registered.
-        fit_once: Least squares of a problem by the weights of its rows, registration
-            and all.
-        rng: Random generator of the subsets of the registration.
+        solver: The solver; its generator draws the subsets of the registration.
 
     Raises:
         OptionError: If the setup names a loss that does not exist.
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
-    squared = fit_once(problem)
+    squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
     found = _judged(squared, np.ones(problem.data.configurations, bool))
     scale = found.robust_scale()
 
-    def plain() -> Fit:
-        return replace(squared, outliers=_outliers(squared, found, scale))
+    def plain(disagreement: float = 0.0) -> Fit:
+        outliers = _outliers(squared, found, scale)
+        robust = RobustDecision(outliers, disagreement=disagreement)
+        return replace(squared, robust=robust)
 
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
         return plain()
-    about, theta, weight = _sought(problem, loss, squared.rank, rng)
+    about, theta, weight = _sought(problem, loss, squared.rank, solver.rng)
     if loss == "huber":
-        return _bent(problem, squared, weight, fit_once)
-    accepted = _selected(about, theta, weight)
-    for _ in range(OPTIONS.rounds):
-        if not _enough(squared, accepted):
-            return replace(plain(), disagreement=float(1.0 - accepted.mean()))
-        if accepted.all():
+        if (weight == 1.0).all():
             return squared
-        fitted = fit_once(_weighted(problem, accepted))
-        about_it = _judged(fitted, accepted)
-        its_scale = _scale(about_it, accepted)
-        passed = _passed(about_it, its_scale)
-        if np.array_equal(passed, accepted):
-            break
-        accepted = passed
-    outliers = _outliers(fitted, about_it, its_scale)
-    return replace(fitted, outliers=outliers, squared=squared)
+        fitted = balanced(_weighted(problem, weight), solver)
+        found = _judged(fitted, weight > 0.0)
+        scale = found.robust_scale()
+    else:
+        accepted = _selected(about, theta, weight)
+        for _ in range(OPTIONS.rounds):
+            if not _enough(squared, accepted):
+                return plain(float(1.0 - accepted.mean()))
+            if accepted.all():
+                return squared
+            fitted = balanced(_weighted(problem, accepted), solver)
+            about_it = _judged(fitted, accepted)
+            its_scale = _scale(about_it, accepted)
+            passed = _passed(about_it, its_scale)
+            if np.array_equal(passed, accepted):
+                break
+            accepted = passed
+        found, scale = about_it, its_scale
+    outliers = _outliers(fitted, found, scale)
+    return replace(fitted, robust=RobustDecision(outliers, squared))
 
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
@@ -338,21 +343,6 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         accepted = passed
         problem = replace(problem, units=problem.units * scale[found.columns])
     return accepted
-
-
-def _bent(
-    problem: Problem,
-    squared: Fit,
-    weight: Floats,
-    fit_once: Callable[[Problem], Fit],
-) -> Fit:
-    """The fit with the weights of Huber's loss, shape (G,)."""
-    if (weight == 1.0).all():
-        return squared
-    fitted = fit_once(_weighted(problem, weight))
-    found = _judged(fitted, weight > 0.0)
-    outliers = _outliers(fitted, found, found.robust_scale())
-    return replace(fitted, outliers=outliers, squared=squared)
 
 
 def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:

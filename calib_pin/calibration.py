@@ -15,7 +15,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.fitted_model import FittedModel, fit_model
-from calib_pin.estimation.setup_variants import geometric_setup
+from calib_pin.estimation.formulation import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats

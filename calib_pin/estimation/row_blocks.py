@@ -1,14 +1,29 @@
-"""Residual rows beside the measurements: known distances, expected sizes, priors."""
+"""Residual rows beside the measurements: known distances, expected sizes, priors.
+
+Known distances between points, those of a gauge or of the sockets of one plate, say
+nothing of the robot by themselves. A ball in two sockets a known distance apart is what
+gives a robot without any other length its scale.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
+from functools import cached_property
 from typing import Protocol
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.features import (
+    Anchor,
+    Feature,
+    Point,
+    Sphere,
+    slices,
+)
+from calib_pin.setup import DistanceSetup
 
 
 class RowBlock(Protocol):
@@ -102,3 +117,96 @@ class Blocks:
         empty = np.empty((0, len(theta)))
         rows = [block.jacobian(theta) for block in self.blocks]
         return np.concatenate([empty, *rows])
+
+
+@dataclass(frozen=True)
+class KnownDistances:
+    """D distances between features of a measurement model.
+
+    Attributes:
+        stated: The distances.
+        ends: Places of both ends about the references, shape (D, 2, 3) [m].
+        columns: Where the coordinates of both ends stand among the parameters, shape
+            (D, 2, 3); -1 where they are no parameters.
+    """
+
+    stated: tuple[DistanceSetup, ...]
+    ends: Floats
+    columns: NDArray[np.int64]
+
+    @staticmethod
+    def of(
+        distances: Sequence[DistanceSetup], features: Sequence[Feature], first: int = 0
+    ) -> KnownDistances:
+        """Those of the distances whose both ends are among some features.
+
+        Args:
+            distances: What is known.
+            features: The features of a measurement model, in their order.
+            first: Position of the first instrument parameter among all.
+        """
+        found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
+        # A point of the tool yields its name to a place of the same name.
+        for feature, part in zip(features, slices(features), strict=True):
+            xyz = feature.xyz if isinstance(feature, Point | Sphere | Anchor) else None
+            hidden = feature.section == "targets" and feature.name in found
+            if xyz is not None and not hidden:
+                # The known points of a camera have no parameters.
+                some = part.stop > part.start
+                columns = np.full(3, -1)
+                if some:
+                    columns = first + part.start + np.arange(3)
+                found[feature.name] = xyz, columns
+        known = tuple(d for d in distances if all(name in found for name in d.between))
+        ends = [[found[name][0] for name in d.between] for d in known]
+        positions = [[found[name][1] for name in d.between] for d in known]
+        return KnownDistances(
+            known,
+            np.array(ends).reshape(-1, 2, 3),
+            np.array(positions, np.int64).reshape(-1, 2, 3),
+        )
+
+    def __len__(self) -> int:
+        """Number of distances D."""
+        return len(self.stated)
+
+    def lengths(self, theta: Floats) -> Floats:
+        """The distances that the model predicts, (..., P) -> (..., D) [m].
+
+        Args:
+            theta: Parameter values, one vector or many.
+        """
+        return np.asarray(np.linalg.norm(self._vectors(theta), axis=-1))
+
+    def residual(self, theta: Floats) -> Floats:
+        """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
+        return np.asarray((self.lengths(theta) - self._values) / self._sigma)
+
+    def jacobian(self, theta: Floats) -> Floats:
+        """Derivative of the whitened residuals by the parameters, shape (D, P)."""
+        vectors = self._vectors(theta)
+        result = np.zeros((len(self), len(theta)))
+        for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
+            length = float(np.linalg.norm(vector))
+            # Points in one place have no direction to part in.
+            direction = vector / (length or np.inf) / self._sigma[k]
+            for end, sign in zip(columns, (-1.0, 1.0), strict=True):
+                if end[0] >= 0:
+                    result[k, end] = sign * direction
+        return result
+
+    @cached_property
+    def _values(self) -> Floats:
+        return np.array([distance.value for distance in self.stated])
+
+    @cached_property
+    def _sigma(self) -> Floats:
+        return np.array([distance.sigma for distance in self.stated])
+
+    def _vectors(self, theta: Floats) -> Floats:
+        """From one end to the other, shape (..., D, 3) [m]."""
+        # What is no parameter finds a zero behind the others.
+        padded = np.zeros((*theta.shape[:-1], theta.shape[-1] + 1))
+        padded[..., :-1] = theta
+        ends = self.ends + padded[..., self.columns]
+        return np.asarray(ends[..., 1, :] - ends[..., 0, :])

@@ -11,8 +11,13 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
-from calib_pin.estimation.evidence import VERDICTS, ExpectedAccuracy, Finding
-from calib_pin.estimation.predicted_tip import FoundCurve, TipAccuracy
+from calib_pin.estimation.evidence import (
+    VERDICTS,
+    ExpectedAccuracy,
+    Finding,
+    FoundCurve,
+    TipAccuracy,
+)
 from calib_pin.io.calibrated_model import model_of, reference_of
 from calib_pin.io.calibration_file import numbers, reading, stated_errors, text
 from calib_pin.io.json_text import Json, typed

@@ -14,7 +14,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet

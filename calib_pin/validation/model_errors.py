@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.fitted_model import FittedModel
-from calib_pin.estimation.known_distances import KnownDistances
+from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.predicted import predicted_variance

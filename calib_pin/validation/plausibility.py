@@ -23,9 +23,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.known_distances import KnownDistances
-from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.scale import growth
+from calib_pin.estimation.nominal import analyze_structure, growth
+from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT

@@ -10,9 +10,9 @@ from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Gain,
     Outlier,
+    TipAccuracy,
     VarianceComponent,
 )
-from calib_pin.estimation.predicted_tip import TipAccuracy
 
 
 @dataclass(frozen=True)

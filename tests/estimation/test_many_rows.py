@@ -154,7 +154,7 @@ def test_triangular_resolves_what_one_noisy_row_sees(
 def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     """The same problem, whose rows just suffice for the kernels."""
     entries = len(problem.data) * problem.components * len(problem.parameters)
-    monkeypatch.setattr("calib_pin.estimation.evaluators.MANY", entries)
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
     return replace(problem)
 
 

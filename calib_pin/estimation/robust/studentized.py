@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import inverse_root
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 
 LEAST = 1e-6

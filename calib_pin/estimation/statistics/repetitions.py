@@ -20,7 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.problem import Problem, repeated
-from calib_pin.estimation.statistics.chi_square import chi_square_tail, f_tail
+from calib_pin.estimation.statistics.distributions import chi_square_tail, f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.rows import contact_rows
 

@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.estimation.statistics.repetitions import PureError, pure_errors
 from calib_pin.estimation.statistics.restricted_likelihood import (
     Groups,

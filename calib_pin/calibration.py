@@ -13,8 +13,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.formulation import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain

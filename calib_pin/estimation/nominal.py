@@ -23,6 +23,15 @@ from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.solvers import LeastSquaresResult
 
+EXPLAINED = 1e-6
+"""Part of a change of scale that rounding leaves where parameters express it."""
+
+UNKNOWN = 0.01
+"""Standard deviation of the scale from which it counts as unobservable.
+
+The tip of an arm of a meter is then off by a centimeter.
+"""
+
 
 @serial_blas
 def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResult]:
@@ -98,16 +107,6 @@ def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
     J = problem.jacobian(theta, at, sigma_at(problem, at.target))
     rows = J.reshape(-1, len(theta))
     return np.concatenate([rows, problem.further.jacobian(theta)])
-
-
-EXPLAINED = 1e-6
-"""Part of a change of scale that rounding leaves where parameters express it."""
-
-UNKNOWN = 0.01
-"""Standard deviation of the scale from which it counts as unobservable.
-
-The tip of an arm of a meter is then off by a centimeter.
-"""
 
 
 def scale_observable(

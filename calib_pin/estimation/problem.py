@@ -20,6 +20,14 @@ from calib_pin.observations import Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 
+SAMPLE = 10_000
+"""Measurements that a closed-form start is made from; more do not help it."""
+
+EXACT = 1e-6
+"""Scatter, in standard deviations, below which measurements differ by rounding alone.
+"""
+
+
 MANY = 1_000_000
 """Entries of a Jacobian from which measurements go through the compiled kernels, in
 chunks.
@@ -135,14 +143,6 @@ def kept(values: Floats, data: Measurements) -> Floats:
 def joined(rows: Floats, further: Floats) -> Floats:
     """Rows with further ones behind them; without any, no copy."""
     return np.concatenate([rows, further]) if len(further) else rows
-
-
-SAMPLE = 10_000
-"""Measurements that a closed-form start is made from; more do not help it."""
-
-EXACT = 1e-6
-"""Scatter, in standard deviations, below which measurements differ by rounding alone.
-"""
 
 
 @dataclass(frozen=True)

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
+from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements
 from calib_pin.progress import Stages, named, portion

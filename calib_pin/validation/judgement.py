@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
-from calib_pin.estimation.fitted_model import FittedModel
+from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.joint_conventions import suggest_conventions
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.declaration import Quantity

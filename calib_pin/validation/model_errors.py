@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.fitted_model import FittedModel
+from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements

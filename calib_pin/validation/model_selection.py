@@ -17,7 +17,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
+from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import (
     parameter_names,
     with_parameters,

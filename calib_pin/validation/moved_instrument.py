@@ -11,7 +11,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fitted_model import FittedModel
+from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.problem import SAMPLE, Problem, distinct_values
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats

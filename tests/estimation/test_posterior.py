@@ -9,9 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit, with_effects
-from calib_pin.estimation.fitted import Fit, posterior_about
+from calib_pin.estimation.fitted import Fit, Posterior, posterior, posterior_about
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.posterior import Posterior, posterior
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
 from calib_pin.kinematics.spatial import Floats

@@ -9,9 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, posterior
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.posterior import posterior
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup

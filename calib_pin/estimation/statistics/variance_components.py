@@ -282,9 +282,9 @@ def _component(
 class PureError:
     """The pure error of a quantity, relative to the variance that is given.
 
-    Repetitions tell noise from what the model lacks. With squares and degrees of freedom
-    of the residuals (S, f) and of the repetitions among themselves (S_p, f_p), noise
-    alone makes
+    Repetitions tell noise from what the model lacks. With squares and degrees of
+    freedom of the residuals (S, f) and of the repetitions among themselves (S_p, f_p),
+    noise alone makes
 
         F = (S - S_p) / (f - f_p) / (S_p / f_p)
 

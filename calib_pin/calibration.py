@@ -27,15 +27,14 @@ from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
-from calib_pin.validation.measurement_split import split
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors
 from calib_pin.validation.model_selection import select_model
-from calib_pin.validation.named_array import NamedArray
 from calib_pin.validation.result import CalibrationResult, UrdfResult
-from calib_pin.validation.row_errors import RowErrors
-from calib_pin.validation.splits import FOLDS
+from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
-    Ladder,
+    ModelSelection,
+    NamedArray,
     SolverSummary,
     Statistics,
     ToolAccuracy,
@@ -138,7 +137,7 @@ def calibrate(
         judgement,
         seed,
         files=tuple(filter(None, dict.fromkeys(files))),
-        ladder=None if selected is None else selected.selection,
+        selection=None if selected is None else selected.selection,
         urdf=_urdf(chain, training, model, held, seed, validate),
     )
 
@@ -152,7 +151,7 @@ def _result(
     seed: int,
     *,
     files: tuple[str, ...],
-    ladder: Ladder | None,
+    selection: ModelSelection | None,
     urdf: UrdfResult | None,
 ) -> CalibrationResult:
     """The result of a calibration, from its steps.
@@ -165,15 +164,15 @@ def _result(
         judgement: The judgement of the model.
         seed: Seed of random configurations.
         files: The measurement files.
-        ladder: The model selection, if there was one.
+        selection: The model selection, if there was one.
         urdf: The geometry alone, where the model is more than that.
     """
     fitted = model.fit
     parameters, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
-    checked, unseen = None, None
+    checked, held = None, None
     if held_out.parts:
         checked = ModelErrors.joined(held_out.parts)
-        unseen = _row_errors(model, held_out.measurements, checked)
+        held = _row_errors(model, held_out.measurements, checked)
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
@@ -186,7 +185,6 @@ def _result(
         groups=groups,
         identifiability=fitted_ranks(fitted),
         errors=judgement.errors,
-        training=len(training),
         validation=Validation(
             method=held_out.method,
             count=sum(len(part.before) for part in held_out.counted),
@@ -211,9 +209,9 @@ def _result(
         ),
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_row_errors(model, model.weighted(training), errors, leverages(fitted)),
-        unseen=unseen,
+        held_out=held,
         files=files,
-        ladder=ladder,
+        model_selection=selection,
         urdf=urdf,
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
@@ -312,10 +310,10 @@ def _row_errors(
     measurements: Measurements,
     errors: ModelErrors,
     leverage: Floats | None = None,
-) -> RowErrors:
+) -> MeasurementErrors:
     """Errors with their measurements, in the order of their files."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
-    return RowErrors.of(
+    return MeasurementErrors.of(
         model.problem,
         model.theta,
         measurements.rows(errors.positions),

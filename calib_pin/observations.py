@@ -196,7 +196,7 @@ class Measurements:
         """Number of different configurations; repetitions show nothing new."""
         return int(self.groups().max(initial=-1)) + 1
 
-    def place(self, row: int) -> str:
+    def source(self, row: int) -> str:
         """Where a row stands, as `file:line`, or `row k` where there is no file."""
         if self.files[row]:
             return f"{self.files[row]}:{self.lines[row]}"
@@ -214,7 +214,7 @@ class Measurements:
         told: dict[str, Any] = {"column": column, "allowed": allowed}
         if file := self.files[row]:
             return InputError(reason, file=file, line=int(self.lines[row]), **told)
-        return InputError(f"{self.place(row)}: {reason}", **told)
+        return InputError(f"{self.source(row)}: {reason}", **told)
 
 
 def trusted(data: Measurements) -> Measurements:

@@ -35,7 +35,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.references import Frame
 from calib_pin.measurement_models.rows import contact_rows
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
@@ -194,13 +194,15 @@ def equipped_problem(equipped: Setup) -> Callable[..., Problem]:
             setup = replace(setup, base_frame=FAR)
         problem = nominal_problem(chain, model, setup)
         ends = {"base": frame_pose(FAR), "tool": frame_pose(NEAR)}
-        features = [
-            replace(feature, pose=ends[feature.kind])
-            if isinstance(feature, Frame)
-            else feature
-            for feature in problem.measurement.features
+        references = [
+            replace(reference, pose=ends[reference.kind])
+            if isinstance(reference, Frame)
+            else reference
+            for reference in problem.measurement.references
         ]
-        return replace(problem, measurement=problem.measurement.with_features(features))
+        return replace(
+            problem, measurement=problem.measurement.with_references(references)
+        )
 
     return make
 

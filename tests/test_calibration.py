@@ -32,7 +32,7 @@ def test_five_folds_by_default() -> None:
     chain, rows = measured(60)
     result = calib_pin.calibrate(chain, rows)
     assert (result.verdict, result.validation.method) == ("good", "5-fold")
-    assert (result.training, result.validation.count) == (60, 60)
+    assert (len(result.fitted), result.validation.count) == (60, 60)
     (errors,) = result.errors
     assert errors.validation_before is not None
     assert errors.validation_after is not None
@@ -43,7 +43,7 @@ def test_rows_marked_for_validation_are_not_fitted() -> None:
     chain, rows = measured(60)
     marked = replace(rows, validate=np.arange(60) >= 40)
     first = calib_pin.calibrate(chain, marked)
-    assert (first.validation.method, first.training, first.validation.count) == (
+    assert (first.validation.method, len(first.fitted), first.validation.count) == (
         "set",
         40,
         20,
@@ -60,7 +60,7 @@ def test_a_validation_file_takes_the_place_of_folds() -> None:
     result = calib_pin.calibrate(
         chain, rows.rows(np.arange(50)), validation=rows.rows(np.arange(50, 80))
     )
-    assert (result.validation.method, result.training, result.validation.count) == (
+    assert (result.validation.method, len(result.fitted), result.validation.count) == (
         "file",
         50,
         30,
@@ -71,7 +71,7 @@ def test_holdout_sets_a_part_aside() -> None:
     chain, rows = measured(60)
     result = calib_pin.calibrate(chain, rows, holdout=0.25)
     assert result.validation.method == "holdout"
-    assert (result.training, result.validation.count) == (45, 15)
+    assert (len(result.fitted), result.validation.count) == (45, 15)
     other = calib_pin.calibrate(chain, rows, holdout=0.25, seed=1)
     assert not np.array_equal(result.model.theta, other.model.theta)
 
@@ -80,8 +80,8 @@ def test_repetitions_never_stand_on_both_sides() -> None:
     chain, rows = measured(30)
     twice = rows.rows(np.repeat(np.arange(30), 2))
     result = calib_pin.calibrate(chain, twice, holdout=0.3)
-    assert result.training + result.validation.count == 60
-    assert result.training % 2 == result.validation.count % 2 == 0
+    assert len(result.fitted) + result.validation.count == 60
+    assert len(result.fitted) % 2 == result.validation.count % 2 == 0
 
 
 @pytest.mark.parametrize("holdout", [0.0, 1.0, -0.5, np.nan])
@@ -327,7 +327,9 @@ def test_a_plane_with_a_single_row_stops_no_validation() -> None:
     )
     rng = np.random.default_rng(0)
     problem = nominal_problem(chain, "plane-distance", setup)
-    rows = calib_pin.simulate(problem, problem.held, rng, count=120, noise=1e-4)
+    rows = calib_pin.simulate(
+        problem, np.zeros(len(problem.parameters)), rng, count=120, noise=1e-4
+    )
     of_b = [k for k, name in enumerate(rows.target) if name == "b"]
     kept = np.setdiff1d(np.arange(120), of_b[1:])
     unknown = replace(setup, planes={})

@@ -52,7 +52,7 @@ def test_defaults() -> None:
     assert not plain.stated
     assert plain.validate.tolist() == [False] * 5
     assert plain.lines.tolist() == [0] * 5
-    assert plain.place(3) == "row 3"
+    assert plain.source(3) == "row 3"
     empty = Measurements(("a", "b"), Q[:0], "position", VALUES[:0])
     assert len(empty) == 0 and empty.target == ()
     assert empty.groups().shape == (0,)
@@ -168,8 +168,8 @@ def test_a_sample_is_spread_over_the_rows() -> None:
 
 
 def test_places_are_those_of_the_file() -> None:
-    assert measurements().place(1) == "m.csv:3"
-    assert measurements().rows(np.array([4, 0])).place(0) == "m.csv:6"
+    assert measurements().source(1) == "m.csv:3"
+    assert measurements().rows(np.array([4, 0])).source(0) == "m.csv:6"
 
 
 def test_groups_are_equal_configurations() -> None:
@@ -300,7 +300,7 @@ def test_concatenate_models() -> None:
     np.testing.assert_array_equal(
         data.start, [nowhere, nowhere, nowhere, [8, 9], nowhere, nowhere]
     )
-    assert data.place(2) == "c.csv:7"
+    assert data.source(2) == "c.csv:7"
     np.testing.assert_array_equal(data.q[3:4], moved.q)
     part = data.rows(np.array([3, 2]))
     assert part.model == data.model

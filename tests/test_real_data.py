@@ -92,11 +92,11 @@ def test_ur10_with_fifty_rows_leaves_the_network_out(
     chain, _ = ur10
     rows = ur10_rows("train", chain).rows(np.arange(50))
     setup = calib_pin.Setup(learned="network")
-    ladder = calib_pin.calibrate(chain, rows, setup, ladder=True).ladder
+    ladder = calib_pin.calibrate(chain, rows, setup, ladder=True).model_selection
     assert ladder is not None
-    network = ladder.rungs[-1]
+    network = ladder.candidates[-1]
     assert network.learned == "network" and not network.helps
-    assert ladder.rungs[ladder.chosen].learned is None
+    assert ladder.candidates[ladder.chosen].learned is None
 
 
 def test_ur10_still_looks_like_a_ur10(
@@ -179,8 +179,8 @@ def test_repetitions_stay_together(
     twice = concatenate([rows, rows])
     assert len(np.unique(twice.groups())) == len(np.unique(rows.groups()))
     held = calib_pin.calibrate(chain, twice, holdout=0.25)
-    assert held.training + held.validated == 80
-    assert held.validated % 2 == 0
+    assert len(held.fitted) + held.validation.count == 80
+    assert held.validation.count % 2 == 0
 
 
 def test_nominal_registration_is_the_honest_before() -> None:
@@ -246,7 +246,7 @@ def test_panda_without_a_distance_has_no_scale(
     assert not result.identifiability.scale_observable and result.geometry is None
     assert "scale" in calib_pin.format_report(result)
     # Nothing pulls at it, so it stays nominal: the sockets are not drawn together.
-    sockets = {s.name: s for s in result.model.measurement.features}
+    sockets = {s.name: s for s in result.model.measurement.references}
     apart = sockets["front/0"].xyz - sockets["front/1"].xyz
     assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
 

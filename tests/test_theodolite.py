@@ -165,7 +165,7 @@ def test_commands_know_it(capsys: pytest.CaptureFixture[str]) -> None:
     # Angles tell no length: the fit is good, and its scale is not to be trusted.
     assert run("calibrate pa10 rows.csv --setup setup.yaml -o out --figures out") == 2
     report = capsys.readouterr().out
-    assert report.startswith("UNTRUSTED: the scale is unobservable")
+    assert report.startswith("UNTRUSTED: the absolute scale is unobservable")
     assert "direction" in report and "deg" in report
     document = json.loads(Path("out/calibration.json").read_text())
     assert NAME in json.dumps(document)

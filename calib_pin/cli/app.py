@@ -3,11 +3,12 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
+from typing import Any
 
 import typer
+from typer.core import TyperCommand
 
 from calib_pin.cli.calibrate import calibrate
-from calib_pin.cli.command import Command
 from calib_pin.cli.compare import compare
 from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
@@ -17,6 +18,7 @@ from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
 from calib_pin.cli.simulate import simulate
 from calib_pin.cli.view import view
+from calib_pin.plugins import extensions
 
 COMMANDS: dict[Callable[..., int | None], str] = {
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
@@ -71,3 +73,50 @@ def overview(
         raise typer.Exit
     if context.invoked_subcommand is None:
         typer.echo(context.get_help())
+
+
+class Command(TyperCommand):
+    """A command whose help reads `ROBOT MEASUREMENTS...`, with options by topic."""
+
+    def collect_usage_pieces(self, ctx: Any) -> list[str]:
+        """The words of the usage line."""
+        arguments = [p for p in self.get_params(ctx) if p.param_type_name != "option"]
+        return ["[OPTIONS]", *(argument.metavar or "" for argument in arguments)]
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        """Let an option whose value stands in brackets do without one."""
+        alone = {
+            name
+            for param in self.get_params(ctx)
+            if param.param_type_name == "option" and str(param.metavar)[:1] == "["
+            for name in param.opts
+        }
+        words = []
+        for word, following in zip(args, [*args[1:], "-"], strict=False):
+            words.append(word)
+            if word in alone and following.startswith("-"):
+                words.append("")
+        return super().parse_args(ctx, words)
+
+    def format_options(self, ctx: Any, formatter: Any) -> None:
+        """Arguments, then the options under the heading of their help panel."""
+        topics: dict[str, list[tuple[str, str]]] = {}
+        for param in self.get_params(ctx):
+            if param.param_type_name != "option":
+                row = (param.metavar or "", getattr(param, "help", None) or "")
+                topics.setdefault("Arguments", []).append(row)
+            elif record := param.get_help_record(ctx):
+                topic = getattr(param, "rich_help_panel", None) or "Other"
+                topics.setdefault(topic, []).append((record[0], _filled(record[1])))
+        for topic, rows in topics.items():
+            with formatter.section(topic):
+                formatter.write_dl(rows)
+
+
+def _filled(text: str) -> str:
+    """A help text, in its braces the parameterizations of other packages."""
+    if "{}" not in text:
+        return text
+    outside = extensions("calib_pin.parameterizations").items()
+    kinds = ([n for n, m in outside if m.geometric is kind] for kind in (True, False))
+    return text.format(*("".join(f", {name}" for name in names) for names in kinds))

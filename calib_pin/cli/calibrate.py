@@ -7,14 +7,6 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli.figures import (
-    FigureFormat,
-    Figures,
-    draw_calibration,
-    figure_contents,
-    figure_files,
-    told_figures,
-)
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
@@ -23,8 +15,6 @@ from calib_pin.cli.files import (
     require_distinct,
 )
 from calib_pin.cli.options import (
-    FIT,
-    OUTPUT,
     Base,
     Force,
     Model,
@@ -34,15 +24,22 @@ from calib_pin.cli.options import (
     Seed,
     SetupFile,
     Tip,
+    fit_option,
     number,
-    option,
+    output_option,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (
+    FigureFormat,
+    Figures,
     Run,
     check_results,
+    draw_calibration,
+    figure_contents,
+    figure_files,
     result_contents,
     result_files,
+    told_figures,
     write_results,
 )
 
@@ -58,12 +55,9 @@ def calibrate(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="DIR",
-            help="Folder for the results; without it they are only printed.",
-            rich_help_panel=OUTPUT,
+        output_option(
+            "-o --output DIR",
+            "Folder for the results; without it they are only printed.",
         ),
     ] = None,
     setup: SetupFile = None,
@@ -73,10 +67,8 @@ def calibrate(
     parameters: Parameters = None,
     solver: Annotated[
         str | None,
-        option(
-            FIT,
-            "--solver",
-            "NAME",
+        fit_option(
+            "--solver NAME",
             "gauss-newton (default), two-step (alternating: frames and "
             "instrument, then the robot), de (differential evolution), or hybrid: de, "
             "then gauss-newton, for errors of centimeters and degrees.",
@@ -84,10 +76,8 @@ def calibrate(
     ] = None,
     loss: Annotated[
         str | None,
-        option(
-            FIT,
-            "--loss",
-            "NAME",
+        fit_option(
+            "--loss NAME",
             "auto (default) sets outliers aside where there are any; gnc always "
             "searches for them; huber gives them less weight; squared weights all "
             "measurements equally.",
@@ -95,20 +85,16 @@ def calibrate(
     ] = None,
     learned: Annotated[
         str | None,
-        option(
-            FIT,
-            "--learned",
-            "NAME",
+        fit_option(
+            "--learned NAME",
             "Learn the errors that no parameter describes: network or "
             "gaussian-process; with --model-ladder the only one that is tried.",
         ),
     ] = None,
     model_ladder: Annotated[
         bool,
-        option(
-            FIT,
+        fit_option(
             "--model-ladder",
-            None,
             "Select the model: try joint offsets, geometry, transmission, "
             "compliance and learned corrections on held-out measurements, and take "
             "the simplest of the best.",
@@ -116,19 +102,14 @@ def calibrate(
     ] = False,
     validation: Annotated[
         Path | None,
-        option(
-            FIT,
-            "--validation",
-            "FILE",
-            "Check the fit on the measurements of this file.",
+        fit_option(
+            "--validation FILE", "Check the fit on the measurements of this file."
         ),
     ] = None,
     holdout: Annotated[
         float | None,
-        option(
-            FIT,
-            "--holdout",
-            "PART",
+        fit_option(
+            "--holdout PART",
             "Hold out this part of the measurements, such as 0.2, for the check.",
             number(float, "--holdout", "a number between 0 and 1"),
         ),

@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli.figures import (
+from calib_pin.cli.files import check_outputs, require_distinct, require_file
+from calib_pin.cli.options import Force, Json, seed
+from calib_pin.cli.printing import say, say_written, show
+from calib_pin.cli.results import (
     FigureFormat,
     Figures,
     draw_comparison,
@@ -15,12 +18,6 @@ from calib_pin.cli.figures import (
     figure_files,
     told_figures,
 )
-from calib_pin.cli.files import check_outputs, require_distinct, require_file
-from calib_pin.cli.options import Force, Json, seed
-from calib_pin.cli.printing import say, say_written, show
-
-WORKSPACE = "Workspace"
-"""Heading of `--help`."""
 
 
 def compare(
@@ -34,7 +31,7 @@ def compare(
         ),
     ],
     seed: Annotated[
-        int, seed(WORKSPACE, "Random seed of the configurations that are compared.")
+        int, seed("Workspace", "Random seed of the configurations that are compared.")
     ] = 0,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
@@ -54,7 +51,7 @@ def compare(
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_file import read_result
     from calib_pin.io.staging import write_files
-    from calib_pin.report.comparison_text import comparison_report
+    from calib_pin.report.comparison import comparison_report
     from calib_pin.validation.comparison import compare as run
 
     files = (first, second)

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -14,7 +15,14 @@ from calib_pin.cli.files import (
     require_file,
     require_joints_only,
 )
-from calib_pin.cli.options import Force, Json, Quiet, SetupFile, csv_file
+from calib_pin.cli.options import (
+    Force,
+    Json,
+    Quiet,
+    SetupFile,
+    option,
+    output_option,
+)
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -22,15 +30,16 @@ from calib_pin.cli.printing import (
     say_written,
     show,
     stage,
+    told_command,
 )
+from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
     from calib_pin.validation.calibrated_model import CalibratedModel
 
-TARGETS = "Targets"
-"""Heading of `--help`."""
+targets_option = partial(option, "Targets")
 
 FRAMES = ("measuring", "base")
 POINTS = ("tool", "tip")
@@ -49,44 +58,36 @@ def compensate(
             "start from), or of joint positions alone: a motion of the nominal robot.",
         ),
     ],
-    output: Annotated[Path, csv_file("File of joint commands to write.")],
+    output: Annotated[
+        Path, output_option("-o --output CSV", "File of joint commands to write.")
+    ],
     frame: Annotated[
         str | None,
-        typer.Option(
-            "--frame",
-            metavar="NAME",
-            help="Frame of the targets: measuring (default), that of the "
+        targets_option(
+            "--frame NAME",
+            "Frame of the targets: measuring (default), that of the "
             "measurements, or base, the base link.",
-            rich_help_panel=TARGETS,
         ),
     ] = None,
     point: Annotated[
         str | None,
-        typer.Option(
-            "--point",
-            metavar="NAME",
-            help="Point to bring there: tool (default), the measured point, or tip, "
+        targets_option(
+            "--point NAME",
+            "Point to bring there: tool (default), the measured point, or tip, "
             "the tip link.",
-            rich_help_panel=TARGETS,
         ),
     ] = None,
     payload: Annotated[
         str | None,
-        typer.Option(
-            "--payload",
-            metavar="NAME",
-            help="Payload of the robot, by its name in the setup of the calibration; "
+        targets_option(
+            "--payload NAME",
+            "Payload of the robot, by its name in the setup of the calibration; "
             "none for nothing.",
-            rich_help_panel=TARGETS,
         ),
     ] = None,
     position: Annotated[
         bool,
-        typer.Option(
-            "--position",
-            help="Reach positions only, with any orientation.",
-            rich_help_panel=TARGETS,
-        ),
+        targets_option("--position", "Reach positions only, with any orientation."),
     ] = False,
     setup: SetupFile = None,
     force: Force = False,
@@ -102,12 +103,9 @@ def compensate(
     are written, of a motion none), or the calibration must not be trusted (no command
     is written).
     """
-    import shlex
-
     import numpy as np
 
     from calib_pin.control.compensation import ends_estimated, with_payload
-    from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import compensation_document
     from calib_pin.io.json_text import encode
     from calib_pin.io.results import read_accuracy, read_calibration
@@ -173,9 +171,7 @@ def compensate(
     written = bool(len(rows)) and not doubts and (good or not motion)
     contents = {}
     if written:
-        # `--force` is left out: it changes nothing of what follows.
-        words = [word for word in context.obj if word != "--force"]
-        comment = f"commands of: {shlex.join(['calib-pin', *words])}"
+        comment = f"commands of: {told_command(context)}"
         table = encode_commands(asked, found.q[rows], rows, comments=[comment])
         contents[output] = table
     with write_files(contents, force=force):

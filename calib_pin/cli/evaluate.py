@@ -16,13 +16,13 @@ from calib_pin.cli.files import (
     require_file,
 )
 from calib_pin.cli.options import (
-    FIT,
     Base,
     Json,
     Model,
     RobotOrCalibration,
     SetupFile,
     Tip,
+    fit_option,
 )
 from calib_pin.cli.printing import progress_bar, show, stage
 
@@ -38,11 +38,10 @@ def evaluate(
     tip: Tip = None,
     register: Annotated[
         bool,
-        typer.Option(
+        fit_option(
             "--register",
-            help="Register the frames and the instrument of a calibration on these "
+            "Register the frames and the instrument of a calibration on these "
             "measurements.",
-            rich_help_panel=FIT,
         ),
     ] = False,
     json: Json = False,
@@ -74,7 +73,7 @@ def evaluate(
     require_distinct(measurements)
     sockets: list[str] = []
     if isinstance(subject, CalibratedModel):
-        sockets = [feature.name for feature in subject.measurement.features]
+        sockets = [reference.name for reference in subject.measurement.references]
     with progress_bar() as bar:
         rows = open_measurements(measurements, chain, stated, sockets=sockets, bar=bar)
         stage(bar, "evaluate")

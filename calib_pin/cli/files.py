@@ -7,6 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib_pin.cli.printing import Bar, notice, stage
+from calib_pin.errors import OptionError, RobotError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
@@ -34,7 +35,6 @@ def open_setup(
     """
     from dataclasses import replace
 
-    from calib_pin.errors import OptionError, require_known
     from calib_pin.estimation.robust.weights import LOSSES
     from calib_pin.estimation.solve import SOLVERS
     from calib_pin.io.models_of_files import check_model
@@ -79,7 +79,6 @@ def require_model(setup: Setup) -> str:
     Raises:
         OptionError: If neither the setup nor a flag names one.
     """
-    from calib_pin.errors import OptionError
     from calib_pin.measurement_models import MEASUREMENT_MODELS
 
     if setup.model is None:
@@ -96,7 +95,6 @@ def open_chain(robot: str, setup: Setup) -> Chain:
     Raises:
         RobotError: If the robot or a frame cannot be used.
     """
-    from calib_pin.errors import RobotError
     from calib_pin.io.urdf import load_robot
     from calib_pin.kinematics.chain import Chain
 
@@ -126,7 +124,6 @@ def open_calibration(
     """
     from dataclasses import replace
 
-    from calib_pin.errors import OptionError
     from calib_pin.io.results import read_calibration
 
     if file is None and (setup.base or setup.tip or setup.model):
@@ -143,7 +140,6 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
     Raises:
         OptionError: If it does.
     """
-    from calib_pin.errors import OptionError
     from calib_pin.setup import Setup
 
     if file is not None and setup != Setup(joints=setup.joints):
@@ -162,8 +158,6 @@ def require_file(path: str | Path, other: str = "") -> None:
     Raises:
         OptionError: If it is such a folder.
     """
-    from calib_pin.errors import OptionError
-
     inside = Path(path, "calibration.json")
     if exists(inside):
         raise OptionError("is a folder", file=path, allowed=f"{inside}{other}")
@@ -213,8 +207,6 @@ def require_folders(folders: Sequence[Path]) -> None:
     Raises:
         OptionError: If one is missing, or is a file.
     """
-    from calib_pin.errors import OptionError
-
     for folder in folders:
         if not exists(folder):
             raise OptionError("no such folder", file=folder)
@@ -228,8 +220,6 @@ def require_distinct(files: Sequence[Path]) -> None:
     Raises:
         OptionError: If a file is given twice.
     """
-    from calib_pin.errors import OptionError
-
     for position, file in enumerate(files):
         if any(_same(file, other) for other in files[:position]):
             raise OptionError("this file is given twice", file=file)
@@ -251,7 +241,6 @@ def check_outputs(
         OptionError: If an output exists without `force`, is a folder or an input, or
             is given twice, or would be the folder of another.
     """
-    from calib_pin.errors import OptionError
     from calib_pin.io.urdf import locate_robot
 
     read = [locate_robot(str(file)) for file in inputs if file is not None]

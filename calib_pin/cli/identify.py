@@ -83,5 +83,5 @@ def identify(
     else:
         doubts = [] if verdict in TRUSTED else [judged(reason, verdict)]
         fitted = bool(measurements)
-        show([*doubts, *identified(found, fitted=fitted, remedies=better)])
+        show([*doubts, *identified(found, fitted=fitted, suggestions=better)])
     return 0 if verdict in TRUSTED else 2

@@ -3,16 +3,17 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from functools import partial
 from pathlib import Path
-from typing import Annotated, Any, TypeVar
+from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 
 import typer
 
-ROBOT = "Robot"
-FIT = "Fit"
-OUTPUT = "Output"
-"""Headings of `--help`."""
+from calib_pin.errors import OptionError
+
+if TYPE_CHECKING:
+    from calib_pin.kinematics.chain import Chain
 
 _Number = TypeVar("_Number", int, float)
 
@@ -27,8 +28,6 @@ def number(
     """A parser of a number whose errors name the option, the value and the range."""
 
     def parse(text: str) -> _Number:
-        from calib_pin.errors import OptionError
-
         try:
             value = kind(text)
         except ValueError:
@@ -44,21 +43,35 @@ def number(
 
 def option(
     heading: str,
-    name: str,
-    metavar: str | None,
+    usage: str,
     meaning: str,
     parser: Callable[[str], Any] | None = None,
     callback: Callable[..., Any] | None = None,
 ) -> Any:
-    """An option under a heading of `--help`; without a metavar, a switch."""
+    """An option under a heading of `--help`.
+
+    Args:
+        heading: The heading.
+        usage: Its names and the word for its value; without that, a switch.
+        meaning: Its help.
+        parser: Makes a value of what was written.
+        callback: Sees the value before the command does.
+    """
+    words = usage.split()
+    names = [word for word in words if word.startswith("-")]
     return typer.Option(
-        name,
-        metavar=metavar,
+        *names,
+        metavar=" ".join(words[len(names) :]) or None,
         help=meaning,
         parser=parser,
         callback=callback,
         rich_help_panel=heading,
     )
+
+
+robot_option, fit_option, output_option = (
+    partial(option, heading) for heading in ("Robot", "Fit", "Output")
+)
 
 
 def listed(model: str | None) -> str | None:
@@ -88,15 +101,12 @@ RobotOrCalibration = Annotated[
     ),
 ]
 SetupFile = Annotated[
-    Path | None,
-    option(ROBOT, "--setup", "FILE", "Setup file (YAML); options override it."),
+    Path | None, robot_option("--setup FILE", "Setup file (YAML); options override it.")
 ]
 Model = Annotated[
     str | None,
-    option(
-        ROBOT,
-        "--model",
-        "NAME",
+    robot_option(
+        "--model NAME",
         "Measurement model, or several joined by +; by default inferred from the "
         "columns. 'list' prints all.",
         callback=listed,
@@ -104,35 +114,88 @@ Model = Annotated[
 ]
 Base = Annotated[
     str | None,
-    option(ROBOT, "--base", "LINK", "First link of the chain; by default the root."),
+    robot_option("--base LINK", "First link of the chain; by default the root."),
 ]
 Tip = Annotated[
     str | None,
-    option(ROBOT, "--tip", "LINK", "Last link of the chain; by default the only leaf."),
+    robot_option("--tip LINK", "Last link of the chain; by default the only leaf."),
 ]
 Parameters = Annotated[
     str | None,
-    option(
-        ROBOT, "--parameters", "P,...", "{parameterizations}; several may be combined."
+    robot_option(
+        "--parameters P,...",
+        "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
+        "geometry transmission, compliance{}; several may be combined.",
     ),
 ]
 
 
-def seed(heading: str, what: str = "Random seed.") -> Any:
-    """The option `--seed` under a heading of `--help`."""
+def seed(heading: str, meaning: str = "Random seed.") -> Any:
+    """The option `--seed`."""
     return option(
-        heading, "--seed", "N", what, number(int, "--seed", "0, 1, 2, ...", 0)
+        heading, "--seed N", meaning, number(int, "--seed", "0, 1, 2, ...", 0)
     )
 
 
-def csv_file(what: str) -> Any:
-    """The option `-o` of a command that writes one table."""
-    return typer.Option(
-        "-o", "--output", metavar="CSV", help=what, rich_help_panel=OUTPUT
-    )
+Seed = Annotated[int, seed("Fit")]
+Force = Annotated[bool, output_option("--force", "Replace existing output.")]
+Quiet = Annotated[bool, output_option("--quiet", "Print nothing but errors.")]
+Json = Annotated[bool, output_option("--json", "Print JSON.")]
 
 
-Seed = Annotated[int, seed(FIT)]
-Force = Annotated[bool, option(OUTPUT, "--force", None, "Replace existing output.")]
-Quiet = Annotated[bool, option(OUTPUT, "--quiet", None, "Print nothing but errors.")]
-Json = Annotated[bool, option(OUTPUT, "--json", None, "Print JSON.")]
+def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:
+    """Limits by joint name or glob [rad, m].
+
+    Args:
+        words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
+        chain: The chain; whether a name is one of its joints is checked later.
+
+    Raises:
+        OptionError: If a word is not of this form, the limits cross, or the unit is
+            none of a joint that is meant.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> parse_limits(["joint_1=-90:90 [deg]", "joint_2=0:0.35"], chain)["joint_2"]
+        (0.0, 0.35)
+    """
+    from calib_pin.io.columns import ANGLE, LENGTH, split_header
+    from calib_pin.parameters import matching
+
+    units = {**ANGLE.units, **LENGTH.units}
+    limits = {}
+    for word in words:
+        # The name of a joint may hold a sign of equality, an interval cannot.
+        joint, _, rest = word.rpartition("=")
+        joint = joint.strip()
+        interval, unit = split_header(rest)
+        low, _, high = interval.partition(":")
+        try:
+            factor = 1.0 if unit is None else units[unit]
+            lower, upper = factor * float(low), factor * float(high)
+        except (KeyError, ValueError):
+            joint = ""
+        if not joint:
+            raise OptionError(
+                f"--limits cannot be {word!r}",
+                allowed="JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
+                + ", ".join(units),
+            )
+        # Degrees would leave a joint as free as it was, without a word.
+        if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
+            raise OptionError(
+                f"--limits cannot be {word!r}",
+                allowed=f"LOWER up to UPPER, at most {ANGLE.largest:.4g} rad or m; "
+                "other units in brackets: [deg]",
+            )
+        for k in matching(joint, chain.joints):
+            kind = ANGLE if chain.revolute[k] else LENGTH
+            if unit is not None and unit not in kind.units:
+                raise OptionError(
+                    f"--limits cannot be {word!r}: joint '{chain.joints[k]}' is "
+                    f"{'revolute' if chain.revolute[k] else 'prismatic'}",
+                    allowed=", ".join(kind.units),
+                )
+        limits[joint] = (lower, upper)
+    return limits

@@ -5,19 +5,12 @@ from __future__ import annotations
 import signal
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
-from calib_pin.cli.figures import (
-    FigureFormat,
-    Figures,
-    draw_plan,
-    figure_contents,
-    figure_files,
-    told_figures,
-)
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
@@ -37,21 +30,38 @@ from calib_pin.cli.options import (
     RobotName,
     SetupFile,
     Tip,
-    csv_file,
     number,
     option,
+    output_option,
+    parse_limits,
 )
 from calib_pin.cli.options import seed as seed_option
-from calib_pin.cli.printing import notice, progress_bar, say, say_written, show
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say,
+    say_written,
+    show,
+    told_command,
+)
+from calib_pin.cli.results import (
+    FigureFormat,
+    Figures,
+    draw_plan,
+    figure_contents,
+    figure_files,
+    told_figures,
+)
+from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.kinematics.collision import Collisions
     from calib_pin.setup import Setup
 
-PLAN = "Plan"
-WORKSPACE = "Constraints"
-"""Headings of `--help`."""
+plan_option, workspace_option = (
+    partial(option, heading) for heading in ("Plan", "Constraints")
+)
 
 COUNT = number(int, "--count", "1 to 1000", 1, 1000)
 
@@ -59,82 +69,67 @@ COUNT = number(int, "--count", "1 to 1000", 1, 1000)
 def plan(
     context: typer.Context,
     robot: RobotName,
-    output: Annotated[Path, csv_file("File of configurations to write.")],
+    output: Annotated[
+        Path, output_option("-o --output CSV", "File of configurations to write.")
+    ],
     model: Model = None,
     count: Annotated[
-        int | None, option(PLAN, "--count", "N", "Number of configurations.", COUNT)
+        int | None, plan_option("--count N", "Number of configurations.", COUNT)
     ] = None,
     add: Annotated[
         str | None,
-        option(
-            PLAN,
-            "--add",
-            "[N]",
-            "Number of configurations to add to the measurements of --to.",
+        plan_option(
+            "--add [N]", "Number of configurations to add to the measurements of --to."
         ),
     ] = None,
     to: Annotated[
         list[Path] | None,
-        option(
-            PLAN, "--to", "CSV", "Measurements that exist already; may be repeated."
-        ),
+        plan_option("--to CSV", "Measurements that exist already; may be repeated."),
     ] = None,
     criterion: Annotated[
         str,
-        option(
-            PLAN,
-            "--criterion",
-            "NAME",
+        plan_option(
+            "--criterion NAME",
             "prediction (default; the predicted tool-point uncertainty), "
             "condition, or O1 to O5.",
         ),
     ] = "prediction",
     method: Annotated[
         str,
-        option(
-            PLAN,
-            "--method",
-            "NAME",
+        plan_option(
+            "--method NAME",
             "auto (default; exchange, then gradient), exchange, greedy, pso, ga "
             "or gradient.",
         ),
     ] = "auto",
     candidates: Annotated[
         int,
-        option(
-            PLAN,
-            "--candidates",
-            "N",
+        plan_option(
+            "--candidates N",
             "Quasi-random configurations to choose from.",
             number(int, "--candidates", "1 to 100000", 1, 1e5),
         ),
     ] = 1000,
     tests: Annotated[
         Path | None,
-        option(
-            PLAN,
-            "--tests",
-            "CSV",
+        plan_option(
+            "--tests CSV",
             "Configurations where the robot is to be accurate; by default everywhere.",
         ),
     ] = None,
-    seed: Annotated[int, seed_option(PLAN)] = 0,
+    seed: Annotated[int, seed_option("Plan")] = 0,
     limits: Annotated[
         list[str] | None,
-        option(
-            WORKSPACE,
-            "--limits",
-            "JOINT=A:B",
+        workspace_option(
+            "--limits JOINT=A:B",
             "Narrower joint limits, such as 'joint_*=-2:2' or "
             "'elbow=-120:120 [deg]'; may be repeated.",
         ),
     ] = None,
     distance: Annotated[
         float,
-        option(
-            WORKSPACE,
-            "--distance",
-            "D",
+        workspace_option(
+            "--distance D",
             "Least distance between configurations, as the largest movement of "
             "a joint [rad, m].",
             number(float, "--distance", "0 to 10", 0.0, 10.0),
@@ -142,34 +137,28 @@ def plan(
     ] = 0.0,
     srdf: Annotated[
         Path | None,
-        option(
-            WORKSPACE,
-            "--srdf",
-            "FILE",
+        workspace_option(
+            "--srdf FILE",
             "SRDF file of the pairs of links that need no collision check.",
         ),
     ] = None,
     package_dir: Annotated[
         list[Path] | None,
-        option(
-            WORKSPACE,
-            "--package-dir",
-            "DIR",
+        workspace_option(
+            "--package-dir DIR",
             "Folder of the packages of collision meshes; may be repeated.",
         ),
     ] = None,
     clearance: Annotated[
         float | None,
-        option(
-            WORKSPACE,
-            "--clearance",
-            "S",
+        workspace_option(
+            "--clearance S",
             "Least distance from obstacles and between links [m]; default 0.01.",
             number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
         ),
     ] = None,
     ignore_collisions: Annotated[
-        bool, option(WORKSPACE, "--ignore-collisions", None, "Check no collisions.")
+        bool, workspace_option("--ignore-collisions", "Check no collisions.")
     ] = False,
     setup: SetupFile = None,
     base: Base = None,
@@ -189,8 +178,6 @@ def plan(
     """
     from dataclasses import replace
 
-    from calib_pin.cli.limits import parse_limits
-    from calib_pin.errors import OptionError, require_known
     from calib_pin.io.documents import plan_document
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import (
@@ -259,16 +246,12 @@ def plan(
         )
         drawn = draw_plan(found, bar) if pictures else []
         contents = figure_contents(drawn, pictures)
-    import shlex
-
-    # `--force` is left out: it changes nothing of what follows.
-    words = [word for word in context.obj if word != "--force"]
     table = encode_configurations(
         chain,
         found.q,
         found.target,
         joints=stated.joints,
-        comments=[f"planned by: {shlex.join(['calib-pin', *words])}"],
+        comments=[f"planned by: {told_command(context)}"],
     )
     with write_files({output: table, **contents}, force=force):
         if json:
@@ -285,8 +268,6 @@ def plan(
 
 def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:
     """Number of configurations: `--count N`, or `--add N --to CSV`."""
-    from calib_pin.errors import OptionError
-
     if add is not None and not to:
         raise OptionError("--add needs the measurements to add to: --to CSV")
     if to and add is None:

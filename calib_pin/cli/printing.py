@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import os
+import shlex
 import sys
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
@@ -33,6 +34,12 @@ def show(blocks: Iterable[Block]) -> None:
         console.print(laid_out(blocks))
     else:
         say(plain_text(blocks))
+
+
+def told_command(context: typer.Context) -> str:
+    """The command line, but for `--force`, which changes nothing of what follows."""
+    words = [word for word in context.obj if word != "--force"]
+    return shlex.join(["calib-pin", *words])
 
 
 def say(text: str) -> None:

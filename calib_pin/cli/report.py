@@ -7,7 +7,10 @@ from typing import Annotated
 
 import typer
 
-from calib_pin.cli.figures import (
+from calib_pin.cli.files import check_outputs
+from calib_pin.cli.options import Force, Quiet, output_option
+from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.cli.results import (
     FigureFormat,
     Figures,
     draw_calibration,
@@ -15,9 +18,6 @@ from calib_pin.cli.figures import (
     figure_files,
     told_figures,
 )
-from calib_pin.cli.files import check_outputs
-from calib_pin.cli.options import OUTPUT, Force, Quiet
-from calib_pin.cli.printing import notice, progress_bar, say_written, show
 
 
 def report(
@@ -29,12 +29,9 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        typer.Option(
-            "-o",
-            "--output",
-            metavar="PAGE",
-            help="The page; default report.html of the folder, which is replaced.",
-            rich_help_panel=OUTPUT,
+        output_option(
+            "-o --output PAGE",
+            "The page; default report.html of the folder, which is replaced.",
         ),
     ] = None,
     figures: Figures = None,
@@ -50,7 +47,7 @@ def report(
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.measurement_errors import FILE_NAME
-    from calib_pin.io.result_file import document_file, read_remedies, read_written
+    from calib_pin.io.result_file import document_file, read_suggestions, read_written
     from calib_pin.io.result_folder import REPORT
     from calib_pin.io.staging import write_files
     from calib_pin.report.html import html_report
@@ -66,14 +63,14 @@ def report(
     check_outputs([page, *pictures], inputs, force or own)
     if FILE_NAME not in document.get("files", {}):
         notice(f"{file} has no {FILE_NAME}: nothing is known of single measurements")
-    remedies = read_remedies(document)
+    suggestions = read_suggestions(document)
     with progress_bar(quiet=quiet) as bar:
         drawn = draw_calibration(result, bar)
         contents = figure_contents(drawn, pictures)
-        text = html_report(result, document, figures=drawn, remedies=remedies)
+        text = html_report(result, document, figures=drawn, suggestions=suggestions)
     with write_files({page: text, **contents}, force=force or own):
         if not quiet:
-            show(blocks(result, remedies))
+            show(blocks(result, suggestions))
     told = told_figures(contents, pictures)
     if not quiet:
         say_written([f"wrote {page}", *told])

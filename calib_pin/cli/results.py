@@ -1,19 +1,23 @@
-"""The files that a calibration leaves."""
+"""The files that commands leave: those of a calibration, and figures."""
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Collection, Iterator, Mapping, Sequence
 from contextlib import contextmanager
 from pathlib import Path
-from typing import TYPE_CHECKING, NamedTuple
+from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.printing import notice
+from calib_pin.cli.options import output_option
+from calib_pin.cli.printing import Bar, notice
+from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Robot
+    from calib_pin.planning.plan import Plan
     from calib_pin.planning.suggestions import Suggestion
     from calib_pin.report.figures import Drawn
+    from calib_pin.validation.comparison import Comparison
     from calib_pin.validation.result import CalibrationResult
 
 
@@ -45,7 +49,6 @@ def result_files(folder: Path, robot: str) -> ResultFiles:
     Raises:
         OptionError: If a file stands in the place of the folder.
     """
-    from calib_pin.errors import OptionError
     from calib_pin.io import measurement_errors, residual_model
     from calib_pin.io.result_folder import DOCUMENT, NOMINAL, REPORT, urdf_name
 
@@ -93,7 +96,7 @@ def result_contents(
     run: Run,
     figures: Sequence[Drawn],
     pictures: Mapping[Path, bytes],
-    remedies: Sequence[Suggestion],
+    suggestions: Sequence[Suggestion],
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 
@@ -104,7 +107,7 @@ def result_contents(
         run: How it came about.
         figures: What is drawn of it.
         pictures: Figures that go into files of their own.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     from calib_pin.io.calibration_document import calibration_document, provenance
     from calib_pin.io.journal import inside, listed, sha256
@@ -116,7 +119,7 @@ def result_contents(
     from calib_pin.io.urdf import is_source
     from calib_pin.report.html import html_report
 
-    document = calibration_document(result, provenance(*run), remedies=remedies)
+    document = calibration_document(result, provenance(*run), suggestions=suggestions)
     document["run"] = run_id(document, encode_residual_model(result.model))
     contents = {files.nominal: result.model.chain.robot.source}
     if result.verdict == "no-gain":
@@ -127,7 +130,7 @@ def result_contents(
     if learned is not None:
         document["residual_model"] = reference(learned)
         contents[files.residual_model] = learned
-    page = html_report(result, document, figures=figures, remedies=remedies)
+    page = html_report(result, document, figures=figures, suggestions=suggestions)
     contents[files.measurements] = encode_errors(result, document["run"])
     contents |= {files.report: page, **pictures}
     document["files"] = {
@@ -178,3 +181,108 @@ def write_results(
             f"'{result.model.chain.tip}' is the link of the last joint itself: the "
             "error behind that joint is in frames.tool of calibration.json"
         )
+
+
+FORMATS = ("png", "pdf", "svg")
+"""Formats of pictures by the ending of their names."""
+
+
+def _format(word: str) -> str:
+
+    require_known("figure format", word, FORMATS)
+    return word
+
+
+Figures = Annotated[
+    Path | None, output_option("--figures DIR", "Folder for the figures.")
+]
+FigureFormat = Annotated[
+    str, output_option("--figure-format FORMAT", "png (default), pdf or svg.", _format)
+]
+
+
+def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
+    """The files that figures may be written to; none without a folder.
+
+    Args:
+        folder: The folder.
+        kind: One of `FORMATS`.
+        of: Their subject, `calibration`, `plan` or `comparison`.
+
+    Raises:
+        OptionError: If there can be no such folder.
+    """
+    import os
+
+    if folder is None:
+        return []
+    # Known before the work, not after it.
+    place = next(filter(exists, (folder, *folder.absolute().parents)))
+    if not place.is_dir():
+        raise OptionError("is a file, not a folder", file=place)
+    if not os.access(place, os.W_OK):
+        raise OptionError("is a folder in which nothing can be written", file=place)
+    # It takes half a second to load what draws.
+    from calib_pin.report.figures import NAMES
+
+    return [folder / f"{name}.{kind}" for name in NAMES[of]]
+
+
+def draw_calibration(result: CalibrationResult, bar: Bar | None) -> list[Drawn]:
+    """The figures of a calibration."""
+    from calib_pin.report.figures import NAMES, calibration_figures
+
+    return _told(calibration_figures(result), len(NAMES["calibration"]), bar)
+
+
+def draw_plan(plan: Plan, bar: Bar | None) -> list[Drawn]:
+    """The figures of a plan."""
+    from calib_pin.report.figures import NAMES, plan_figures
+
+    return _told(plan_figures(plan), len(NAMES["plan"]), bar)
+
+
+def draw_comparison(found: Comparison) -> list[Drawn]:
+    """The figures of a comparison."""
+    from calib_pin.report.figures import comparison_figures
+
+    return list(comparison_figures(found.drift))
+
+
+def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:
+    """All figures, with progress."""
+    result = []
+    for figure in drawn:
+        result.append(figure)
+        if bar is not None:
+            bar("figures", len(result) / count)
+    return result
+
+
+def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:
+    """Figures as pictures.
+
+    Args:
+        drawn: The figures.
+        files: What `figure_files` gave; there are no pictures where that is empty.
+    """
+    figures = {figure.name: figure for figure in drawn}
+    return {
+        path: figures[path.stem].picture(path.suffix[1:])
+        for path in files
+        if path.stem in figures
+    }
+
+
+def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]:
+    """Figures that were written, in words, and a note on those of an earlier run.
+
+    Args:
+        pictures: Those that were written.
+        files: What `figure_files` gave.
+    """
+    for path in files:
+        if path not in pictures and exists(path):
+            notice(f"{path} is not from this run, which has no such figure")
+    count = f"{len(pictures)} figure{'s' if len(pictures) != 1 else ''}"
+    return [f"wrote {count} to {files[0].parent}"] if files else []

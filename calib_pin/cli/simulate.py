@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from functools import partial
 from pathlib import Path
 from typing import Annotated
 
@@ -14,71 +15,68 @@ from calib_pin.cli.files import (
     require_model,
 )
 from calib_pin.cli.options import (
-    OUTPUT,
     Base,
     Force,
     Parameters,
     RobotName,
     SetupFile,
     Tip,
-    csv_file,
     listed,
     number,
     option,
+    output_option,
 )
 from calib_pin.cli.options import seed as seed_option
-from calib_pin.cli.printing import notice, progress_bar, say_written, stage
+from calib_pin.cli.printing import (
+    notice,
+    progress_bar,
+    say_written,
+    stage,
+    told_command,
+)
+from calib_pin.errors import OptionError
 
-STUDY = "Simulation"
-"""Heading of `--help`."""
+study_option = partial(option, "Simulation")
 
 
 def simulate(
     context: typer.Context,
     robot: RobotName,
-    output: Annotated[Path, csv_file("Measurement file to write.")],
+    output: Annotated[
+        Path, output_option("-o --output CSV", "Measurement file to write.")
+    ],
     model: Annotated[
         str | None,
-        option(
-            STUDY,
-            "--model",
-            "NAME",
-            "Measurement model; 'list' prints all.",
-            callback=listed,
+        study_option(
+            "--model NAME", "Measurement model; 'list' prints all.", callback=listed
         ),
     ] = None,
     count: Annotated[
         int | None,
-        option(
-            STUDY,
-            "--count",
-            "N",
+        study_option(
+            "--count N",
             "Number of random configurations, or",
             number(int, "--count", "1 to 1000000", 1, 1e6),
         ),
     ] = None,
     configurations: Annotated[
         Path | None,
-        option(STUDY, "--configurations", "CSV", "the configurations of this file."),
+        study_option("--configurations CSV", "the configurations of this file."),
     ] = None,
     errors: Annotated[
         Path | None,
-        option(
-            STUDY,
-            "--errors",
-            "YAML",
-            "True errors by parameter name [m, rad]; by default drawn.",
+        study_option(
+            "--errors YAML", "True errors by parameter name [m, rad]; by default drawn."
         ),
     ] = None,
     seed: Annotated[
-        int, seed_option(STUDY, "Random seed of errors, configurations and noise.")
+        int,
+        seed_option("Simulation", "Random seed of errors, configurations and noise."),
     ] = 0,
     noise: Annotated[
         float | None,
-        option(
-            STUDY,
-            "--noise",
-            "S",
+        study_option(
+            "--noise S",
             "Standard deviation of every component [m, rad]; by default that of "
             "the setup file, or 0.1 mm and 0.1 mrad.",
             number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
@@ -86,26 +84,21 @@ def simulate(
     ] = None,
     repeats: Annotated[
         int,
-        option(
-            STUDY,
-            "--repeats",
-            "K",
+        study_option(
+            "--repeats K",
             "Readings per configuration.",
             number(int, "--repeats", "1 to 1000000", 1, 1e6),
         ),
     ] = 1,
     average: Annotated[
         bool,
-        option(
-            STUDY,
-            "--average",
-            None,
-            "Average the readings of a configuration into one measurement.",
+        study_option(
+            "--average", "Average the readings of a configuration into one measurement."
         ),
     ] = False,
     truth: Annotated[
         Path | None,
-        option(OUTPUT, "--truth", "URDF", "Write the robot with its true errors."),
+        output_option("--truth URDF", "Write the robot with its true errors."),
     ] = None,
     setup: SetupFile = None,
     base: Base = None,
@@ -119,11 +112,8 @@ def simulate(
     parameter, such as plus and minus 1 mm and 3 mrad for a placement. Frames and planes
     are taken from the setup file.
     """
-    import shlex
-
     import numpy as np
 
-    from calib_pin.errors import OptionError
     from calib_pin.estimation.formulation import nominal_problem
     from calib_pin.io.measurements import (
         encode_measurements,
@@ -155,9 +145,7 @@ def simulate(
         q = read_configurations(configurations, chain, stated.joints)
         target = read_names(configurations, "target")
         payload = read_names(configurations, "payload")
-    # `--force` is left out: it changes nothing of what follows.
-    words = [word for word in context.obj if word != "--force"]
-    comment = f"simulated by: {shlex.join(['calib-pin', *words])}"
+    comment = f"simulated by: {told_command(context)}"
     with progress_bar() as bar:
         stage(bar, "measure")
         rows = run(

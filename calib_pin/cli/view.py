@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
@@ -24,8 +25,10 @@ from calib_pin.cli.options import (
     SetupFile,
     Tip,
     number,
+    option,
 )
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
+from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
@@ -33,8 +36,7 @@ if TYPE_CHECKING:
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.viewer.scene import Rows, Scene
 
-WINDOW = "Window"
-"""Heading of `--help`."""
+window_option = partial(option, "Window")
 
 
 def view(
@@ -44,39 +46,23 @@ def view(
         typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
     ] = None,
     plan: Annotated[
-        Path | None,
-        typer.Option(
-            "--plan",
-            metavar="CSV",
-            help="Configurations to play in order.",
-            rich_help_panel=WINDOW,
-        ),
+        Path | None, window_option("--plan CSV", "Configurations to play in order.")
     ] = None,
     port: Annotated[
         int,
-        typer.Option(
-            "--port",
-            metavar="N",
-            help="Port on this machine; 0 for any free port.",
-            parser=number(int, "--port", "0 to 65535", 0, 65535),
-            rich_help_panel=WINDOW,
+        window_option(
+            "--port N",
+            "Port on this machine; 0 for any free port.",
+            number(int, "--port", "0 to 65535", 0, 65535),
         ),
     ] = 8080,
     once: Annotated[
-        bool,
-        typer.Option(
-            "--once",
-            help="Stop when the last window is closed.",
-            rich_help_panel=WINDOW,
-        ),
+        bool, window_option("--once", "Stop when the last window is closed.")
     ] = False,
     package_dir: Annotated[
         list[Path] | None,
-        typer.Option(
-            "--package-dir",
-            metavar="DIR",
-            help="Folder of the packages of meshes; may be repeated.",
-            rich_help_panel=WINDOW,
+        window_option(
+            "--package-dir DIR", "Folder of the packages of meshes; may be repeated."
         ),
     ] = None,
     setup: SetupFile = None,
@@ -117,8 +103,6 @@ def _require_viser() -> None:
         OptionError: If it is.
     """
     from importlib.util import find_spec
-
-    from calib_pin.errors import OptionError
 
     if find_spec("viser") is None:
         raise OptionError(
@@ -194,7 +178,7 @@ def _rows(
     from calib_pin.viewer.errors import stage_errors
     from calib_pin.viewer.scene import Rows
 
-    sockets = () if model is None else (f.name for f in model.measurement.features)
+    sockets = () if model is None else (f.name for f in model.measurement.references)
     rows = open_measurements(measurements, chain, setup, sockets=sockets, bar=bar)
     if model is not None:
         rows = among(rows, model.measurement.name)

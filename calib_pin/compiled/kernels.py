@@ -135,7 +135,7 @@ class Rows(NamedTuple):
         factors: Change of its position by the correction's amount, shape (C, N).
         begin_factors: The same where relative measurements start.
         point: Which point of the tool a row looks at, shape (N,).
-        place: Which place it is compared with, shape (N,).
+        site: Which site it is compared with, shape (N,).
         values: Measured values, shape (D, N).
         weights: Reciprocal standard deviations of the residual, shape (d, N).
     """
@@ -148,7 +148,7 @@ class Rows(NamedTuple):
     factors: Floats
     begin_factors: Floats
     point: Indices
-    place: Indices
+    site: Indices
     values: Floats
     weights: Floats
 
@@ -159,7 +159,7 @@ def population_costs(
     chains: Floats,
     amounts: Floats,
     points: Floats,
-    places: Floats,
+    sites: Floats,
     rows: Rows,
     costs: Floats,
 ) -> None:
@@ -170,7 +170,7 @@ def population_costs(
         chains: Links of the members, shape (S, n + 1, 12).
         amounts: Their joint corrections, shape (S, C).
         points: Points of the tool, shape (S, J, 3) [m].
-        places: What these are compared with, shape (S, L, w).
+        sites: What these are compared with, shape (S, L, w).
         rows: The rows.
         costs: Filled, shape (S,).
     """
@@ -199,7 +199,7 @@ def population_costs(
                 _carry(chain, tips, point, motion, size, begin, 0)
                 for k in range(3 * BLOCK):
                     work[k] -= begin[k]
-            _gather(places[member], rows.place[start:stop], against)
+            _gather(sites[member], rows.site[start:stop], against)
             value, weight = rows.values[:, start:stop], rows.weights[:, start:stop]
             if comparison == POSITION:
                 total += position_cost(work, against, value, weight)
@@ -210,7 +210,7 @@ def population_costs(
             elif comparison == BEAM:
                 total += beam_cost(work, against, value[0], weight[0])
             elif comparison == PIXEL:
-                total += pixel_cost(work, places[member, 0], value, weight)
+                total += pixel_cost(work, sites[member, 0], value, weight)
             else:
                 total += pose_cost(work, value, weight)
         costs[member] = 0.5 * total

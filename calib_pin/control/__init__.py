@@ -2,9 +2,9 @@
 
 from __future__ import annotations
 
+from calib_pin.control.compensation import Frame, Point, commands, kinematics
 from calib_pin.control.joints import Joints, Kinematics, Solutions
 from calib_pin.control.reaching import reach, search
-from calib_pin.control.robot import Frame, Point, commands, kinematics
 
 __all__ = [
     "Frame",

@@ -2,29 +2,27 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields, replace
+from collections.abc import Callable
+from dataclasses import dataclass, replace
 from pathlib import Path
-from typing import Any
+from typing import Literal, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.control import (
-    Frame,
-    Joints,
-    Kinematics,
-    Point,
-    Solutions,
-    commands,
-    kinematics,
-    reach,
-)
-from calib_pin.control.tip_errors import tip_errors
+from calib_pin.control.joints import Joints, Kinematics, Solutions, Stacked
+from calib_pin.control.reaching import reach, search
 from calib_pin.errors import OptionError, require_known
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import (
+    Floats,
+    adjoint,
+    interpolate,
+    invert,
+    so3_log,
+)
 from calib_pin.parameterizations import NOTHING
+from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.progress import Progress
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -32,13 +30,15 @@ JUMP = 0.1
 """Change of the corrections between neighboring configurations that no smooth
 motion has [rad, m]."""
 
-
 BLOCK = 2000
 """Targets between two reports of the progress."""
 
+Frame: TypeAlias = Literal["measuring", "base"]
+Point: TypeAlias = Literal["tool", "tip"]
+
 
 @dataclass(frozen=True)
-class Compensation:
+class Compensation(Stacked):
     """Commands for N targets of a robot with n joints.
 
     Attributes:
@@ -68,16 +68,6 @@ class Compensation:
     outside: NDArray[np.bool_]
     oriented: bool
 
-    @staticmethod
-    def joined(parts: Sequence[Compensation]) -> Compensation:
-        """The commands of several parts, one after the other."""
-        arrays: dict[str, Any] = {
-            field.name: np.concatenate([getattr(part, field.name) for part in parts])
-            for field in fields(Compensation)
-            if field.name != "oriented"
-        }
-        return replace(parts[0], **arrays)
-
     def __len__(self) -> int:
         """Number of targets."""
         return len(self.q)
@@ -101,6 +91,99 @@ class Compensation:
         """
         change = np.abs(np.diff(self.q - self.nominal, axis=0)).max(axis=1, initial=0.0)
         return np.concatenate([[False], change > JUMP])[: len(self)]
+
+
+def kinematics(
+    model: CalibratedModel,
+    *,
+    frame: Frame = "measuring",
+    point: Point = "tool",
+    nominal: bool = False,
+) -> Kinematics:
+    """Kinematics of a calibrated robot, with all its corrections.
+
+    Args:
+        model: The calibrated robot.
+        frame: Frame of the poses: `measuring`, or `base`, the base link.
+        point: The placed point: `tool`, or `tip`, the tip link.
+        nominal: Whether the robot is taken without its errors; the frames stay.
+
+    Returns:
+        Kinematics for `reach` and `search`. Derivatives of the corrections of joint
+        positions by these are neglected.
+    """
+    error, theta = model.error, model.theta
+    if nominal:
+        error, theta = replace(error, learned=None), np.zeros_like(theta)
+
+    def evaluate(q: Floats) -> tuple[Floats, Floats]:
+        T, J = error.kinematics(q, theta)
+        base, tool = _ends(error, q)
+        if frame == "base":
+            T = invert(base) @ T
+        if point == "tip":
+            # Through the tool, which also carries the learned motion.
+            T, J = T @ invert(tool), adjoint(tool) @ J
+        return T, J
+
+    return evaluate
+
+
+def _ends(error: ErrorModel, q: Floats) -> tuple[Floats, Floats]:
+    """Base and tool frame, each (4, 4), or (N, 4, 4) where the correction fades."""
+    base, tool = error.base.homogeneous, error.tool.homogeneous
+    if error.learned is None:
+        return base, tool
+    products = error.corrections(error.learned.shift)
+    shifted = base @ products[0].homogeneous, tool @ products[-1].homogeneous
+    weight = error.learned.weight(q)
+    if (weight == 1.0).all():
+        return shifted
+    return interpolate(base, shifted[0], weight), interpolate(tool, shifted[1], weight)
+
+
+def commands(
+    model: CalibratedModel,
+    targets: Floats,
+    start: Floats | None = None,
+    *,
+    frame: Frame = "measuring",
+    point: Point = "tool",
+    orientation: bool = True,
+) -> Solutions:
+    """Joint positions at which a calibrated robot is where it shall be.
+
+    Without a start the nominal robot is solved first, and the solution is the one close
+    to that.
+
+    Args:
+        model: The calibrated robot.
+        targets: Poses to reach, shape (N, 4, 4).
+        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
+        frame: Frame of the targets, see `kinematics`.
+        point: The point that shall reach them.
+        orientation: Whether orientations count; else only positions do.
+
+    Example:
+        >>> import calib_pin
+        >>> chain = calib_pin.load_chain("space6")
+        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space6", "setup.yaml"))
+        >>> rows = calib_pin.read_measurements(
+        ...     calib_pin.robot_file("space6", "measurements.csv"), chain
+        ... )
+        >>> model = calib_pin.calibrate(chain, rows, setup).model
+        >>> found = commands(model, model.poses(rows.q), rows.q)
+        >>> bool(found.reached.all())
+        True
+    """
+    return search(
+        kinematics(model, frame=frame, point=point),
+        targets,
+        Joints.of(model.chain),
+        start,
+        nominal=kinematics(model, frame=frame, point=point, nominal=True),
+        orientation=orientation,
+    )
 
 
 def with_payload(
@@ -160,7 +243,7 @@ def compensate(
         model: The calibrated robot.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that commands shall be close to, shape (N, n) [rad, m].
-        frame: Frame of the targets, see `control.kinematics`.
+        frame: Frame of the targets, see `kinematics`.
         point: The point that shall reach them.
         orientation: Whether orientations count; else only positions do.
         progress: Told the part that is done, 0 to 1.
@@ -248,15 +331,16 @@ def _compensation(
     T = np.full((len(targets), 4, 4), np.nan)
     if known.any():
         T[known] = real(nominal[known])[0]
-    before = tip_errors(targets, T)
+    turned = T[:, :3, :3] @ np.swapaxes(targets[:, :3, :3], 1, 2)
+    angles = np.linalg.norm(so3_log(turned), axis=1)
     return Compensation(
         q=found.q,
         nominal=nominal,
         reached=found.reached,
         position=found.position,
         orientation=found.orientation,
-        position_before=before.distances,
-        orientation_before=before.angles if orientation else 0.0 * before.distances,
+        position_before=np.linalg.norm((T - targets)[:, :3, 3], axis=1),
+        orientation_before=angles if orientation else 0.0 * angles,
         at_limit=np.asarray(Joints.of(model.chain).at_limit(found.q).any(axis=1)),
         outside=model.outside(found.q),
         oriented=orientation,

@@ -15,13 +15,18 @@ the force of the limit turns its sign.
 
 from __future__ import annotations
 
-from dataclasses import dataclass, fields, replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 
-from calib_pin.control.joints import Booleans, Indices, Solutions
-from calib_pin.control.system import System, times
-from calib_pin.control.task import Effort, Task
+from calib_pin.control.joints import (
+    Booleans,
+    Effort,
+    Indices,
+    Solutions,
+    Stacked,
+    Task,
+)
 from calib_pin.kinematics.spatial import Floats
 
 
@@ -59,6 +64,15 @@ class DescentOptions:
 OPTIONS = DescentOptions()
 """The default options."""
 
+WEIGHT = 1e3
+"""Weight of the directions of the target in a Hessian."""
+
+LEAST = 0.05
+"""Least curvature along the self-motion."""
+
+ROUNDING = 1e-12
+"""Least square of a singular value that is a direction of the target."""
+
 
 def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
     """Solutions from a guess.
@@ -77,7 +91,7 @@ def descend(task: Task, guess: Floats, effort: Effort) -> Solutions:
 
 
 @dataclass
-class _Rows:
+class _Rows(Stacked):
     """Rows that are not finished, A of N.
 
     Attributes:
@@ -125,10 +139,6 @@ class _Rows:
             frees=np.zeros(count, bool),
         )
 
-    def take(self, kept: Booleans) -> _Rows:
-        """Some of the rows."""
-        return _Rows(*(getattr(self, field.name)[kept] for field in fields(self)))
-
 
 @dataclass(frozen=True)
 class _Descent:
@@ -144,7 +154,7 @@ class _Descent:
 
         def finish(done: Booleans) -> _Rows:
             q[rows.index[done]], errors[rows.index[done]] = rows.q[done], rows.e[done]
-            return rows.take(~done) if done.any() else rows
+            return rows.rows(~done) if done.any() else rows
 
         # Not by their number: the three joints of a planar arm are redundant as well.
         redundant = guess.shape[1] > self.task.rank
@@ -182,7 +192,7 @@ class _Descent:
         start = self.task.start[rows.index]
         way = np.where(sliding[:, None], start - rows.q, 0.0)
         squared = (rows.e**2).sum(axis=1)
-        system = System(
+        system = _System(
             J=rows.J[:, : self.task.size],
             e=rows.e.copy(),
             pull=way.copy(),
@@ -205,12 +215,12 @@ class _Descent:
         if len(long):
             part = (longest[long] / length[long])[:, None]
             system.pull[long] -= (1.0 - part) * way[long]
-            dq[long], y[long] = system.take(long).solve()
+            dq[long], y[long] = system.rows(long).solve()
         part = longest / np.maximum(np.abs(dq).max(axis=1), longest)
         for whole in (system.e, system.pull, dq, y):
             whole *= part[:, None]
         self._hold(rows, system, dq, y)
-        left = rows.e - times(system.J, dq)
+        left = rows.e - _times(system.J, dq)
         rows.promised = 1.0 - (left**2).sum(axis=1) / np.maximum(squared, 1e-300)
         rows.frees = self._free(rows, system, dq, y)
         rows.held = system.held
@@ -218,7 +228,7 @@ class _Descent:
         rows.dq = dq / np.maximum(1.0, excess)[:, None]
         return length
 
-    def _hold(self, rows: _Rows, system: System, dq: Floats, y: Floats) -> None:
+    def _hold(self, rows: _Rows, system: _System, dq: Floats, y: Floats) -> None:
         """Change steps that leave the limits.
 
         Of the joints that leave, the one that does so first is held at its limit, until
@@ -236,9 +246,9 @@ class _Descent:
             first = parts.argmin(axis=1)
             held[some, first] = True
             system.moves[some, first] = (np.sign(dq) * room)[some, first]
-            dq[some], y[some] = system.take(some).solve()
+            dq[some], y[some] = system.rows(some).solve()
 
-    def _free(self, rows: _Rows, system: System, dq: Floats, y: Floats) -> Booleans:
+    def _free(self, rows: _Rows, system: _System, dq: Floats, y: Floats) -> Booleans:
         """Let go the joint that its limit pushes outward most; whether there is one."""
         joints, held = self.task.joints, system.held
         if not held.any():
@@ -272,3 +282,102 @@ class _Descent:
         radius = np.minimum(factor * rows.radius, 0.5 * OPTIONS.longest)
         rows.radius = np.where(sliding, radius, rows.radius)
         rows.away = np.where(taken, away, rows.away)
+
+
+@dataclass
+class _System(Stacked):
+    """The linear system of one step.
+
+    Attributes:
+        J: Derivative of the components of the target, shape (A, m, n).
+        e: Errors, shape (A, m).
+        pull: Way towards the start, shape (A, n).
+        damping: Squares of singular values below it are not inverted, shape (A,).
+        held: Joints that do not take part, shape (A, n).
+        moves: Steps of these, zero for others, shape (A, n).
+        hessian: Second derivative by dq, shape (A, n, n); None for unity.
+    """
+
+    J: Floats
+    e: Floats
+    pull: Floats
+    damping: Floats
+    held: Booleans
+    moves: Floats
+    hessian: Floats | None
+
+    def solve(self) -> tuple[Floats, Floats]:
+        """Steps, shape (A, n), and multipliers of the pose, shape (A, m)."""
+        J = np.where(self.held[:, None], 0.0, self.J)
+        m, n = J.shape[1:]
+        e = self.e - _times(self.J, self.moves)
+        if self.hessian is None:
+            pull, Y = np.where(self.held, 0.0, self.pull), np.swapaxes(J, 1, 2)
+        else:
+            pull = self.pull - _times(self.hessian, self.moves)
+            pull = np.where(self.held, 0.0, pull)
+            either = self.held[:, :, None] | self.held[:, None, :]
+            H = np.where(either, 0.0, self.hessian)
+            H[:, range(n), range(n)] += self.held
+            both = np.concatenate([pull[:, :, None], np.swapaxes(J, 1, 2)], axis=2)
+            solved = np.linalg.solve(H, both)
+            pull, Y = solved[:, :, 0], solved[:, :, 1:]
+        S = J @ Y
+        S[:, range(m), range(m)] += self.damping[:, None]
+        y = np.linalg.solve(S, (e - _times(J, pull))[:, :, None])[:, :, 0]
+        return self.moves + pull + _times(Y, y), y
+
+    def force(self, dq: Floats, y: Floats) -> Floats:
+        """Force on each joint, shape (A, n); zero for those that are not held."""
+        resistance = dq if self.hessian is None else _times(self.hessian, dq)
+        return np.asarray(self.pull + _times(np.swapaxes(self.J, 1, 2), y) - resistance)
+
+    def curve(self, J: Floats, y: Floats, sliding: Booleans) -> None:
+        """Add the second derivative of the pose, weighted by multipliers.
+
+        It follows from the twists: with columns (v, w), for i <= j the position bends
+        by w_i x v_j and the orientation by half of w_i x w_j, which is zero for i = j.
+
+        Args:
+            J: Body twists of the tool, shape (A, 6, n).
+            y: Multipliers, shape (A, m).
+            sliding: Rows that need it, shape (A,).
+        """
+        y = np.where(sliding[:, None], y, 0.0)
+        v, w = np.swapaxes(J[:, :3], 1, 2), np.swapaxes(J[:, 3:], 1, 2)
+        bends = np.cross(y[:, None, :3], w) @ np.swapaxes(v, 1, 2)
+        if y.shape[1] == 6:
+            bends += 0.5 * np.cross(y[:, None, 3:], w) @ np.swapaxes(w, 1, 2)
+        upper = np.triu(bends)
+        unity = np.eye(J.shape[2])
+        H = unity - upper - np.swapaxes(np.triu(bends, 1), 1, 2)
+        (far,) = np.nonzero(np.linalg.norm(H - unity, axis=(1, 2)) > 0.5)
+        if len(far):
+            H[far] = self._definite(far, H[far])
+        self.hessian = H
+
+    def _definite(self, rows: Indices, H: Floats) -> Floats:
+        """Hessians that are definite along the self-motion, shape (K, n, n).
+
+        A large weight on the directions of the target changes no step, since the step
+        is given there; a curvature that is still negative lies along the self-motion.
+        """
+        held, J = self.held[rows], self.J[rows]
+        J = np.where(held[:, None], 0.0, J)
+        S = J @ np.swapaxes(J, 1, 2)
+        S[:, range(S.shape[1]), range(S.shape[1])] += ROUNDING
+        pseudo_inverse = np.swapaxes(np.linalg.solve(S, J), 1, 2)
+        size = 1.0 + np.linalg.norm(H, axis=(1, 2))
+        weight = WEIGHT * size**2
+        self.pull[rows] += weight[:, None] * _times(pseudo_inverse, self.e[rows])
+        H = H + weight[:, None, None] * (pseudo_inverse @ J)
+        block = np.where(held[:, :, None] | held[:, None, :], 0.0, H)
+        values, vectors = np.linalg.eigh(0.5 * (block + np.swapaxes(block, 1, 2)))
+        # Uphill turns into downhill, and level ground into a gentle slope.
+        change = (np.maximum(np.abs(values), LEAST) - values)[:, None]
+        return np.asarray(H + (vectors * change) @ np.swapaxes(vectors, 1, 2))
+
+
+def _times(A: Floats, x: Floats) -> Floats:
+    """Matrices times vectors, shapes (N, m, n) and (N, n) to (N, m)."""
+    return np.asarray((A @ x[:, :, None])[:, :, 0])

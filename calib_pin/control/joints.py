@@ -1,16 +1,16 @@
-"""Input and output of inverse kinematics: kinematics, joints and solutions."""
+"""Input and output of inverse kinematics: joints, targets and solutions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, fields
-from typing import Any, TypeAlias
+from dataclasses import Field, dataclass, replace
+from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, so3_log
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
@@ -18,6 +18,28 @@ position (N, 6, n). The twists may neglect small terms; that costs a step or two
 
 Booleans: TypeAlias = NDArray[np.bool_]
 Indices: TypeAlias = NDArray[np.int64]
+
+
+class Stacked:
+    """A dataclass whose arrays all have one row for each target."""
+
+    __dataclass_fields__: ClassVar[dict[str, Field[Any]]]
+
+    def rows(self, rows: Indices | Booleans | slice) -> Self:
+        """Some of the rows; what is no array stays."""
+        return replace(self, **{k: array[rows] for k, array in self._arrays().items()})
+
+    @classmethod
+    def joined(cls, parts: Sequence[Self]) -> Self:
+        """The rows of several parts, one after the other."""
+        columns: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in parts[0]._arrays()
+        }
+        return replace(parts[0], **columns)
+
+    def _arrays(self) -> dict[str, Any]:
+        return {k: v for k, v in vars(self).items() if isinstance(v, np.ndarray)}
 
 
 @dataclass(frozen=True)
@@ -95,7 +117,7 @@ class Joints:
 
 
 @dataclass(frozen=True)
-class Solutions:
+class Solutions(Stacked):
     """Joint positions for N targets.
 
     Attributes:
@@ -122,28 +144,83 @@ class Solutions:
         unknown = np.full(len(q), np.inf)
         return Solutions(q, np.zeros(len(q), bool), unknown, unknown)
 
-    @staticmethod
-    def joined(parts: Sequence[Solutions]) -> Solutions:
-        """The rows of several solutions, one after the other."""
-        columns = zip(*(part._columns for part in parts), strict=True)
-        return Solutions(*(np.concatenate(column) for column in columns))
-
     @property
     def score(self) -> Floats:
         """Zero where reached, else the error with a radian as a meter, shape (N,)."""
         return np.where(self.reached, 0.0, self.position + self.orientation)
 
-    def rows(self, rows: Indices | Booleans) -> Solutions:
-        """Some of the rows."""
-        return Solutions(*(column[rows] for column in self._columns))
-
     def replaced(self, rows: Indices, others: Solutions) -> Solutions:
         """These solutions, but for some rows, shape (K,), others."""
-        columns = [column.copy() for column in self._columns]
-        for column, other in zip(columns, others._columns, strict=True):
-            column[rows] = other
-        return Solutions(*columns)
+        columns = {name: array.copy() for name, array in self._arrays().items()}
+        for name, column in columns.items():
+            column[rows] = getattr(others, name)
+        return replace(self, **columns)
+
+
+@dataclass(frozen=True)
+class Task(Stacked):
+    """Targets that a chain of n joints shall reach.
+
+    Attributes:
+        evaluate: The kinematics.
+        targets: Poses, shape (N, 4, 4).
+        start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
+        joints: Limits, which are never left.
+        orientation: Whether orientations count; else only positions do.
+    """
+
+    evaluate: Kinematics
+    targets: Floats
+    start: Floats
+    joints: Joints
+    orientation: bool
 
     @property
-    def _columns(self) -> tuple[Any, ...]:
-        return tuple(getattr(self, field.name) for field in fields(self))
+    def size(self) -> int:
+        """Number m of components of a target."""
+        return 6 if self.orientation else 3
+
+    @property
+    def rank(self) -> int:
+        """Number of components that the joints can move."""
+        _, J = self.evaluate(self.joints.samples(8))
+        return int(np.linalg.matrix_rank(J[:, : self.size], tol=1e-9).max())
+
+    def errors(self, q: Floats) -> tuple[Floats, Floats]:
+        """Errors in the axes of the tool, (N, m), and body twists, (N, 6, n)."""
+        T, J = self.evaluate(q)
+        R_transposed = np.swapaxes(T[:, :3, :3], 1, 2)
+        way = self.targets[:, :3, 3] - T[:, :3, 3]
+        position = np.asarray((R_transposed @ way[:, :, None])[:, :, 0])
+        if not self.orientation:
+            return position, J
+        turn = so3_log(R_transposed @ self.targets[:, :3, :3])
+        return np.hstack([position, turn]), J
+
+
+@dataclass(frozen=True)
+class Effort:
+    """Tolerance and number of steps of a descent.
+
+    Attributes:
+        error: Error at which a row is finished [m, rad].
+        iterations: Largest number of steps.
+        slides: Steps along the self-motion, before the joints stop where they are.
+    """
+
+    error: float
+    iterations: int
+    slides: int
+
+
+ROUGH = Effort(1e-2, 12, 0)
+"""Enough to see whether a start leads near a target."""
+
+THOROUGH = Effort(1e-6, 30, 0)
+"""Enough to see whether it leads there."""
+
+EXACT = Effort(1e-10, 50, 0)
+"""To the target, on no particular way."""
+
+FULL = Effort(1e-10, 100, 60)
+"""To the target, and along the self-motion to the start."""

@@ -7,13 +7,15 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from calib_pin.control.descent import descend
-from calib_pin.control.joints import Joints, Kinematics, Solutions
-from calib_pin.control.task import (
+from calib_pin.control.joints import (
     EXACT,
     FULL,
     ROUGH,
     THOROUGH,
     Effort,
+    Joints,
+    Kinematics,
+    Solutions,
     Task,
 )
 from calib_pin.kinematics.spatial import Floats

@@ -163,7 +163,7 @@ def brought_to_contact(
     Returns:
         The configurations, and which of them touch and lie within the limits.
     """
-    of_robot, own = problem.split(theta)
+    of_robot, instrument = problem.split(theta)
     chain, measurement = problem.error.chain, problem.measurement
     q, touches = q.copy(), ~rows
     payload = payload or payloads_in_turn(problem.data, len(q))
@@ -172,7 +172,7 @@ def brought_to_contact(
         names = [target[int(k)] for k in left]
         loads = [payload[int(k)] for k in left]
         T, J_q = problem.error.kinematics(q[left], of_robot, loads)
-        linear = linearized_at(chain, measurement, T, own, q[left], names)
+        linear = linearized_at(chain, measurement, T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True

@@ -262,14 +262,14 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
         directions: Directions in the parameters of the error model that may shift
             along with the correction, shape (P', k).
     """
-    of_robot, own = problem.split(theta)
+    of_robot, instrument = problem.split(theta)
     factors = problem.error.basis(problem.data.q, problem.data.payload)
 
     def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
         given = _Given(space, values, directions @ shift)
         error = replace(problem.error, learned=given)
         poses = error.linearize(problem.data.q, of_robot, factors)
-        linear = problem.measurement.linearize(poses.T, own, problem.data)
+        linear = problem.measurement.linearize(poses.T, instrument, problem.data)
         J_pose = linear.J_pose / problem.sigma[:, :, None]
         by_correction = J_pose
         if space == "joint":

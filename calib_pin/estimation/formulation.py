@@ -12,7 +12,7 @@ from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.references import Frame
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import (
     NOTHING,
@@ -74,16 +74,16 @@ def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
         raise OptionError(f"a {model} study without measurements: {missing}")
     frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
     # A camera among other instruments is placed by rows; here it stands with them.
-    features = [
-        replace(feature, pose=pin.SE3.Identity())
-        if isinstance(feature, Frame) and not feature.placed
-        else feature
-        for feature in problem.measurement.features
+    references = [
+        replace(reference, pose=pin.SE3.Identity())
+        if isinstance(reference, Frame) and not reference.located
+        else reference
+        for reference in problem.measurement.references
     ]
     return replace(
         problem,
         error=problem.error.with_frames(*frames),
-        measurement=problem.measurement.with_features(features),
+        measurement=problem.measurement.with_references(references),
     )
 
 

@@ -180,16 +180,16 @@ class Model:
 
         The arguments are as in `poses`.
         """
-        own = self.split(theta)[1]
-        return self.measurement.predict(self.poses(theta, at), own, at.target)
+        instrument = self.split(theta)[1]
+        return self.measurement.predict(self.poses(theta, at), instrument, at.target)
 
     def observable(self, theta: Floats, at: Configured) -> NDArray[np.bool_]:
         """Whether the instrument can measure at each configuration, shape (N,).
 
         The arguments are as in `poses`.
         """
-        own = self.split(theta)[1]
-        return self.measurement.observable(self.poses(theta, at), own, at.target)
+        instrument = self.split(theta)[1]
+        return self.measurement.observable(self.poses(theta, at), instrument, at.target)
 
     def jacobian(self, theta: Floats, at: Configured, sigma: Floats) -> Floats:
         """Whitened Jacobian of noise-free measurements, shape (N, d, P).
@@ -199,13 +199,13 @@ class Model:
             at: The configurations.
             sigma: Standard deviations of the residual components, shape (N, d).
         """
-        of_robot, own = self.split(theta)
+        of_robot, instrument = self.split(theta)
         tool = ToolPoses(self.error, at).linearize(of_robot)
         linear = linearized_at(
             self.error.chain,
             self.measurement,
             tool.T,
-            own,
+            instrument,
             at.q,
             at.target,
             self.predict(theta, at),
@@ -222,16 +222,16 @@ class Model:
             The model with these in its references, and values about them, shape (P,):
             zero for frames and instrument, those of the robot as they are.
         """
-        of_robot, own = self.split(theta)
+        of_robot, instrument = self.split(theta)
         error, products = self.error, self.error.corrections(of_robot)
         moved = replace(
             self,
             error=error.with_frames(
                 error.base * products[0], error.tool * products[-1]
             ),
-            measurement=self.measurement.rebased(own),
+            measurement=self.measurement.rebased(instrument),
         )
-        nuisance = np.append(error.parameters.nuisance, np.ones(len(own), bool))
+        nuisance = np.append(error.parameters.nuisance, np.ones(len(instrument), bool))
         return moved, np.where(nuisance, 0.0, theta)
 
 
@@ -256,7 +256,7 @@ def linearized_at(
     chain: Chain,
     measurement: MeasurementModel,
     T: Floats,
-    own: Floats,
+    instrument: Floats,
     q: Floats,
     target: Sequence[str],
     exact: Floats | None = None,
@@ -267,13 +267,13 @@ def linearized_at(
         chain: The chain.
         measurement: The measurement model.
         T: Tool poses in the measurement frame, shape (N, 4, 4).
-        own: Instrument parameters, shape (K,).
+        instrument: Instrument parameters, shape (K,).
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each measurement.
         exact: The values that it predicts, shape (N, D), where they are known.
     """
     if exact is None:
-        exact = measurement.predict(T, own, target)
+        exact = measurement.predict(T, instrument, target)
     # Derivatives are those of residuals, so a model is told what was measured.
     data = Measurements(
         joints=chain.joints,
@@ -282,4 +282,4 @@ def linearized_at(
         values=exact,
         target=tuple(target),
     )
-    return measurement.linearize(T, own, data)
+    return measurement.linearize(T, instrument, data)

@@ -179,7 +179,7 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     Returns:
         The derivative, component by component as in `Problem.sigma`, shape (N d,).
     """
-    of_robot, own = problem.split(theta)
+    of_robot, instrument = problem.split(theta)
     tool = ToolPoses(problem.error, problem.data).linearize(of_robot)
     T, poses, start, begun = tool.T, tool.poses, tool.start, tool.begun
     grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
@@ -187,7 +187,7 @@ def growth(problem: Problem, theta: Floats) -> Floats:
         # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
         begins = _grown(start, start.to_base @ invert(start.to_tip))
         grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
-    J_pose = problem.measurement.linearize(T, own, problem.data).J_pose
+    J_pose = problem.measurement.linearize(T, instrument, problem.data).J_pose
     changes = (J_pose @ grown[:, :, None])[:, :, 0] / problem.sigma
     return np.asarray(changes.reshape(-1))
 

@@ -62,13 +62,13 @@ class PopulationCost:
             return np.array([self._problem.cost(member) for member in theta])
         further = self._problem.further.residual(theta)
         costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
-        of_robot, own = self._problem.split(theta)
+        of_robot, instrument = self._problem.split(theta)
 
         def evaluate(members: slice) -> None:
             chains = self._segments.links(of_robot[members])
             amounts = of_robot[members, self._problem.error.joint_corrections]
             for part in self._parts:
-                costs[members] += part.costs(chains, amounts, own[members])
+                costs[members] += part.costs(chains, amounts, instrument[members])
 
         least = -(-WORTHWHILE // max(len(self._problem.data), 1))
         pieces = self._threads.slices(len(theta), least)
@@ -110,20 +110,20 @@ class _Part:
             factors=factors,
             begin_factors=begin_factors,
             point=batch.point,
-            place=batch.place,
+            site=batch.site,
             values=batch.values.T.copy(),
             weights=batch.weights.T.copy(),
         )
 
-    def costs(self, chains: Floats, amounts: Floats, own: Floats) -> Floats:
+    def costs(self, chains: Floats, amounts: Floats, instrument: Floats) -> Floats:
         """Half the sums of squares of these rows, shape (S,).
 
         Args:
             chains: Links of the members, shape (S, n + 1, 12).
             amounts: Their joint corrections, shape (S, C).
-            own: Parameters of their instrument, shape (S, K).
+            instrument: Parameters of their instrument, shape (S, K).
         """
-        found, result = self._batch.references(own), np.empty(len(own))
+        found, result = self._batch.geometry(instrument), np.empty(len(instrument))
         if found.stand is not None and found.mount is not None:
             chains = chains.copy()
             chains[:, 0] = _product(found.stand, chains[:, 0])
@@ -135,7 +135,7 @@ class _Part:
             chains,
             amounts,
             found.points,
-            found.places,
+            found.sites,
             self._rows,
             result,
         )

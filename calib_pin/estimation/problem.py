@@ -75,9 +75,9 @@ class RowByRow:
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, shape (N, d)."""
-        of_robot, own = self._model.split(theta)
+        of_robot, instrument = self._model.split(theta)
         T = self._tool(of_robot)
-        return self._model.measurement.residual(T, own, self._data)
+        return self._model.measurement.residual(T, instrument, self._data)
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (N d,)."""
@@ -90,9 +90,9 @@ class RowByRow:
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, P)."""
-        of_robot, own = self._model.split(theta)
+        of_robot, instrument = self._model.split(theta)
         tool = self._tool.linearize(of_robot)
-        linear = self._model.measurement.linearize(tool.T, own, self._data)
+        linear = self._model.measurement.linearize(tool.T, instrument, self._data)
         known = Linearization(
             linear.residual,
             kept(linear.J_pose, self._data),
@@ -294,8 +294,8 @@ class Problem(Model):
     def _distances(self) -> KnownDistances:
         """Known distances between points that the instrument knows."""
         first = len(self.error.screws)
-        known, features = self.setup.distances, self.measurement.features
-        return KnownDistances.of(known, features, first)
+        known, references = self.setup.distances, self.measurement.references
+        return KnownDistances.of(known, references, first)
 
     @cached_property
     def _priors(self) -> Priors:

@@ -10,7 +10,7 @@ import pinocchio as pin
 from calib_pin.errors import OptionError
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats, invert
-from calib_pin.measurement_models.features import slices
+from calib_pin.measurement_models.references import slices
 from calib_pin.observations import Measurements, trusted
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameters import ParameterSet
@@ -55,19 +55,19 @@ def _require_loose(problem: Problem, start: int) -> None:
         problem: The problem.
         start: Position of the first instrument parameter.
     """
-    features = problem.measurement.features
-    for feature, part in zip(features, slices(features), strict=True):
-        if feature.placed:
+    references = problem.measurement.references
+    for reference, part in zip(references, slices(references), strict=True):
+        if reference.located:
             continue
         own = slice(start + part.start, start + part.stop)
         lower, upper = (bound[own] for bound in problem.parameters.bounds)
         priors = problem.parameters.priors[own]
-        free = np.array([p.free for p in feature.parameters], bool)
+        free = np.array([p.free for p in reference.parameters], bool)
         held = free & ~problem.parameters.free[own]
         if held.any() or np.isfinite([lower, upper, priors]).any():
             raise OptionError(
                 "fixed, bounds or prior on a part of an unknown instrument: give "
-                f"its '{feature.section}' in a setup file (--setup)",
+                f"its '{reference.section}' in a setup file (--setup)",
                 file=problem.setup.file or None,
             )
 

@@ -16,10 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import (
+from calib_pin.measurement_models.references import (
     Anchor,
-    Feature,
     Point,
+    ReferenceObject,
     Sphere,
     slices,
 )
@@ -121,7 +121,7 @@ class Blocks:
 
 @dataclass(frozen=True)
 class KnownDistances:
-    """D distances between features of a measurement model.
+    """D distances between reference objects of a measurement model.
 
     Attributes:
         stated: The distances.
@@ -136,27 +136,29 @@ class KnownDistances:
 
     @staticmethod
     def of(
-        distances: Sequence[DistanceSetup], features: Sequence[Feature], first: int = 0
+        distances: Sequence[DistanceSetup],
+        references: Sequence[ReferenceObject],
+        first: int = 0,
     ) -> KnownDistances:
-        """Those of the distances whose both ends are among some features.
+        """Those of the distances whose both ends are among some references.
 
         Args:
             distances: What is known.
-            features: The features of a measurement model, in their order.
+            references: Those of a measurement model, in their order.
             first: Position of the first instrument parameter among all.
         """
         found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
         # A point of the tool yields its name to a place of the same name.
-        for feature, part in zip(features, slices(features), strict=True):
-            xyz = feature.xyz if isinstance(feature, Point | Sphere | Anchor) else None
-            hidden = feature.section == "targets" and feature.name in found
-            if xyz is not None and not hidden:
+        for reference, part in zip(references, slices(references), strict=True):
+            hidden = reference.section == "targets" and reference.name in found
+            if hidden or not isinstance(reference, Point | Sphere | Anchor):
+                continue
+            if reference.xyz is not None:
                 # The known points of a camera have no parameters.
-                some = part.stop > part.start
                 columns = np.full(3, -1)
-                if some:
+                if part.stop > part.start:
                     columns = first + part.start + np.arange(3)
-                found[feature.name] = xyz, columns
+                found[reference.name] = reference.xyz, columns
         known = tuple(d for d in distances if all(name in found for name in d.between))
         ends = [[found[name][0] for name in d.between] for d in known]
         positions = [[found[name][1] for name in d.between] for d in known]

@@ -16,8 +16,8 @@ from calib_pin.io.json_text import Json
 from calib_pin.io.setup import setup_of
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
-from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
+from calib_pin.measurement_models.references import Frame
 from calib_pin.observations import AT, PART, PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
 from calib_pin.parameterizations.error_model import ErrorModel
@@ -144,16 +144,20 @@ def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
     named = qualified(parts, targets) if mixed else {name: targets}
     made = {part: _part(part, fitted, seen) for part, seen in named.items()}
     model: MeasurementModel = Mixed.create(made) if mixed else made[name]
-    model = model.with_features(
+    model = model.with_references(
         [
-            _read_stand(feature, frames) if isinstance(feature, Frame) else feature
-            for feature in model.features
+            _read_stand(reference, frames)
+            if isinstance(reference, Frame)
+            else reference
+            for reference in model.references
         ]
     )
-    for feature in model.features:
-        if not feature.placed:
-            raise ValueError(f"'{feature.name}' is missing under '{feature.section}'")
-    used = {(feature.section, feature.name) for feature in model.features}
+    for reference in model.references:
+        if not reference.located:
+            raise ValueError(
+                f"'{reference.name}' is missing under '{reference.section}'"
+            )
+    used = {(reference.section, reference.name) for reference in model.references}
     for section in SECTIONS:
         for member in getattr(fitted, section):
             if (section, member) not in used:

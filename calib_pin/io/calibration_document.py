@@ -19,20 +19,19 @@ from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models import Feature
-from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.references import Frame, ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, QuantityErrors, UrdfResult
-from calib_pin.validation.summaries import Ladder, Provenance, ToolAccuracy
+from calib_pin.validation.summaries import ModelSelection, Provenance, ToolAccuracy
 
 
 def calibration_document(
     result: CalibrationResult,
     provenance: Provenance | None = None,
     residual_model: Mapping[str, str] | None = None,
-    remedies: Sequence[Suggestion] = (),
+    suggestions: Sequence[Suggestion] = (),
 ) -> Json:
     """A result as the JSON document of version 1.
 
@@ -42,7 +41,7 @@ def calibration_document(
         result: The result.
         provenance: How it came about; default what the result says.
         residual_model: Where what was learned is written, see `io.residual_model`.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
 
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
@@ -70,13 +69,13 @@ def calibration_document(
                 for file, content in zip(result.files, hashes, strict=True)
             ],
             **described.pop("measurements"),
-            "training": result.training,
+            "training": len(result.fitted),
             "validation": result.validation.count,
             "placed_by_validation": list(result.validation.placed),
         },
         "rotation_to_base": result.fitted.to_base.tolist(),
         **described,
-        **identification_parts(result, remedies),
+        **identification_parts(result, suggestions),
         "errors": _errors(result.errors, result.validation.method),
         "validation": plain(result.validation),
         "predicted": _predicted(result.accuracy),
@@ -89,7 +88,9 @@ def calibration_document(
         "distances": plain(result.distances),
         "residual_model": None if residual_model is None else dict(residual_model),
         "rejected_residual_model": result.rejected,
-        "model_ladder": None if result.ladder is None else _ladder(result.ladder),
+        "model_ladder": None
+        if result.model_selection is None
+        else _ladder(result.model_selection),
         "urdf": None
         if result.urdf is None
         else _urdf(result.urdf, result.validation.method),
@@ -137,17 +138,17 @@ def _model(model: CalibratedModel, reference: CalibratedModel) -> Json:
         },
     }
     sections: Json = {"targets": {}, "planes": {}}
-    for feature, start in zip(
-        model.measurement.features, reference.measurement.features, strict=True
+    for found, start in zip(
+        model.measurement.references, reference.measurement.references, strict=True
     ):
-        values, flags = _stated(feature)
+        values, flags = _stated(found)
         entry = {**values, **flags, "reference": _stated(start)[0]}
-        if isinstance(feature, Frame):
-            frames[f"{feature.name}.{feature.kind}"] = entry
-        elif feature.section == "camera":  # There is one at most.
-            sections[feature.section] = entry
+        if isinstance(found, Frame):
+            frames[f"{found.name}.{found.kind}"] = entry
+        elif found.section == "camera":  # There is one at most.
+            sections[found.section] = entry
         else:
-            sections.setdefault(feature.section, {})[feature.name] = entry
+            sections.setdefault(found.section, {})[found.name] = entry
     return {
         "measurements": {
             "model": model.measurement.name,
@@ -159,9 +160,9 @@ def _model(model: CalibratedModel, reference: CalibratedModel) -> Json:
     }
 
 
-def _stated(feature: Feature) -> tuple[Json, Json]:
-    """Values of a feature, and what of it was estimated."""
-    values = asdict(feature.stated())
+def _stated(reference: ReferenceObject) -> tuple[Json, Json]:
+    """Values of a reference object, and what of it was estimated."""
+    values = asdict(reference.stated())
     flags = {key: values.pop(key) for key in [*values] if key.startswith("estimate")}
     return values, {k.replace("estimate", "estimated"): v for k, v in flags.items()}
 
@@ -245,9 +246,9 @@ def _urdf(urdf: UrdfResult, method: str) -> Json:
     }
 
 
-def _ladder(ladder: Ladder) -> Json:
+def _ladder(ladder: ModelSelection) -> Json:
     return {
-        "chosen": ladder.rungs[ladder.chosen].name,
+        "chosen": ladder.candidates[ladder.chosen].name,
         "rungs": [
             {
                 **plain(rung),
@@ -256,7 +257,7 @@ def _ladder(ladder: Ladder) -> Json:
                     for name, unit, mean in rung.errors
                 },
             }
-            for rung in ladder.rungs
+            for rung in ladder.candidates
         ],
     }
 

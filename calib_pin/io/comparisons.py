@@ -6,8 +6,7 @@ from dataclasses import asdict
 
 from calib_pin.io.documents import stated
 from calib_pin.io.json_text import Json
-from calib_pin.validation.comparison import BOUND, Comparison
-from calib_pin.validation.parameter_changes import Difference
+from calib_pin.validation.comparison import BOUND, Comparison, Difference
 from calib_pin.validation.result import Accuracy, CalibrationResult
 from calib_pin.validation.tip_drift import TipDrift
 
@@ -64,7 +63,7 @@ def _record(record: CalibrationResult) -> Json:
         "model": record.model.measurement.name,
         "parameters": list(record.model.setup.parameters),
         "residual_model": record.model.setup.learned,
-        "training": record.training,
+        "training": len(record.fitted),
         "validation": record.validation.method,
         "errors": {
             error.name: {

@@ -29,38 +29,38 @@ def stated(kind: str, version: int = 1) -> Json:
 
 
 def identification_parts(
-    found: Identification, remedies: Sequence[Suggestion] = ()
+    found: Identification, suggestions: Sequence[Suggestion] = ()
 ) -> Json:
     """The parts `parameters` and `identifiability` of section 8 of the contract.
 
     Args:
         found: The identifiability of a robot.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     return {
         "parameters": plain(found.parameters),
         "identifiability": {
             **plain(found.identifiability),
             "coupled": plain(found.groups),
-            "remedies": plain(remedies),
+            "remedies": plain(suggestions),
         },
     }
 
 
 def identification_document(
-    found: Identification, remedies: Sequence[Suggestion], verdict: str, reason: str
+    found: Identification, suggestions: Sequence[Suggestion], verdict: str, reason: str
 ) -> Json:
     """The identifiability of a robot.
 
     Args:
         found: It.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
         verdict: Verdict of the fit that it is of; `good` without one.
         reason: Why; empty where there is nothing to say.
     """
     return {
         **stated("identification"),
-        **identification_parts(found, remedies),
+        **identification_parts(found, suggestions),
         "verdict": {"status": verdict, "reason": reason},
     }
 

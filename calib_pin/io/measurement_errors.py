@@ -17,8 +17,8 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.row_errors import AXES, RowErrors
 
 FILE_NAME = "measurements.csv"
 """Name beside `calibration.json`."""
@@ -45,7 +45,7 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
         result: The result.
         run: Id of the run that it is of.
     """
-    parts = [result.fitted, *([] if result.unseen is None else [result.unseen])]
+    parts = [result.fitted, *([] if result.held_out is None else [result.held_out])]
     tables = [p.table(name) for p, name in zip(parts, SETS, strict=False)]
     cells: dict[str, list[object]] = {name: [] for t in tables for name in t}
     for table, part in zip(tables, parts, strict=True):
@@ -61,7 +61,7 @@ def _cell(value: object) -> object:
 
 def decode_errors(
     data: bytes, model: CalibratedModel, to_base: Floats
-) -> tuple[RowErrors, RowErrors | None]:
+) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements.
 
     Args:
@@ -82,10 +82,10 @@ def decode_errors(
         if name not in header:
             raise ValueError(f"the column '{name}' is missing")
     found = [_part(columns, model, to_base, name) for name in SETS]
-    fitted, unseen = found
+    fitted, held_out = found
     if fitted is None:
         raise ValueError("there are no measurements")
-    return fitted, unseen
+    return fitted, held_out
 
 
 def _part(
@@ -93,7 +93,7 @@ def _part(
     model: CalibratedModel,
     to_base: Floats,
     name: str,
-) -> RowErrors | None:
+) -> MeasurementErrors | None:
     chosen = [k for k, word in enumerate(columns.get("set", ())) if word == name]
     if not chosen:
         return None
@@ -131,7 +131,7 @@ def _part(
         numbers([f"{component}.{stage}" for component in components])
         for stage in ("before", "after", "sigma")
     )
-    return RowErrors(
+    return MeasurementErrors(
         rows=rows,
         quantities=quantities,
         before=before,
@@ -143,7 +143,7 @@ def _part(
     )
 
 
-def unknown_errors(model: CalibratedModel, count: int) -> RowErrors:
+def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
     """The errors of measurements that a file says nothing of.
 
     Args:
@@ -160,7 +160,7 @@ def unknown_errors(model: CalibratedModel, count: int) -> RowErrors:
         values=np.zeros((count, width)),
         target=("",) * count,
     )
-    return RowErrors(
+    return MeasurementErrors(
         rows=rows,
         quantities=quantities,
         before=unknown,

@@ -26,7 +26,7 @@ from calib_pin.io.result_folder import DOCUMENT, Read, opened
 from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.named_array import NamedArray
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
@@ -35,11 +35,11 @@ from calib_pin.validation.result import (
     ParameterEstimate,
     UrdfResult,
 )
-from calib_pin.validation.row_errors import RowErrors
 from calib_pin.validation.summaries import (
-    Ladder,
+    Candidate,
+    ModelSelection,
+    NamedArray,
     Provenance,
-    Rung,
     SolverSummary,
     Statistics,
     ToolAccuracy,
@@ -106,7 +106,7 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
     return result, document
 
 
-def read_remedies(document: Json) -> tuple[Suggestion, ...]:
+def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
     """The suggested measurements that a document holds."""
     stated = document["identifiability"].get("remedies", [])
     return tuple(typed(Suggestion, entry) for entry in stated)
@@ -130,7 +130,7 @@ def _result(
     parameters, groups = _estimates(document)
     sections = {key: {**older, **document[key]} for key, older in LATER.items()}
     (training,) = numbers([about["training"]], 1)
-    fitted, unseen = _measured(document, model, errors, int(training))
+    fitted, held_out = _measured(document, model, errors, int(training))
     names = [parameter.name for parameter in parameters]
     unknown = np.full((len(names), len(names)), np.nan)
     covariance = document.get("covariance") or unknown
@@ -145,16 +145,15 @@ def _result(
         verdict=verdict["status"],
         reason=_words(verdict["reason"]),
         errors=tuple(errors for errors, _ in stated),
-        training=int(training),
         validation=typed(Validation, document.get("validation", validation)),
         solver=typed(SolverSummary, sections["solver"]),
         statistics=typed(Statistics, sections["statistics"]),
         accuracy=_accuracy(document.get("predicted"), len(model.chain.joints)),
         covariance=NamedArray.of(covariance, names, names),
         fitted=fitted,
-        unseen=unseen,
+        held_out=held_out,
         files=tuple(_words(entry["file"]) for entry in about["files"]),
-        ladder=_ladder(document.get("model_ladder")),
+        model_selection=_ladder(document.get("model_ladder")),
         urdf=None if urdf is None else _urdf(urdf, model),
         rejected=document.get("rejected_residual_model", ""),
         distances=tuple(
@@ -184,7 +183,7 @@ def _estimates(
 
 def _measured(
     document: Json, model: CalibratedModel, errors: bytes | None, training: int
-) -> tuple[RowErrors, RowErrors | None]:
+) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements."""
     rotation = document.get("rotation_to_base")
     if errors is None or rotation is None:
@@ -254,12 +253,12 @@ def _pair(entry: Mapping[str, Any]) -> tuple[float, float]:
     return position, orientation
 
 
-def _ladder(entry: Mapping[str, Any] | None) -> Ladder | None:
+def _ladder(entry: Mapping[str, Any] | None) -> ModelSelection | None:
     if entry is None:
         return None
     rungs = tuple(
         typed(
-            Rung,
+            Candidate,
             {
                 **rung,
                 "errors": [
@@ -270,7 +269,7 @@ def _ladder(entry: Mapping[str, Any] | None) -> Ladder | None:
         )
         for rung in entry["rungs"]
     )
-    return Ladder(rungs, [rung.name for rung in rungs].index(entry["chosen"]))
+    return ModelSelection(rungs, [rung.name for rung in rungs].index(entry["chosen"]))
 
 
 def _urdf(entry: Json, model: CalibratedModel) -> UrdfResult:

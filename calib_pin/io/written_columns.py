@@ -109,7 +109,7 @@ def _with_starts(data: Measurements) -> Measurements:
         (distance <= 0.0, "is not more than 0"),
     ):
         if (relative & wrong).any():
-            place = data.place(int(np.argmax(relative & wrong)))
+            place = data.source(int(np.argmax(relative & wrong)))
             raise OutputError(
                 f"{place}: the relative distance {reason} and would not read back"
             )

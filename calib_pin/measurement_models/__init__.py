@@ -24,7 +24,6 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.features import Feature
 from calib_pin.measurement_models.mixed import Mixed, qualified
 from calib_pin.observations import PLUS
 from calib_pin.setup import Setup
@@ -37,7 +36,6 @@ __all__ = [
     "CurvedModel",
     "Declaration",
     "DeclaredModel",
-    "Feature",
     "Inference",
     "Linearization",
     "MeasurementModel",

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.declaration import Declaration, Quantity
-from calib_pin.measurement_models.features import Feature, slices
+from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.observations import Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
@@ -25,7 +25,7 @@ class Linearization:
     Attributes:
         residual: Predicted minus measured, shape (N, d).
         J_pose: Derivative by the body twist of the tool, shape (N, d, 6).
-        J_instrument: Derivative by the model's own parameters, shape (N, d, K).
+        J_instrument: Derivative by the model's parameters, shape (N, d, K).
     """
 
     residual: Floats
@@ -36,9 +36,9 @@ class Linearization:
 class MeasurementModel(Protocol):
     """How the tool pose becomes a measured value.
 
-    A member is frozen; its own parameters are those of its features (a plane, say),
-    deviations from references that these carry, and `register` returns it about better
-    references.
+    A member is frozen; its parameters are those of its reference objects (a plane,
+    say), deviations from references that these carry, and `register` returns it about
+    better references.
     """
 
     @property
@@ -90,18 +90,20 @@ class MeasurementModel(Protocol):
         ...
 
     @property
-    def features(self) -> Sequence[Feature]:
-        """What rows refer to, in the order of the model's own parameters."""
+    def references(self) -> Sequence[ReferenceObject]:
+        """What rows refer to, in the order of the model's parameters."""
         ...
 
-    def with_features(self, features: Sequence[Feature]) -> MeasurementModel:
-        """The same model about other references of the same features."""
+    def with_references(
+        self, references: Sequence[ReferenceObject]
+    ) -> MeasurementModel:
+        """The same model with its reference objects about other references."""
         ...
 
     def extended(self, T: Floats, data: Measurements) -> MeasurementModel:
-        """The model with places for what rows name and it does not know.
+        """The model with sites for what measurements name and it does not know.
 
-        Only what was not there when it was fitted gets a place: the socket of rows
+        Only what was not there when it was fitted gets a site: the socket of rows
         that were set aside, say, where the robot finds its ball on average.
 
         Args:
@@ -115,26 +117,26 @@ class MeasurementModel(Protocol):
         """The model's own parameters."""
         ...
 
-    def rebased(self, own: Floats) -> MeasurementModel:
-        """The same model with its own parameters moved into its references.
+    def rebased(self, instrument: Floats) -> MeasurementModel:
+        """The same model with its parameters moved into its references.
 
         Args:
-            own: Values of the model's own parameters, shape (K,).
+            instrument: Values of the model's parameters, shape (K,).
         """
         ...
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
 
         Args:
             T: Tool poses in the measuring frame, shape (N, 4, 4).
-            own: Values of the model's own parameters, shape (K,).
+            instrument: Values of the model's parameters, shape (K,).
             target: Name of the target of each row.
         """
         ...
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Whether the instrument can measure at each pose at all, shape (N,)."""
         ...
@@ -143,11 +145,13 @@ class MeasurementModel(Protocol):
         """Values with noise of the residual components added, shape (N, d)."""
         ...
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Signed residual, predicted minus measured, shape (N, d)."""
         ...
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """Residual and its derivatives."""
         ...
 
@@ -169,18 +173,18 @@ class MeasurementModel(Protocol):
 
 
 @dataclass(frozen=True)
-class References:
+class Geometry:
     """What rows look at, for the S members of a population.
 
     Attributes:
         points: Points that are carried through the chain, shape (S, J, 3) [m].
-        places: What these are compared with, shape (S, L, w), see `kernels`.
+        sites: What these are compared with, shape (S, L, w), see `kernels`.
         stand: What stands before the chain, links (R | p), shape (S, 12).
         mount: The same behind it.
     """
 
     points: Floats
-    places: Floats
+    sites: Floats
     stand: Floats | None = None
     mount: Floats | None = None
 
@@ -193,26 +197,28 @@ class Batch:
         comparison: One of `kernels.COMPARISONS`.
         rows: Positions of the N rows in the data, shape (N,).
         point: Which point of the references each looks at, shape (N,).
-        place: Which place that is compared with, shape (N,).
+        site: Which site that is compared with, shape (N,).
         values: What was measured, shape (N, D).
         weights: Reciprocal standard deviations of the residual, shape (N, d).
-        references: Those of members, from the model's own parameters (S, K).
+        geometry: That of members, from the model's parameters (S, K).
         inward: Whether points are carried from the base to the tool.
     """
 
     comparison: str
     rows: NDArray[np.intp]
     point: NDArray[np.int64]
-    place: NDArray[np.int64]
+    site: NDArray[np.int64]
     values: Floats
     weights: Floats
-    references: Callable[[Floats], References]
+    geometry: Callable[[Floats], Geometry]
     inward: bool = False
 
 
-def tool_references(own: Floats) -> References:
+def tool_geometry(instrument: Floats) -> Geometry:
     """The origin of the tool, compared with values alone."""
-    return References(np.zeros((len(own), 1, 3)), np.zeros((len(own), 1, 3)))
+    return Geometry(
+        np.zeros((len(instrument), 1, 3)), np.zeros((len(instrument), 1, 3))
+    )
 
 
 @runtime_checkable
@@ -247,12 +253,14 @@ class Curvature:
 class CurvedModel(Protocol):
     """A measurement model whose rows can be differentiated by the configuration."""
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """Second derivatives where the measured values are the predicted ones.
 
         Args:
             T: Tool poses in the measuring frame, shape (N, 4, 4).
-            own: Values of the model's own parameters, shape (K,).
+            instrument: Values of the model's parameters, shape (K,).
             target: Name of the target of each row.
         """
         ...
@@ -270,26 +278,26 @@ class ReferenceParameters:
     """What models share that have reference objects: parameters, and how these move."""
 
     @property
-    def features(self) -> Sequence[Feature]:
+    def references(self) -> Sequence[ReferenceObject]:
         """The reference objects; empty where there are none."""
         return ()
 
-    def with_features(self, features: Sequence[Feature]) -> Self:
+    def with_references(self, references: Sequence[ReferenceObject]) -> Self:
         """The same model: there is nothing to replace."""
         return self
 
     @property
     def parameters(self) -> Sequence[Parameter]:
         """The parameters of the reference objects."""
-        return tuple(p for feature in self.features for p in feature.parameters)
+        return tuple(p for reference in self.references for p in reference.parameters)
 
-    def rebased(self, own: Floats) -> Self:
+    def rebased(self, instrument: Floats) -> Self:
         """The same model with every reference object moved by its parameters."""
-        features = self.features
-        return self.with_features(
+        references = self.references
+        return self.with_references(
             [
-                feature.rebased(own[part])
-                for feature, part in zip(features, slices(features), strict=True)
+                reference.rebased(instrument[part])
+                for reference, part in zip(references, slices(references), strict=True)
             ]
         )
 
@@ -368,7 +376,7 @@ class DeclaredModel(ReferenceParameters):
         return ()
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Whether the instrument can measure at each pose at all, shape (N,)."""
         return np.ones(len(T), bool)

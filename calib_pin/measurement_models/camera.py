@@ -23,8 +23,8 @@ from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
     DeclaredModel,
+    Geometry,
     Linearization,
-    References,
     rotation_curvature,
 )
 from calib_pin.measurement_models.camera_start import Rays
@@ -34,13 +34,18 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.features import Feature, Point, locate, slices
 from calib_pin.measurement_models.intrinsics import INTRINSICS, Camera, Marker
 from calib_pin.measurement_models.named_points import xyz_or_none
 from calib_pin.measurement_models.pinhole import (
     NEAR,
     Image,
     turning_radius,
+)
+from calib_pin.measurement_models.references import (
+    Point,
+    ReferenceObject,
+    locate,
+    slices,
 )
 from calib_pin.observations import Measurements
 from calib_pin.setup import PointSetup, Setup
@@ -97,13 +102,13 @@ class CameraModel(DeclaredModel):
         return cls(
             camera,
             points=tuple(p for p in points if p.name in named),
-            spare=tuple(p for p in points if p.placed and p.name not in named),
+            spare=tuple(p for p in points if p.located and p.name not in named),
         )
 
     @property
     def missing(self) -> str:
         """Points that nobody has given."""
-        lacking = [f"'{point.name}'" for point in self.points if not point.placed]
+        lacking = [f"'{point.name}'" for point in self.points if not point.located]
         if self.points and not lacking:
             return ""
         first = f" of {lacking[0]}" if len(lacking) == 1 else ""
@@ -117,13 +122,13 @@ class CameraModel(DeclaredModel):
         return tuple(point.name for point in self.points)
 
     @property
-    def features(self) -> Sequence[Feature]:
+    def references(self) -> Sequence[ReferenceObject]:
         """The camera, then the points."""
         return (self.camera, *self.points)
 
-    def with_features(self, features: Sequence[Feature]) -> CameraModel:
+    def with_references(self, references: Sequence[ReferenceObject]) -> CameraModel:
         """The same about another camera and other points."""
-        camera, *points = features
+        camera, *points = references
         assert isinstance(camera, Camera)
         kept = tuple(point for point in points if isinstance(point, Point))
         return replace(self, camera=camera, points=kept)
@@ -134,19 +139,19 @@ class CameraModel(DeclaredModel):
         more = tuple(point for point in self.spare if point.name in named)
         return replace(self, points=(*self.points, *more)) if more else self
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Pixels (u, v), shape (N, 2) [px]; NaN behind the camera."""
-        return self._look(T, own, self._index(target)).image.pixels
+        return self._look(T, instrument, self._index(target)).image.pixels
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Where the point is in front of the camera and within its image.
 
         Beyond the radius at which the distortion folds back there is no image. An
         image without a size reaches as far behind its principal point as before it.
         """
-        image = self._look(T, own, self._index(target)).image
+        image = self._look(T, instrument, self._index(target)).image
         radius = turning_radius(image.intrinsics[4:])
         seen = (image.points[2] > NEAR) & (np.hypot(image.x, image.y) < radius)
         size = self.camera.size
@@ -155,11 +160,13 @@ class CameraModel(DeclaredModel):
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
         return np.asarray(seen)
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted minus measured pixel, shape (N, 2) [px]."""
-        return self.predict(T, own, data.target) - data.values
+        return self.predict(T, instrument, data.target) - data.values
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """Derivatives by the point in the camera, carried to the tool.
 
         With g the derivative by the point X in the camera, and a body twist (v, w): on
@@ -168,17 +175,17 @@ class CameraModel(DeclaredModel):
         tool, `-g` or `R^T g`, and L the point in the tool frame, X or P.
         """
         index = self._index(data.target)
-        view = self._look(T, own, index)
+        view = self._look(T, instrument, index)
         g = view.image.gradient
         hand = self.camera.mount == "hand"
         h = -g if hand else np.einsum("din,ijn->djn", g, view.R)
-        lever = view.image.points if hand else view.place
+        lever = view.image.points if hand else view.site
         J_pose = np.empty((len(T), 2, 6))
         J_pose[:, :, :3] = h.transpose(2, 0, 1)
         for k in range(3):
             i, j = (k + 1) % 3, (k + 2) % 3
             J_pose[:, :, 3 + k] = (lever[i] * h[:, j] - lever[j] * h[:, i]).T
-        J_instrument = np.zeros((len(T), 2, len(own)))
+        J_instrument = np.zeros((len(T), 2, len(instrument)))
         J_instrument[:, :, : len(INTRINSICS)] = view.image.by_intrinsics.transpose(
             2, 0, 1
         )
@@ -199,27 +206,29 @@ class CameraModel(DeclaredModel):
         columns = column[moving, None] + np.arange(3)
         intrinsics, count = self.camera.intrinsics, len(INTRINSICS)
 
-        def references(own: Floats) -> References:
-            points = np.tile(known, (len(own), 1, 1))
-            points[:, moving] += own[:, columns]
-            places = np.full((len(own), 1, count + 1), NEAR)
-            places[:, 0, :count] = intrinsics + own[:, :count]
-            return References(points, places)
+        def geometry(instrument: Floats) -> Geometry:
+            points = np.tile(known, (len(instrument), 1, 1))
+            points[:, moving] += instrument[:, columns]
+            sites = np.full((len(instrument), 1, count + 1), NEAR)
+            sites[:, 0, :count] = intrinsics + instrument[:, :count]
+            return Geometry(points, sites)
 
         camera = np.zeros_like(point)
         hand = self.camera.mount == "hand"
         return [
-            Batch("pixel", rows, point, camera, data.values, weights, references, hand)
+            Batch("pixel", rows, point, camera, data.values, weights, geometry, hand)
         ]
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """Second derivatives: the point moves in the image, and its motion turns.
 
         With `dX = M (v, w)` of the point in the camera the rows are `g M`, and change
         by `M^T H M + g dM`, H the second derivative of the pixel by X.
         """
         index = self._index(target)
-        view = self._look(T, own, index)
+        view = self._look(T, instrument, index)
         image, R = view.image, T[:, :3, :3]
         turning = rotation_curvature(R)
         if self.camera.mount == "hand":
@@ -230,7 +239,7 @@ class CameraModel(DeclaredModel):
             by_M[:, :, 3:] = -np.einsum("ack,nkb->ncab", skew(np.eye(3)), M)
             P, by_P = np.swapaxes(R, 1, 2), np.swapaxes(turning, 1, 2)
         else:
-            lever = skew(view.place.T)
+            lever = skew(view.site.T)
             M = np.concatenate([R, -R @ lever], axis=2)
             of_turn = -np.einsum("nacb,ncd->nadb", turning, lever)
             by_M = np.concatenate([turning, of_turn], axis=2)
@@ -242,7 +251,7 @@ class CameraModel(DeclaredModel):
                 np.einsum("ndcb,nca->ndab", H, M) + np.einsum("ndc,ncab->ndab", g, by_M)
             )
 
-        J_instrument = np.zeros((len(T), 2, len(own), 6))
+        J_instrument = np.zeros((len(T), 2, len(instrument), 6))
         J_instrument[:, :, : len(INTRINSICS)] = image.bend_by_intrinsics @ M[:, None]
         column = self._columns[index]
         rows = np.flatnonzero(column >= 0)
@@ -268,8 +277,8 @@ class CameraModel(DeclaredModel):
         if base is None or tool is None:
             base, tool = self._start(F, data, index, base, tool)
         T = base.homogeneous @ F @ tool.homogeneous
-        own = np.zeros(len(self.parameters))
-        seen = self._look(T, own, index).image.points[2] > NEAR
+        instrument = np.zeros(len(self.parameters))
+        seen = self._look(T, instrument, index).image.points[2] > NEAR
         if not seen.all():
             row = int(np.argmin(seen))
             raise data.error(
@@ -291,8 +300,8 @@ class CameraModel(DeclaredModel):
         """The base and the tool frame, one of them given or none."""
         rays = self.camera.rays(data.values)
         seen = np.isfinite(rays[:, 0])
-        places = np.array([point.xyz for point in self.points])
-        found = Rays(F[seen], places, index[seen], rays[seen], data.groups()[seen])
+        sites = np.array([point.xyz for point in self.points])
+        found = Rays(F[seen], sites, index[seen], rays[seen], data.groups()[seen])
         if self.camera.mount == "world":
             ends = found.ends(_matrix(base), _matrix(tool), (False, True))
         else:
@@ -312,7 +321,7 @@ class CameraModel(DeclaredModel):
     @property
     def _columns(self) -> NDArray[np.int64]:
         """First column of each point among the own parameters, -1 for a known one."""
-        parts = slices(self.features)[1:]
+        parts = slices(self.references)[1:]
         return np.array([p.start if p.stop > p.start else -1 for p in parts], np.int64)
 
     def _index(
@@ -321,25 +330,25 @@ class CameraModel(DeclaredModel):
         """Position of each row's point; data tell where a wrong name stands."""
         return locate(target, self.points, "target", data)
 
-    def _look(self, T: Floats, own: Floats, index: NDArray[np.int64]) -> _View:
-        camera, *parts = slices(self.features)
-        places = np.array(
+    def _look(self, T: Floats, instrument: Floats, index: NDArray[np.int64]) -> _View:
+        camera, *parts = slices(self.references)
+        sites = np.array(
             [
                 # Points that are not estimated have no parameters.
-                point.at(own[part]) if part.stop > part.start else point.xyz
+                point.at(instrument[part]) if part.stop > part.start else point.xyz
                 for point, part in zip(self.points, parts, strict=True)
             ],
             float,
         )
         # By components: sums over rows that lie side by side.
         pose = np.ascontiguousarray(T[:, :3].transpose(1, 2, 0))
-        place = np.take(places.T, index, axis=1)
+        site = np.take(sites.T, index, axis=1)
         R, p = pose[:, :3], pose[:, 3]
         if self.camera.mount == "hand":
-            point = np.einsum("ijn,in->jn", R, place - p)
+            point = np.einsum("ijn,in->jn", R, site - p)
         else:
-            point = np.einsum("ijn,jn->in", R, place) + p
-        return _View(R, place, Image(self.camera.intrinsics + own[camera], point))
+            point = np.einsum("ijn,jn->in", R, site) + p
+        return _View(R, site, Image(self.camera.intrinsics + instrument[camera], point))
 
 
 @dataclass(frozen=True)
@@ -348,12 +357,12 @@ class _View:
 
     Attributes:
         R: Rotations of the tool, shape (3, 3, N).
-        place: The points where they are given, shape (3, N) [m].
+        site: The points where they are given, shape (3, N) [m].
         image: The points in the camera.
     """
 
     R: Floats
-    place: Floats
+    site: Floats
     image: Image
 
 

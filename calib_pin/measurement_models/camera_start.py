@@ -38,14 +38,14 @@ class Rays:
 
     Attributes:
         F: The chain, from the end at the camera to that at the points, (N, 4, 4).
-        places: The points P by position, shape (J, 3) [m].
+        points: The points P by position, shape (J, 3) [m].
         index: Position of each row's point, shape (N,).
         rays: What the camera sees, shape (N, 2).
         image: Number of each row's image, shape (N,).
     """
 
     F: Floats
-    places: Floats
+    points: Floats
     index: NDArray[np.int64]
     rays: Floats
     image: NDArray[np.int64]
@@ -94,7 +94,7 @@ class Rays:
             rows = [rows[k] for k in np.linspace(0, len(rows) - 1, IMAGES).astype(int)]
         chain, poses = [], []
         for k in rows:
-            pose = pose_of_points(self.places[self.index[k]], self.rays[k])
+            pose = pose_of_points(self.points[self.index[k]], self.rays[k])
             if pose is not None:
                 chain.append(self.F[k[0]])
                 poses.append(pose)
@@ -106,10 +106,10 @@ class Rays:
         """Both ends with all rows as one image, where these tell."""
         few = self._some(ROWS)
         if inner is None:
-            carried = carried_points(few.F, few.index, few.rays, few.places, outer)
+            carried = carried_points(few.F, few.index, few.rays, few.points, outer)
             if carried is None:
                 return
-            inner = fit_pose(few.places, carried).homogeneous
+            inner = fit_pose(few.points, carried).homogeneous
         if outer is None:
             outer = pose_of_points(few._moved(np.eye(4), inner), few.rays)
         if outer is not None:
@@ -121,14 +121,14 @@ class Rays:
         # A point that no row is left of would be told by nothing.
         seen, index = np.unique(self.index[rows], return_inverse=True)
         return Rays(
-            self.F[rows], self.places[seen], index, self.rays[rows], self.image[rows]
+            self.F[rows], self.points[seen], index, self.rays[rows], self.image[rows]
         )
 
     def _moved(self, outer: Floats, inner: Floats) -> Floats:
         """`O F_i I P_i`, shape (N, 3) [m]."""
         T = outer @ self.F @ inner
-        places = self.places[self.index]
-        return np.asarray((T[:, :3, :3] @ places[:, :, None])[:, :, 0] + T[:, :3, 3])
+        points = self.points[self.index]
+        return np.asarray((T[:, :3, :3] @ points[:, :, None])[:, :, 0] + T[:, :3, 3])
 
     def _error(self, ends: tuple[Floats, Floats]) -> float:
         """Median error of the rays; a point behind the camera has an infinite one."""

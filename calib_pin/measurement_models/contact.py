@@ -16,13 +16,13 @@ from calib_pin.measurement_models.contact_registration import (
     register_touched_plane,
 )
 from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
-from calib_pin.measurement_models.features import Anchor, Feature, Sphere
 from calib_pin.measurement_models.named_points import (
     given_names,
     xyz_or_none,
 )
 from calib_pin.measurement_models.planes import Plane, turned_planes
-from calib_pin.measurement_models.registered_places import PlaceModel
+from calib_pin.measurement_models.references import Anchor, ReferenceObject, Sphere
+from calib_pin.measurement_models.registered_sites import SiteModel
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
@@ -34,7 +34,7 @@ GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
 
 
 @dataclass(frozen=True)
-class PlaneContact(PlaceModel):
+class PlaneContact(SiteModel):
     """`residual = n . p + f`, the height of the tool point above a plane [m]."""
 
     declaration = Declaration(
@@ -48,66 +48,68 @@ class PlaneContact(PlaceModel):
     comparison = "height"
 
     @classmethod
-    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
         """The planes."""
         return planes_of_setup(setup, names)
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """The height, with the plane turned by (u, v) and shifted by f."""
-        n, f, by_turn = self._planes(place, own)
+        n, f, by_turn = self._planes(site, values)
         height = np.einsum("ni,ni->n", n, p) + f
         by_plane = np.concatenate(
             [np.einsum("ni,nik->nk", p, by_turn), np.ones((len(p), 1))], axis=1
         )
         return PointMeasurement(height[:, None], n[:, None], by_plane[:, None])
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """Normals and offsets."""
-        planes = [plane for plane in self.places if isinstance(plane, Plane)]
-        return turned_planes(planes, own)
+        planes = [plane for plane in self.sites if isinstance(plane, Plane)]
+        return turned_planes(planes, values)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """A plane is flat; what it turns about is as far as the point."""
-        _, _, by_turn = self._planes(place, own)
+        _, _, by_turn = self._planes(site, values)
         by_plane = np.zeros((len(p), 1, 3, 3))
         by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
         return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
 
     def reached(
-        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+        self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> Reached:
         """The plane through the points."""
         return register_touched_plane(F, point)
 
-    def found(self, place: Feature, reached: Reached) -> Feature:
+    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
         """The plane with normal and offset."""
-        assert isinstance(place, Plane)
-        return replace(place, normal=reached.place, offset=reached.size)
+        assert isinstance(site, Plane)
+        return replace(site, normal=reached.site, offset=reached.size)
 
     def new(self, name: str) -> Plane:
         """A plane that nobody has given."""
         return Plane(name)
 
     def _planes(
-        self, place: NDArray[np.int64], own: Floats
+        self, site: NDArray[np.int64], values: Floats
     ) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
         # Rows of one plane share its parameters.
-        first = {int(k): int(np.argmax(place == k)) for k in np.unique(place)}
-        count = len(self.places)
+        first = {int(k): int(np.argmax(site == k)) for k in np.unique(site)}
+        count = len(self.sites)
         normals, offsets = np.zeros((count, 3)), np.zeros(count)
         slopes = np.zeros((count, 3, 2))
         for k, row in first.items():
-            plane = self.places[k]
+            plane = self.sites[k]
             assert isinstance(plane, Plane)
-            normals[k], offsets[k], slopes[k] = plane.turned(own[row])
-        return normals[place], offsets[place], slopes[place]
+            normals[k], offsets[k], slopes[k] = plane.turned(values[row])
+        return normals[site], offsets[site], slopes[site]
 
 
 @dataclass(frozen=True)
-class SphereContact(PlaceModel):
+class SphereContact(SiteModel):
     """`residual = |p - c| - r`, the height of the tool point above a sphere [m].
 
     The radius is that of the sphere and of a ball at the tool point together.
@@ -125,7 +127,7 @@ class SphereContact(PlaceModel):
     comparison = "distance"
 
     @classmethod
-    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
         """The spheres; a radius that is not given is estimated."""
         spheres = []
         for name, stated in setup.spheres.items():
@@ -137,43 +139,45 @@ class SphereContact(PlaceModel):
         return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """The height."""
-        e, distance = rays(p, self.places, place, own)
-        height = distance - self._radii[place] - own[:, 3]
+        e, distance = rays(p, self.sites, site, values)
+        height = distance - self._radii[site] - values[:, 3]
         by_sphere = np.concatenate([-e, np.full((len(p), 1), -1.0)], axis=1)
         return PointMeasurement(height[:, None], e[:, None], by_sphere[:, None])
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """Centers, and radii to be subtracted."""
-        larger = own.reshape(len(own), -1, 4) * [1.0, 1.0, 1.0, -1.0]
-        return rounds(self.places, -self._radii) + larger
+        larger = values.reshape(len(values), -1, 4) * [1.0, 1.0, 1.0, -1.0]
+        return rounds(self.sites, -self._radii) + larger
 
     @property
     def _radii(self) -> Floats:
-        spheres = [s for s in self.places if isinstance(s, Sphere)]
+        spheres = [s for s in self.sites if isinstance(s, Sphere)]
         return np.array([sphere.radius for sphere in spheres], float)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """As round as the point is far from the center."""
-        e, distance = rays(p, self.places, place, own)
+        e, distance = rays(p, self.sites, site, values)
         return round_bend(e, distance)
 
     def reached(
-        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+        self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> Reached:
         """The sphere through the points."""
-        assert isinstance(place, Sphere)
-        if place.radius is None:
+        assert isinstance(site, Sphere)
+        if site.radius is None:
             return register_distances(F, None, point)
-        return register_distances(F, np.full(len(F), place.radius), point)
+        return register_distances(F, np.full(len(F), site.radius), point)
 
-    def found(self, place: Feature, reached: Reached) -> Feature:
+    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
         """The sphere with its center, and the radius where it was unknown."""
-        assert isinstance(place, Sphere)
-        radius = reached.size if place.radius is None else place.radius
-        return replace(place, xyz=reached.place, radius=radius)
+        assert isinstance(site, Sphere)
+        radius = reached.size if site.radius is None else site.radius
+        return replace(site, xyz=reached.site, radius=radius)
 
     def new(self, name: str) -> Sphere:
         """A sphere that nobody has given."""
@@ -202,26 +206,26 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
 
 
 def rays(
-    p: Floats, places: Sequence[Feature], place: NDArray[np.int64], own: Floats
+    p: Floats, sites: Sequence[ReferenceObject], site: NDArray[np.int64], values: Floats
 ) -> tuple[Floats, Floats]:
     """Directions and lengths from the centers of spheres or anchors to points.
 
     Args:
         p: Points in the measuring frame, shape (N, 3) [m].
-        places: The spheres or anchors.
-        place: Position of each row's, shape (N,).
-        own: Its parameters, the coordinates first, shape (N, k).
+        sites: The spheres or anchors.
+        site: Position of each row's, shape (N,).
+        values: Its parameters, the coordinates first, shape (N, k).
     """
-    return directions(p - _centers(places)[place] - own[:, :3])
+    return directions(p - _centers(sites)[site] - values[:, :3])
 
 
-def rounds(places: Sequence[Feature], added: Floats) -> Floats:
+def rounds(sites: Sequence[ReferenceObject], added: Floats) -> Floats:
     """Centers of L spheres or anchors, and what is added to distances, (L, 4)."""
-    return np.column_stack([_centers(places), added])
+    return np.column_stack([_centers(sites), added])
 
 
-def _centers(places: Sequence[Feature]) -> Floats:
-    return np.array([s.xyz for s in places if isinstance(s, Sphere | Anchor)])
+def _centers(sites: Sequence[ReferenceObject]) -> Floats:
+    return np.array([s.xyz for s in sites if isinstance(s, Sphere | Anchor)])
 
 
 def directions(x: Floats) -> tuple[Floats, Floats]:
@@ -235,5 +239,5 @@ def round_bend(e: Floats, distance: Floats) -> PointCurvature:
     """How a distance bends; its place has three coordinates and one number more."""
     across = np.eye(3) - e[:, :, None] * e[:, None, :]
     H = across / distance[:, None, None]
-    by_place = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
-    return PointCurvature(H[:, None], by_place[:, None])
+    by_site = np.concatenate([-H, np.zeros((len(e), 1, 3))], axis=1)
+    return PointCurvature(H[:, None], by_site[:, None])

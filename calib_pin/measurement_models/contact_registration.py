@@ -68,13 +68,13 @@ class Reached:
 
     Attributes:
         point: The point in the tip frame, shape (3,) [m].
-        place: Center of the sphere, or where the wire leaves, or the plane's normal,
+        site: Center of the sphere, or where the wire leaves, or the plane's normal,
             shape (3,) [m].
         size: Radius of the sphere, bias of the wire, or offset of the plane [m].
     """
 
     point: Floats
-    place: Floats
+    site: Floats
     size: float
 
 
@@ -188,8 +188,8 @@ def _best(
     """What fits the points of the best candidate for the point of the tool."""
     found = []
     for t in candidates:
-        place, size, misfit = through(F[:, :3, :3] @ t + F[:, :3, 3])
-        found.append((float(np.linalg.norm(misfit)), Reached(t, place, size)))
+        site, size, misfit = through(F[:, :3, :3] @ t + F[:, :3, 3])
+        found.append((float(np.linalg.norm(misfit)), Reached(t, site, size)))
     return min(found, key=lambda pair: pair[0])[1]
 
 

@@ -22,14 +22,14 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.features import Anchor, Feature
 from calib_pin.measurement_models.named_points import (
     given_names,
-    placed_tool,
+    located_tool,
     tip_points,
     xyz_or_none,
 )
-from calib_pin.measurement_models.registered_places import PlaceModel
+from calib_pin.measurement_models.references import Anchor, ReferenceObject
+from calib_pin.measurement_models.registered_sites import SiteModel
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
@@ -42,7 +42,7 @@ QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
 
 @dataclass(frozen=True)
-class PointDistance(PlaceModel):
+class PointDistance(SiteModel):
     """`h = |p - a| + b`, from an anchor a to the tool point, with a bias b [m]."""
 
     declaration = Declaration(
@@ -56,7 +56,7 @@ class PointDistance(PlaceModel):
     comparison = "distance"
 
     @classmethod
-    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
         """The anchors."""
         stated = setup.anchors.items()
         return tuple(
@@ -65,39 +65,41 @@ class PointDistance(PlaceModel):
         ) or tuple(map(Anchor, given_names(names, "anchor")))
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """The reading."""
-        e, distance = rays(p, self.places, place, own)
-        bias = self._biases[place]
+        e, distance = rays(p, self.sites, site, values)
+        bias = self._biases[site]
         by_anchor = np.concatenate([-e, np.ones((len(p), 1))], axis=1)
-        reading = distance + bias + own[:, 3]
+        reading = distance + bias + values[:, 3]
         return PointMeasurement(reading[:, None], e[:, None], by_anchor[:, None])
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """Anchors and biases."""
-        return rounds(self.places, self._biases) + own.reshape(len(own), -1, 4)
+        return rounds(self.sites, self._biases) + values.reshape(len(values), -1, 4)
 
     @property
     def _biases(self) -> Floats:
-        return np.array([a.bias for a in self.places if isinstance(a, Anchor)])
+        return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """As round as the point is far from the anchor."""
-        return round_bend(*rays(p, self.places, place, own))
+        return round_bend(*rays(p, self.sites, site, values))
 
     def reached(
-        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+        self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> Reached:
         """The anchor at these distances from the points."""
-        assert isinstance(place, Anchor)
-        bias = None if place.estimate_bias else place.bias
+        assert isinstance(site, Anchor)
+        bias = None if site.estimate_bias else site.bias
         return register_distances(F, data.values[:, 0], point, bias)
 
-    def found(self, place: Feature, reached: Reached) -> Feature:
+    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
         """The anchor with its place, and the bias where it was unknown."""
-        assert isinstance(place, Anchor)
-        return replace(place, xyz=reached.place, bias=reached.size)
+        assert isinstance(site, Anchor)
+        return replace(site, xyz=reached.site, bias=reached.size)
 
     def new(self, name: str) -> Anchor:
         """An anchor that nobody has given."""
@@ -130,17 +132,19 @@ class RelativeDistance(PointModel):
         return tuple(f"{name}{AT}" if name else "" for name in super().targets)
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """The length of the way."""
         e, distance = directions(p)
         return PointMeasurement(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """The start, from which on the kernel counts."""
-        return np.zeros((len(own), 1, 4))
+        return np.zeros((len(values), 1, 4))
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """As round as the way is long."""
         across = round_bend(*directions(p)).by_point
         return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))
@@ -154,7 +158,7 @@ class RelativeDistance(PointModel):
         for k in np.unique(label[np.isnan(tip[label, 0])]):
             rows = label == k
             tip[k] = register_relative_distances(F[rows], data.values[rows, 0])
-        points, tool = placed_tool(tip, self.points, tool)
+        points, tool = located_tool(tip, self.points, tool)
         return replace(self, points=points), base or pin.SE3.Identity(), tool
 
     def _reach(self, T: Floats, offset: Floats) -> tuple[Floats, Floats]:

@@ -12,13 +12,13 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact_registration import register_sockets
 from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.named_points import (
     given_names,
+    located_tool,
     named_points,
-    placed_tool,
     tip_points,
 )
+from calib_pin.measurement_models.references import Point
 from calib_pin.measurement_models.registration import register_points
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
@@ -49,30 +49,32 @@ class FixedPoint(PointModel):
     comparison = "position"
 
     @classmethod
-    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Point, ...]:
+    def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Point, ...]:
         """The sockets."""
         return named_points(setup.sockets, given_names(names, "socket"), "socket")
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """From the socket to the ball."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
-        centers = self._centers[place] + own
+        centers = self._centers[site] + values
         return PointMeasurement(p - centers, identity, -identity)
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """Centers of the sockets."""
-        return self._centers + own.reshape(len(own), -1, 3)
+        return self._centers + values.reshape(len(values), -1, 3)
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """Nothing bends."""
         flat = np.zeros((len(p), 3, 3, 3))
         return PointCurvature(flat, flat)
 
     @property
     def _centers(self) -> Floats:
-        sockets = [s for s in self.places if isinstance(s, Point)]
+        sockets = [s for s in self.sites if isinstance(s, Point)]
         return np.array([socket.xyz for socket in sockets])
 
     def new(self, name: str) -> Point:
@@ -91,7 +93,7 @@ class FixedPoint(PointModel):
         tip = tip_points(self.points, tool)
         given = [
             np.full(3, np.nan) if s.xyz is None else s.xyz
-            for s in self.places
+            for s in self.sites
             if isinstance(s, Point)
         ]
         if base is None and len(given) >= 3 and not np.isnan(given).any():
@@ -101,11 +103,11 @@ class FixedPoint(PointModel):
         base = base or pin.SE3.Identity()
         centers = (np.array(given) - base.translation) @ base.rotation
         tip, found = register_sockets(F, tip, label, centers, socket)
-        points, tool = placed_tool(tip, self.points, tool)
+        points, tool = located_tool(tip, self.points, tool)
         found = np.nan_to_num(found) @ base.rotation.T + base.translation
-        places = tuple(
-            place if place.placed else replace(place, xyz=found[k])
-            for k, place in enumerate(self.places)
-            if isinstance(place, Point)
+        sites = tuple(
+            site if site.located else replace(site, xyz=found[k])
+            for k, site in enumerate(self.sites)
+            if isinstance(site, Point)
         )
-        return replace(self, points=points, places=places), base, tool
+        return replace(self, points=points, sites=sites), base, tool

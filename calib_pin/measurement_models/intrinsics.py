@@ -10,8 +10,8 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.pinhole import undistort
+from calib_pin.measurement_models.references import Point
 from calib_pin.parameters import Parameter
 from calib_pin.setup import CameraSetup, Setup
 
@@ -65,7 +65,7 @@ class Camera:
         return Camera(given.mount, intrinsics, given.size, given.estimate)
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Always: a camera is given."""
         return True
 
@@ -83,9 +83,9 @@ class Camera:
             for name, unit, scale in INTRINSICS
         )
 
-    def rebased(self, own: Floats) -> Camera:
+    def rebased(self, values: Floats) -> Camera:
         """With other intrinsics."""
-        return replace(self, intrinsics=self.intrinsics + own)
+        return replace(self, intrinsics=self.intrinsics + values)
 
     def stated(self) -> CameraSetup:
         """Its intrinsics."""
@@ -121,7 +121,7 @@ class Marker(Point):
         """`<name>.target.x|y|z` where it is estimated."""
         return super().parameters if self.estimate else ()
 
-    def at(self, own: Floats) -> Floats:
+    def at(self, values: Floats) -> Floats:
         """Its place, shape (3,) [m]."""
         assert self.xyz is not None
-        return super().at(own) if len(own) else self.xyz
+        return super().at(values) if len(values) else self.xyz

@@ -4,7 +4,7 @@ A row belongs to one of the models, its part; its target is qualified by the nam
 that, as in `fixed-point:front/0`. The residual has the components of all parts; those
 of the others are zero in a row, and their standard deviation is infinite.
 
-All parts share the measuring frame and the tool, and features of the same kind and
+All parts share the measuring frame and the tool, and references of the same kind and
 name are the same: the ball that a tracker sees is the one that rests in a socket. Only
 a camera, which is a frame of its own, has its own stand and its own place on the tool.
 """
@@ -29,8 +29,8 @@ from calib_pin.measurement_models.base import (
     ReferenceParameters,
 )
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.features import Feature, slices
 from calib_pin.measurement_models.mount import Mounted
+from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
 
@@ -142,53 +142,57 @@ class Mixed(_SideBySide):
                 for name, model in parts.items()
             }
         )
-        return mixed.with_features(mixed.features)
+        return mixed.with_references(mixed.references)
 
     @property
-    def features(self) -> Sequence[Feature]:
+    def references(self) -> Sequence[ReferenceObject]:
         """Those of all parts, each once."""
-        found: dict[tuple[str, str], Feature] = {}
+        found: dict[tuple[str, str], ReferenceObject] = {}
         for part in self.parts.values():
-            for feature in part.features:
-                other = found.setdefault(_key(feature), feature)
-                if len(feature.parameters) > len(other.parameters):
-                    found[_key(feature)] = feature
+            for reference in part.references:
+                other = found.setdefault(_key(reference), reference)
+                if len(reference.parameters) > len(other.parameters):
+                    found[_key(reference)] = reference
         return tuple(found.values())
 
-    def with_features(self, features: Sequence[Feature]) -> Mixed:
-        """The same about other references of the same features."""
-        of = {_key(feature): feature for feature in features}
+    def with_references(self, references: Sequence[ReferenceObject]) -> Mixed:
+        """The same with its reference objects about other references."""
+        of = {_key(reference): reference for reference in references}
         return Mixed(
             {
-                name: part.with_features([of[_key(f)] for f in part.features])
+                name: part.with_references([of[_key(f)] for f in part.references])
                 for name, part in self.parts.items()
             }
         )
 
     def extended(self, T: Floats, data: Measurements) -> Mixed:
-        """Every part extended by its rows, with what the parts before have placed."""
+        """Every part extended by its rows, with what the parts before have located."""
         mixed = self
-        for name, (rows, own) in by_part(data).items():
-            part = mixed.parts[name].extended(T[rows], own)
+        for name, (rows, instrument) in by_part(data).items():
+            part = mixed.parts[name].extended(T[rows], instrument)
             mixed = Mixed({**mixed.parts, name: part})
         return mixed
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Values of all parts side by side, shape (N, D)."""
         result = np.zeros((len(T), self.width))
         for name, rows, names in self._split(target):
             part, columns = self.parts[name], self._layout[name][0]
-            result[rows, columns] = part.predict(T[rows], own[self._own[name]], names)
+            result[rows, columns] = part.predict(
+                T[rows], instrument[self._instrument[name]], names
+            )
         return result
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Whether each row's part can measure there."""
         result = np.ones(len(T), bool)
         for name, rows, names in self._split(target):
             part = self.parts[name]
-            result[rows] = part.observable(T[rows], own[self._own[name]], names)
+            result[rows] = part.observable(
+                T[rows], instrument[self._instrument[name]], names
+            )
         return result
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
@@ -199,27 +203,29 @@ class Mixed(_SideBySide):
             result[:, columns] = part.disturb(values[:, columns], noise[:, components])
         return result
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Residuals of all parts side by side, shape (N, d)."""
         result = np.zeros((len(T), self._components))
         for name, (rows, seen) in by_part(data).items():
             part, components = self.parts[name], self._layout[name][1]
             result[rows, components] = part.residual(
-                T[rows], own[self._own[name]], seen
+                T[rows], instrument[self._instrument[name]], seen
             )
         return result
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """Linearizations of all parts side by side."""
         shape = (len(T), self._components)
         residual, J_pose = np.zeros(shape), np.zeros((*shape, 6))
-        J_instrument = np.zeros((*shape, len(own)))
+        J_instrument = np.zeros((*shape, len(instrument)))
         for name, (rows, seen) in by_part(data).items():
-            index, components = self._own[name], self._layout[name][1]
-            found = self.parts[name].linearize(T[rows], own[index], seen)
+            index, components = self._instrument[name], self._layout[name][1]
+            found = self.parts[name].linearize(T[rows], instrument[index], seen)
             residual[rows, components] = found.residual
             J_pose[rows, components] = found.J_pose
-            block = np.zeros((*found.residual.shape, len(own)))
+            block = np.zeros((*found.residual.shape, len(instrument)))
             block[:, :, index] = found.J_instrument
             J_instrument[rows, components] = block
         return Linearization(residual, J_pose, J_instrument)
@@ -234,7 +240,7 @@ class Mixed(_SideBySide):
                 found = part.batches(seen, weights[rows, components])
             if not found:
                 return []
-            result += [_within(batch, rows, self._own[name]) for batch in found]
+            result += [_within(batch, rows, self._instrument[name]) for batch in found]
         return result
 
     def register(
@@ -253,16 +259,16 @@ class Mixed(_SideBySide):
             return mounted, not part.external, not part.sees_tool
 
         for name in sorted(by_part(data), key=turn):
-            (rows, own), part = by_part(data)[name], mixed.parts[name]
-            found, new_base, new_tool = part.register(F[rows], own, base, tool)
+            (rows, instrument), part = by_part(data)[name], mixed.parts[name]
+            found, new_base, new_tool = part.register(F[rows], instrument, base, tool)
             # A part that sees no base or tool frame has nothing to say of it.
             if part.external or not self.external:
                 base = base or new_base
             if part.sees_tool:
                 tool = tool or new_tool
-            placed = {_key(f): f for f in found.features if f.placed}
-            mixed = mixed.with_features(
-                [placed.get(_key(f), f) for f in mixed.features]
+            located = {_key(f): f for f in found.references if f.located}
+            mixed = mixed.with_references(
+                [located.get(_key(f), f) for f in mixed.references]
             )
         return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
 
@@ -274,17 +280,17 @@ class Mixed(_SideBySide):
         return result
 
     @cached_property
-    def _own(self) -> Mapping[str, NDArray[np.intp]]:
-        """Where each part's own parameters stand among those of all."""
-        features = self.features
-        at = dict(zip(map(_key, features), slices(features), strict=True))
+    def _instrument(self) -> Mapping[str, NDArray[np.intp]]:
+        """Where each part's parameters stand among those of all."""
+        references = self.references
+        at = dict(zip(map(_key, references), slices(references), strict=True))
         empty = [np.zeros(0, np.intp)]
         return {
             name: np.concatenate(
                 empty
                 + [
                     np.arange(at[_key(f)].start, at[_key(f)].stop)
-                    for f in part.features
+                    for f in part.references
                 ]
             )
             for name, part in self.parts.items()
@@ -322,20 +328,22 @@ def _apart(model: MeasurementModel) -> bool:
     return model.declaration.external and not model.declaration.tracks
 
 
-def _within(batch: Batch, rows: NDArray[np.intp], own: NDArray[np.intp]) -> Batch:
+def _within(
+    batch: Batch, rows: NDArray[np.intp], instrument: NDArray[np.intp]
+) -> Batch:
     """A batch of a part among all rows and all parameters.
 
     Args:
         batch: The batch form of the part's rows.
         rows: Positions of these in the data.
-        own: Positions of the part's parameters among the instrument's.
+        instrument: Positions of the part's parameters among the instrument's.
     """
     return replace(
         batch,
         rows=rows[batch.rows],
-        references=lambda values: batch.references(values[:, own]),
+        geometry=lambda values: batch.geometry(values[:, instrument]),
     )
 
 
-def _key(feature: Feature) -> tuple[str, str]:
-    return feature.section, feature.name
+def _key(reference: ReferenceObject) -> tuple[str, str]:
+    return reference.section, reference.name

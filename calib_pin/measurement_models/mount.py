@@ -1,4 +1,4 @@
-"""An instrument with a stand and a place on the tool of its own, among others."""
+"""An instrument with a stand and a mount of its own, among others."""
 
 from __future__ import annotations
 
@@ -13,13 +13,13 @@ from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
+    Geometry,
     Linearization,
     MeasurementModel,
     ReferenceParameters,
-    References,
 )
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.features import Feature, Frame
+from calib_pin.measurement_models.references import Frame, ReferenceObject
 from calib_pin.observations import Measurements
 
 
@@ -76,11 +76,11 @@ class Mounted(_Wrapper):
     Attributes:
         model: The model.
         stand: Pose D of the measuring frame in that of the model.
-        place: Pose E of the model's tool frame in the tool frame.
+        mount: Pose E of the model's tool frame in the tool frame.
     """
 
     stand: Frame
-    place: Frame
+    mount: Frame
 
     @staticmethod
     def of(model: MeasurementModel) -> Mounted:
@@ -98,47 +98,49 @@ class Mounted(_Wrapper):
         return False
 
     @property
-    def features(self) -> Sequence[Feature]:
-        """Those of the model, the stand and the place."""
-        return (*self.model.features, self.stand, self.place)
+    def references(self) -> Sequence[ReferenceObject]:
+        """Those of the model, the stand and the mount."""
+        return (*self.model.references, self.stand, self.mount)
 
-    def with_features(self, features: Sequence[Feature]) -> Mounted:
+    def with_references(self, references: Sequence[ReferenceObject]) -> Mounted:
         """The same about other references."""
-        *own, stand, place = features
-        assert isinstance(stand, Frame) and isinstance(place, Frame)
-        return Mounted(self.model.with_features(own), stand, place)
+        *inner, stand, mount = references
+        assert isinstance(stand, Frame) and isinstance(mount, Frame)
+        return Mounted(self.model.with_references(inner), stand, mount)
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Values of the model at its own poses."""
-        inner, D, E = self._split(own)
+        inner, D, E = self._split(instrument)
         return self.model.predict(D @ T @ E, inner, target)
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Whether the model can measure at its own poses."""
-        inner, D, E = self._split(own)
+        inner, D, E = self._split(instrument)
         return self.model.observable(D @ T @ E, inner, target)
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Residual of the model at its own poses."""
-        inner, D, E = self._split(own)
+        inner, D, E = self._split(instrument)
         return self.model.residual(D @ T @ E, inner, data)
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """Twists of the stand and of the tool are carried to the model's tool."""
-        inner, D, E = self._split(own)
+        inner, D, E = self._split(instrument)
         TE = T @ E
         linear = self.model.linearize(D @ TE, inner, data)
         # D = D_0 Exp(d), so that a twist d stands before T E.
         at_stand = linear.J_pose @ adjoint(invert(TE))
-        by_stand = at_stand @ self.stand.twists(own[-12:-6])
-        by_place = linear.J_pose @ self.place.twists(own[-6:])
+        by_stand = at_stand @ self.stand.twists(instrument[-12:-6])
+        by_mount = linear.J_pose @ self.mount.twists(instrument[-6:])
         return replace(
             linear,
             J_pose=linear.J_pose @ adjoint(invert(E[None])),
             J_instrument=np.concatenate(
-                [linear.J_instrument, by_stand, by_place], axis=2
+                [linear.J_instrument, by_stand, by_mount], axis=2
             ),
         )
 
@@ -148,16 +150,16 @@ class Mounted(_Wrapper):
             return []
 
         def around(inner: Batch) -> Batch:
-            def references(own: Floats) -> References:
-                found = inner.references(own[:, :-12])
-                stand, mount = own[:, -12:-6], own[:, -6:]
+            def geometry(instrument: Floats) -> Geometry:
+                found = inner.geometry(instrument[:, :-12])
+                stand, mount = instrument[:, -12:-6], instrument[:, -6:]
                 return replace(
                     found,
                     stand=self.stand.moved(stand),
-                    mount=self.place.moved(mount),
+                    mount=self.mount.moved(mount),
                 )
 
-            return replace(inner, references=references)
+            return replace(inner, geometry=geometry)
 
         return list(map(around, self.model.batches(data, weights)))
 
@@ -166,22 +168,25 @@ class Mounted(_Wrapper):
     ) -> tuple[Mounted, pin.SE3, pin.SE3]:
         """As the model does with frames of its own, which are then put behind T."""
         base, tool = base or pin.SE3.Identity(), tool or pin.SE3.Identity()
-        D, E = self.stand.pose, self.place.pose
-        model, own_base, own_tool = self.model.register(
+        D, E = self.stand.pose, self.mount.pose
+        model, model_base, model_tool = self.model.register(
             F, data, None if D is None else D * base, None if E is None else tool * E
         )
         return (
             Mounted(
                 model,
-                replace(self.stand, pose=own_base * base.inverse()),
-                replace(self.place, pose=tool.inverse() * own_tool),
+                replace(self.stand, pose=model_base * base.inverse()),
+                replace(self.mount, pose=tool.inverse() * model_tool),
             ),
             base,
             tool,
         )
 
-    def _split(self, own: Floats) -> tuple[Floats, Floats, Floats]:
+    def _split(self, instrument: Floats) -> tuple[Floats, Floats, Floats]:
         """Parameters of the model, and both frames, shape (4, 4)."""
-        stand, place = self.stand.rebased(own[-12:-6]), self.place.rebased(own[-6:])
-        assert stand.pose is not None and place.pose is not None
-        return own[:-12], stand.pose.homogeneous, place.pose.homogeneous
+        stand, mount = (
+            self.stand.rebased(instrument[-12:-6]),
+            self.mount.rebased(instrument[-6:]),
+        )
+        assert stand.pose is not None and mount.pose is not None
+        return instrument[:-12], stand.pose.homogeneous, mount.pose.homogeneous

@@ -10,26 +10,26 @@ import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import Point
+from calib_pin.measurement_models.references import Point
 from calib_pin.measurement_models.registration import fit_pose
 from calib_pin.observations import AT
 from calib_pin.setup import PointSetup
 
 
 def split_names(
-    target: Sequence[str], places: bool
+    target: Sequence[str], sites: bool
 ) -> tuple[tuple[str, ...], tuple[str, ...]]:
     """The point and the place that each row names.
 
     Args:
         target: What the rows say.
-        places: Whether there are places; else a name is that of a point.
+        sites: Whether there are places; else a name is that of a point.
 
     Example:
         >>> split_names(["wall", "ball@wall"], True)
         (('', 'ball'), ('wall', 'wall'))
     """
-    if not places:
+    if not sites:
         return tuple(target), ("",) * len(target)
     halves = [name.rpartition(AT) for name in target]
     return tuple(h[0] for h in halves), tuple(h[2] for h in halves)
@@ -83,7 +83,7 @@ def tip_points(points: Sequence[Point], tool: pin.SE3 | None) -> Floats:
     return result
 
 
-def placed_tool(
+def located_tool(
     found: Floats, points: Sequence[Point], tool: pin.SE3 | None
 ) -> tuple[tuple[Point, ...], pin.SE3]:
     """The tool frame and its points from what the tip carries.
@@ -100,7 +100,7 @@ def placed_tool(
     told = ~np.isnan(found[:, 0])
     if tool is None:
         xyz = [*(point.xyz for point in points), np.zeros(3)]
-        known = [k for k, place in enumerate(xyz) if place is not None and told[k]]
+        known = [k for k, site in enumerate(xyz) if site is not None and told[k]]
         tool = pin.SE3.Identity()
         if known:
             here = np.array([xyz[k] for k in known])
@@ -108,7 +108,7 @@ def placed_tool(
     inside = (found - tool.translation) @ tool.rotation
     return tuple(
         point
-        if point.placed
+        if point.located
         else replace(point, xyz=inside[k] if told[k] else np.zeros(3))
         for k, point in enumerate(points)
     ), tool

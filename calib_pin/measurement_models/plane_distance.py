@@ -14,8 +14,8 @@ from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
     DeclaredModel,
+    Geometry,
     Linearization,
-    References,
 )
 from calib_pin.measurement_models.contact import planes_of_setup
 from calib_pin.measurement_models.declaration import (
@@ -25,8 +25,8 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.features import Feature, locate
 from calib_pin.measurement_models.planes import Plane, turned_planes
+from calib_pin.measurement_models.references import ReferenceObject, locate
 from calib_pin.measurement_models.registration import register_plane
 from calib_pin.observations import Measurements
 from calib_pin.setup import RangerSetup, Setup
@@ -82,41 +82,43 @@ class PlaneDistance(DeclaredModel):
         return tuple(plane.name for plane in self.planes)
 
     @property
-    def features(self) -> Sequence[Plane]:
+    def references(self) -> Sequence[Plane]:
         """The planes."""
         return self.planes
 
-    def with_features(self, features: Sequence[Feature]) -> PlaneDistance:
+    def with_references(self, references: Sequence[ReferenceObject]) -> PlaneDistance:
         """The same about other planes."""
-        planes = tuple(plane for plane in features if isinstance(plane, Plane))
+        planes = tuple(plane for plane in references if isinstance(plane, Plane))
         return replace(self, planes=planes)
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Distances along the beam, shape (N, 1) [m]; negative behind the tool."""
-        normal, offset, _ = self._rows(own, target)
+        normal, offset, _ = self._rows(instrument, target)
         return self._distance(T, normal, offset)[:, None]
 
     def observable(
-        self, T: Floats, own: Floats, target: Sequence[str]
+        self, T: Floats, instrument: Floats, target: Sequence[str]
     ) -> NDArray[np.bool_]:
         """Where the beam meets the plane in front, within range and not too flat."""
-        normal, offset, _ = self._rows(own, target)
+        normal, offset, _ = self._rows(instrument, target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         h = self._distance(T, normal, offset)
         steep = cosine > np.cos(self.incidence)
         return np.asarray((h > self.near) & (h < self.reach) & steep)
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted minus measured distance, shape (N, 1) [m]."""
-        return self.predict(T, own, data.target) - data.values
+        return self.predict(T, instrument, data.target) - data.values
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """Derivatives by the beam and by the plane.
 
         With `c = n . b`: `dh = -n . dp / c - h n . db / c`, `dp = R v` and
         `db = R (w x e_z)`; by the plane `dh = -(p + h b) . dn / c - df / c`.
         """
-        normal, offset, by_turn = self._rows(own, data.target)
+        normal, offset, by_turn = self._rows(instrument, data.target)
         index = self._index(data.target)
         R, p = T[:, :3, :3], T[:, :3, 3]
         b = R[:, :, 2]
@@ -138,13 +140,15 @@ class PlaneDistance(DeclaredModel):
         J_instrument[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, J_pose, J_instrument)
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """Second derivatives of the distance.
 
         With `m = R^T n / c` the rows are `(-m, h m x e_z)` and `-(p + h b) / c`, and a
         turn w of the tool gives `dm = m x w - m (e_z . (m x w))`.
         """
-        normal, offset, by_turn = self._rows(own, target)
+        normal, offset, by_turn = self._rows(instrument, target)
         index, row = self._index(target), np.arange(len(T))
         R, p = T[:, :3, :3], T[:, :3, 3]
         b = R[:, :, 2]
@@ -179,12 +183,12 @@ class PlaneDistance(DeclaredModel):
         """Carries the origin and the beam of the tool to the base."""
         rows, index = np.arange(len(data)), self._index(data.target)
 
-        def references(own: Floats) -> References:
-            planes = turned_planes(self.planes, own)
-            return References(np.zeros((len(own), 1, 3)), planes)
+        def geometry(instrument: Floats) -> Geometry:
+            planes = turned_planes(self.planes, instrument)
+            return Geometry(np.zeros((len(instrument), 1, 3)), planes)
 
         origin = np.zeros_like(rows)
-        return [Batch("beam", rows, origin, index, data.values, weights, references)]
+        return [Batch("beam", rows, origin, index, data.values, weights, geometry)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
@@ -231,11 +235,12 @@ class PlaneDistance(DeclaredModel):
         return locate(target, self.planes, "plane", data)
 
     def _rows(
-        self, own: Floats, target: Sequence[str]
+        self, instrument: Floats, target: Sequence[str]
     ) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,) and derivative (N, 3, 2) of each row's plane."""
         turned = [
-            plane.turned(own[3 * k : 3 * k + 3]) for k, plane in enumerate(self.planes)
+            plane.turned(instrument[3 * k : 3 * k + 3])
+            for k, plane in enumerate(self.planes)
         ]
         index = self._index(target)
         normals, offsets, slopes = zip(*turned, strict=True)

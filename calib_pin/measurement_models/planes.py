@@ -9,7 +9,7 @@ from functools import cached_property
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats, so3_exp
-from calib_pin.measurement_models.features import nuisances, triple
+from calib_pin.measurement_models.references import nuisances, triple
 from calib_pin.parameters import Parameter
 from calib_pin.setup import PlaneSetup
 
@@ -33,7 +33,7 @@ class Plane:
     section = "planes"
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether it is given or registered."""
         return self.normal is not None
 
@@ -53,7 +53,7 @@ class Plane:
         first /= np.linalg.norm(first)
         return np.array([first, np.cross(self.normal, first)])
 
-    def turned(self, own: Floats) -> tuple[Floats, float, Floats]:
+    def turned(self, values: Floats) -> tuple[Floats, float, Floats]:
         """Normal and offset at parameters (u, v, f), and the normal's derivative.
 
         The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
@@ -63,28 +63,28 @@ class Plane:
         """
         assert self.normal is not None
         t_1, t_2 = self.tangents
-        first, second = so3_exp(own[0] * t_1), so3_exp(own[1] * t_2)
+        first, second = so3_exp(values[0] * t_1), so3_exp(values[1] * t_2)
         halfway = second @ self.normal
         normal = first @ halfway
         by_u = np.cross(t_1, normal)
         by_v = first @ np.cross(t_2, halfway)
-        return normal, self.offset + float(own[2]), np.column_stack([by_u, by_v])
+        return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
 
-    def turned_many(self, own: Floats) -> Floats:
+    def turned_many(self, values: Floats) -> Floats:
         """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
         assert self.normal is not None
         # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
         # Element by element: a product of matrices may round by the place of a row.
         t_1, t_2 = self.tangents
-        u, v = own[:, :1], own[:, 1:2]
+        u, v = values[:, :1], values[:, 1:2]
         normals = np.sin(v) * t_1 + np.cos(v) * (
             np.cos(u) * self.normal - np.sin(u) * t_2
         )
-        return np.column_stack([normals, self.offset + own[:, 2]])
+        return np.column_stack([normals, self.offset + values[:, 2]])
 
-    def rebased(self, own: Floats) -> Plane:
+    def rebased(self, values: Floats) -> Plane:
         """Turned and shifted by (u, v, f)."""
-        normal, offset, _ = self.turned(own)
+        normal, offset, _ = self.turned(values)
         return replace(self, normal=normal, offset=offset)
 
     def stated(self) -> PlaneSetup:
@@ -94,8 +94,8 @@ class Plane:
         return PlaneSetup(normal, float(self.offset), self.estimate)
 
 
-def turned_planes(planes: Sequence[Plane], own: Floats) -> Floats:
+def turned_planes(planes: Sequence[Plane], values: Floats) -> Floats:
     """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
-    parts = [own[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
+    parts = [values[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
     turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
     return np.stack(turned, axis=1)

@@ -22,7 +22,7 @@ from calib_pin.measurement_models.base import (
     DeclaredModel,
     Linearization,
     rotation_curvature,
-    tool_references,
+    tool_geometry,
 )
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
@@ -62,7 +62,7 @@ class Pose(DeclaredModel):
         """The model: it needs nothing of a setup."""
         return cls()
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Position and unit quaternion of the tool, shape (N, 7)."""
         return np.column_stack([T[:, :3, 3], to_quaternion(T[:, :3, :3])])
 
@@ -71,21 +71,25 @@ class Pose(DeclaredModel):
         R = from_quaternion(values[:, 3:]) @ so3_exp(noise[:, 3:])
         return np.column_stack([values[:, :3] + noise[:, :3], to_quaternion(R)])
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted against measured pose, shape (N, 6) [m, rad]."""
         R_y = from_quaternion(data.values[:, 3:])
         turn = so3_log(np.swapaxes(R_y, 1, 2) @ T[:, :3, :3])
         return np.column_stack([T[:, :3, 3] - data.values[:, :3], turn])
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """`dp = R v` and `dlog = J_log w` for a body twist (v, w)."""
-        residual = self.residual(T, own, data)
+        residual = self.residual(T, instrument, data)
         J_pose = np.zeros((len(T), 6, 6))
         J_pose[:, :3, :3] = T[:, :3, :3]
         J_pose[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
         return Linearization(residual, J_pose, np.zeros((len(T), 6, 0)))
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """The position's rows turn with the tool; those of the rotation stay."""
         J_pose = np.zeros((len(T), 6, 6, 6))
         J_pose[:, :3, :3] = rotation_curvature(T[:, :3, :3])
@@ -97,7 +101,7 @@ class Pose(DeclaredModel):
         R_y = from_quaternion(data.values[:, 3:]).reshape(-1, 9)
         values = np.concatenate([data.values[:, :3], R_y], axis=1)
         alone = np.zeros_like(rows)
-        return [Batch("pose", rows, alone, alone, values, weights, tool_references)]
+        return [Batch("pose", rows, alone, alone, values, weights, tool_geometry)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -17,7 +17,7 @@ from calib_pin.measurement_models.declaration import (
     Quantity,
 )
 from calib_pin.measurement_models.named_points import (
-    placed_tool,
+    located_tool,
     tip_points,
 )
 from calib_pin.measurement_models.registration import register_points, register_reached
@@ -53,17 +53,19 @@ class Position(PointModel):
     alone = True
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """The point itself."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
         return PointMeasurement(p, identity, np.zeros((len(p), 3, 0)))
 
-    def seen(self, own: Floats) -> Floats:
+    def seen(self, values: Floats) -> Floats:
         """Nothing: values alone."""
-        return np.zeros((len(own), 1, 3))
+        return np.zeros((len(values), 1, 3))
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """Nothing bends."""
         return PointCurvature(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
 
@@ -79,5 +81,5 @@ class Position(PointModel):
         else:
             R, b = base.rotation, base.translation
             tip = register_reached(F, data.values, R, b, tip, label)
-        points, tool = placed_tool(tip, self.points, tool)
+        points, tool = located_tool(tip, self.points, tool)
         return replace(self, points=points), base, tool

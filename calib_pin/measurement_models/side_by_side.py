@@ -144,11 +144,11 @@ def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
     for part in parts:
         values = np.zeros((len(part), widths[-1][0]))
         sigma = np.full((len(part), widths[-1][1]), np.inf)
-        for name, (rows, own) in by_part(part).items():
+        for name, (rows, alone) in by_part(part).items():
             (a, b), (c, d) = at[name]
-            values[rows, a:c] = own.values
-            sigma[rows, b:d] = np.nan if own.sigma is None else own.sigma
-            told = own.sigma is not None
+            values[rows, a:c] = alone.values
+            sigma[rows, b:d] = np.nan if alone.sigma is None else alone.sigma
+            told = alone.sigma is not None
             require_alike(part, stated.setdefault(name, told) == told)
         target = part.target
         if len(part.parts) == 1:

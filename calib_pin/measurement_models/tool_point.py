@@ -1,7 +1,7 @@
 """Models of a point of the tool: what they share.
 
 A row names the point of the tool that is measured, the place that it is measured
-against, or both as `point@place`. Without a point it is the origin of the tool frame.
+against, or both as `point@site`. Without a point it is the origin of the tool frame.
 """
 
 from __future__ import annotations
@@ -21,15 +21,15 @@ from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
     DeclaredModel,
+    Geometry,
     Linearization,
-    References,
     rotation_curvature,
 )
-from calib_pin.measurement_models.features import Feature, Point, locate
 from calib_pin.measurement_models.named_points import (
     named_points,
     split_names,
 )
+from calib_pin.measurement_models.references import Point, ReferenceObject, locate
 from calib_pin.observations import AT, Measurements
 from calib_pin.setup import Setup
 
@@ -46,7 +46,7 @@ class PointMeasurement:
 
     value: Floats
     by_point: Floats
-    by_place: Floats
+    by_site: Floats
 
 
 @dataclass(frozen=True)
@@ -59,28 +59,30 @@ class PointCurvature:
     """
 
     by_point: Floats
-    by_place: Floats
+    by_site: Floats
 
 
 @dataclass(frozen=True)
-class PointsAndPlaces(DeclaredModel):
+class PointsAndSites(DeclaredModel):
     """Points of the tool, and the places that they are measured against.
 
     Attributes:
         points: Named points of the tool; rows without a name mean its origin.
-        places: What points are measured against.
+        sites: What points are measured against.
         origin: Whether rows look at the origin of the tool frame.
     """
 
     points: tuple[Point, ...] = ()
-    places: tuple[Feature, ...] = ()
+    sites: tuple[ReferenceObject, ...] = ()
     origin: bool = True
 
     alone: ClassVar[bool] = False
     """Whether a target names a point and nothing behind it, no place and no start."""
 
     @classmethod
-    def places_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Feature, ...]:
+    def sites_of_setup(
+        cls, setup: Setup, names: Sequence[str]
+    ) -> tuple[ReferenceObject, ...]:
         """What points are measured against; empty where points are by themselves.
 
         Args:
@@ -97,12 +99,12 @@ class PointsAndPlaces(DeclaredModel):
     @property
     def missing(self) -> str:
         """Points and places that nobody has given."""
-        lacking = [f for f in self.features if not f.placed]
+        lacking = [f for f in self.references if not f.located]
         if not lacking:
             return ""
         section = lacking[0].section
         what = f"its '{section}'"
-        if any(f.placed for f in self.features if f.section == section):
+        if any(f.located for f in self.references if f.section == section):
             names = ", ".join(f"'{f.name}'" for f in lacking if f.section == section)
             what = f"{names} of {what}"
         return f"give {what} in a setup file (--setup)"
@@ -111,24 +113,24 @@ class PointsAndPlaces(DeclaredModel):
     def targets(self) -> Sequence[str]:
         """Points, places, or their combinations."""
         points = [*([""] if self.origin else []), *(p.name for p in self.points)]
-        if not self.places:
+        if not self.sites:
             return tuple(points) if self.points else ()
         return tuple(
-            f"{point}{AT}{place.name}" if point else place.name
-            for place in self.places
+            f"{point}{AT}{site.name}" if point else site.name
+            for site in self.sites
             for point in points
         )
 
     @property
-    def features(self) -> Sequence[Feature]:
+    def references(self) -> Sequence[ReferenceObject]:
         """Points, then places."""
-        return (*self.points, *self.places)
+        return (*self.points, *self.sites)
 
-    def with_features(self, features: Sequence[Feature]) -> Self:
+    def with_references(self, references: Sequence[ReferenceObject]) -> Self:
         """The same about other references of points and places."""
         count = len(self.points)
-        points = tuple(f for f in features[:count] if isinstance(f, Point))
-        return replace(self, points=points, places=tuple(features[count:]))
+        points = tuple(f for f in references[:count] if isinstance(f, Point))
+        return replace(self, points=points, sites=tuple(references[count:]))
 
     def names(
         self, target: Sequence[str], data: Measurements | None = None
@@ -141,10 +143,10 @@ class PointsAndPlaces(DeclaredModel):
         number = {name: k for k, name in enumerate(dict.fromkeys(target))}
         if data is None and len(number) < len(target):
             # Rows are many and their names few.
-            point, place = self.names(tuple(number))
+            point, site = self.names(tuple(number))
             rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
-            return point[rows], place[rows]
-        points, places = self.split(target)
+            return point[rows], site[rows]
+        points, sites = self.split(target)
         point = np.full(len(target), len(self.points))
         if self.points and any(points):
             of = np.flatnonzero([bool(name) for name in points])
@@ -160,28 +162,28 @@ class PointsAndPlaces(DeclaredModel):
                 column="target",
                 allowed=", ".join(p.name for p in self.points),
             )
-        place = np.zeros(len(target), np.int64)
-        if self.places:
-            what = self.places[0].section[:-1]
-            place = locate(places, self.places, what, data)
-        return point, place
+        site = np.zeros(len(target), np.int64)
+        if self.sites:
+            what = self.sites[0].section[:-1]
+            site = locate(sites, self.sites, what, data)
+        return point, site
 
     def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The point and the place that each row names."""
         return split_names(target, not self.alone)
 
-    def places_of(self, target: Sequence[str]) -> tuple[str, ...]:
+    def sites_of(self, target: Sequence[str]) -> tuple[str, ...]:
         """The place that each row names; the only one where it names none."""
-        only = self.places[0].name if len(self.places) == 1 else ""
+        only = self.sites[0].name if len(self.sites) == 1 else ""
         return tuple(name or only for name in split_names(target, True)[1])
 
 
 @dataclass(frozen=True)
-class PointModel(PointsAndPlaces):
+class PointModel(PointsAndSites):
     """A measurement of a point of the tool, against a place or by itself.
 
     A member says what is measured of a point (`compare`) and how that bends; this does
-    the rest: names, the way from the tool frame to the point, features.
+    the rest: names, the way from the tool frame to the point, references.
     """
 
     comparison: ClassVar[str] = ""
@@ -198,43 +200,47 @@ class PointModel(PointsAndPlaces):
         stated = setup.targets if wrong or not targets else used
         found = named_points(stated, points, "target")
         origin = "" in points if targets else not found
-        places = cls.places_of_setup(setup, names)
-        if targets and {place.name for place in places}.issuperset(names):
+        sites = cls.sites_of_setup(setup, names)
+        if targets and {site.name for site in sites}.issuperset(names):
             # What nobody has placed and no measurement names cannot be found.
-            places = tuple(p for p in places if p.placed or p.name in names)
-        return cls(points=found, places=places, origin=origin)
+            sites = tuple(p for p in sites if p.located or p.name in names)
+        return cls(points=found, sites=sites, origin=origin)
 
-    def predict(self, T: Floats, own: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
-        value = self._look(T, own, target).touch.value
+        value = self._look(T, instrument, target).touch.value
         return np.zeros((len(T), 0)) if self.contact else value
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value, shape (N, d)."""
-        return self._deviation(self._look(T, own, data.target).touch.value, data)
+        return self._deviation(self._look(T, instrument, data.target).touch.value, data)
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
-        view = self._look(T, own, data.target)
+        view = self._look(T, instrument, data.target)
         touch, J_pose = view.touch, view.J_pose(T)
-        J_instrument = np.zeros((len(T), touch.value.shape[1], len(own)))
+        J_instrument = np.zeros((len(T), touch.value.shape[1], len(instrument)))
         row = np.arange(len(T))
         named = view.point < len(self.points)
         by_offset = touch.by_point @ view.by_offset
         for c in range(3):
             column = 3 * view.point[named] + c
             J_instrument[row[named], :, column] = by_offset[named, :, c]
-        width = touch.by_place.shape[2]
-        for c in range(width if self.places else 0):
-            column = 3 * len(self.points) + width * view.place + c
-            J_instrument[row, :, column] = touch.by_place[:, :, c]
+        width = touch.by_site.shape[2]
+        for c in range(width if self.sites else 0):
+            column = 3 * len(self.points) + width * view.site + c
+            J_instrument[row, :, column] = touch.by_site[:, :, c]
         residual = self._deviation(touch.value, data)
         return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """Second derivatives: the point moves, and its own motion turns."""
-        view = self._look(T, own, target)
-        bend = self.bend(view.p, view.place, view.of_place)
+        view = self._look(T, instrument, target)
+        bend = self.bend(view.p, view.site, view.of_site)
         G, P, rows = view.touch.by_point, view.J_pose(T), np.arange(len(T))
         turning = rotation_curvature(T[:, :3, :3])
         # P = (R, -R [t]x)
@@ -244,7 +250,7 @@ class PointModel(PointsAndPlaces):
         H = bend.by_point @ P[:, None]
         J_pose = np.einsum("ndcb,nca->ndab", H, P)
         J_pose += np.einsum("ndc,ncab->ndab", G, by_P)
-        J_instrument = np.zeros((*G.shape[:2], len(own), 6))
+        J_instrument = np.zeros((*G.shape[:2], len(instrument), 6))
         named = view.point < len(self.points)
         R = view.by_offset
         by_offset = np.einsum("ndcb,nca->ndab", H, R)
@@ -252,34 +258,36 @@ class PointModel(PointsAndPlaces):
         for c in range(3):
             column = 3 * view.point[named] + c
             J_instrument[rows[named], :, column] = by_offset[named, :, c]
-        width = bend.by_place.shape[2]
-        by_place = bend.by_place @ P[:, None]
-        for c in range(width if self.places else 0):
-            column = 3 * len(self.points) + width * view.place + c
-            J_instrument[rows, :, column] = by_place[:, :, c]
+        width = bend.by_site.shape[2]
+        by_site = bend.by_site @ P[:, None]
+        for c in range(width if self.sites else 0):
+            column = 3 * len(self.points) + width * view.site + c
+            J_instrument[rows, :, column] = by_site[:, :, c]
         return Curvature(J_pose, J_instrument)
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """What is measured of points.
 
         Args:
             p: Points in the measuring frame, shape (N, 3) [m].
-            place: Position of each row's place, shape (N,).
-            own: Parameters of each row's place, shape (N, k).
+            site: Position of each row's site, shape (N,).
+            values: Parameters of each row's site, shape (N, k).
         """
         raise NotImplementedError
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """How that changes with the points; arguments as for `compare`."""
         raise NotImplementedError
 
-    def seen(self, own: Floats) -> Floats:
-        """Places of many members as a kernel compares them, (S, K) -> (S, L, w).
+    def seen(self, values: Floats) -> Floats:
+        """Sites of many members as a kernel compares them, (S, K) -> (S, L, w).
 
         Args:
-            own: Parameters of the places.
+            values: Parameters of the sites.
         """
         raise NotImplementedError
 
@@ -287,36 +295,36 @@ class PointModel(PointsAndPlaces):
         """Carries the points of the tool to the base, if a kernel can compare them."""
         if not self.comparison:
             return []
-        point, place = self.names(data.target)
+        point, site = self.names(data.target)
         known = np.array([p.xyz for p in self.points] + [np.zeros(3)])
         size = 3 * len(self.points)
 
-        def references(own: Floats) -> References:
-            points = np.tile(known, (len(own), 1, 1))
+        def geometry(instrument: Floats) -> Geometry:
+            points = np.tile(known, (len(instrument), 1, 1))
             # The last is the origin.
-            points[:, :-1] += own[:, :size].reshape(len(own), -1, 3)
-            return References(points, self.seen(own[:, size:]))
+            points[:, :-1] += instrument[:, :size].reshape(len(instrument), -1, 3)
+            return Geometry(points, self.seen(instrument[:, size:]))
 
         rows, values = np.arange(len(data)), data.values
         if self.contact:
             values = np.zeros_like(weights)
         how = self.comparison
-        return [Batch(how, rows, point, place, values, weights, references)]
+        return [Batch(how, rows, point, site, values, weights, geometry)]
 
-    def new(self, name: str) -> Feature:
+    def new(self, name: str) -> ReferenceObject:
         """A place that nobody has given."""
         raise NotImplementedError
 
     def extended(self, T: Floats, data: Measurements) -> Self:
         """With a place for each that is new, by the rows that name it."""
-        if not self.places:
+        if not self.sites:
             return self
-        known = {place.name for place in self.places}
-        names = dict.fromkeys(self.places_of(data.target))
+        known = {site.name for site in self.sites}
+        names = dict.fromkeys(self.sites_of(data.target))
         new = [name for name in names if name not in known]
         if not new:
             return self
-        wider = replace(self, places=(*self.places, *map(self.new, new)))
+        wider = replace(self, sites=(*self.sites, *map(self.new, new)))
         identity = pin.SE3.Identity()
         return wider.register(T, data, identity, identity)[0]
 
@@ -338,19 +346,19 @@ class PointModel(PointsAndPlaces):
                 angles -= 2.0 * np.pi * np.ceil(angles / (2.0 * np.pi) - 0.5)
         return result
 
-    def _look(self, T: Floats, own: Floats, target: Sequence[str]) -> _View:
-        point, place = self.names(target)
+    def _look(self, T: Floats, instrument: Floats, target: Sequence[str]) -> _View:
+        point, site = self.names(target)
         offsets = np.zeros((len(self.points) + 1, 3))
-        for k, feature in enumerate(self.points):
-            offsets[k] = feature.at(own[3 * k : 3 * k + 3])
+        for k, reference in enumerate(self.points):
+            offsets[k] = reference.at(instrument[3 * k : 3 * k + 3])
         offset = offsets[point]  # The last one is the origin.
-        rest = own[3 * len(self.points) :]
-        of_place = np.zeros((len(T), 0))
-        if self.places:
-            of_place = rest.reshape(len(self.places), -1)[place]
+        rest = instrument[3 * len(self.points) :]
+        of_site = np.zeros((len(T), 0))
+        if self.sites:
+            of_site = rest.reshape(len(self.sites), -1)[site]
         p, by_offset = self._reach(T, offset)
-        touch = self.compare(p, place, of_place)
-        return _View(point, place, offset, of_place, p, by_offset, touch)
+        touch = self.compare(p, site, of_site)
+        return _View(point, site, offset, of_site, p, by_offset, touch)
 
     def _reach(self, T: Floats, offset: Floats) -> tuple[Floats, Floats]:
         """Where points of the tool are, (N, 3), and the derivative by the offset."""
@@ -364,7 +372,7 @@ class _View:
 
     Attributes:
         point: Position of each row's point, the last for the origin, shape (N,).
-        place: Position of its place, shape (N,).
+        site: Position of its place, shape (N,).
         offset: The point in the tool frame, shape (N, 3) [m].
         of_place: Parameters of the place, shape (N, k).
         p: The point in the measuring frame, shape (N, 3) [m].
@@ -373,9 +381,9 @@ class _View:
     """
 
     point: NDArray[np.int64]
-    place: NDArray[np.int64]
+    site: NDArray[np.int64]
     offset: Floats
-    of_place: Floats
+    of_site: Floats
     p: Floats
     by_offset: Floats
     touch: PointMeasurement

@@ -23,12 +23,14 @@ from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
+    Predicted,
+    TipTests,
     assumes_tool,
     identification,
     planned_problem,
+    predict,
     require_plannable,
 )
-from calib_pin.planning.prediction import Predicted, TipTests, predict
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Search
 from calib_pin.planning.selection import selection
@@ -95,7 +97,7 @@ class Plan:
         checked: Whether collisions were checked.
         blocked: Places of the configurations, from 0, to which a straight line in the
             joints does not lead from the one before without a collision.
-        unseen: Targets that no configuration can measure.
+        unmeasurable: Targets that no configuration can measure.
         assumed_tool: Whether the target's place on the tool is assumed.
         rank: Number of identifiable directions, frames included.
         predicted: What a fit will know.
@@ -117,7 +119,7 @@ class Plan:
     tried: int
     checked: bool
     blocked: tuple[int, ...]
-    unseen: tuple[str, ...]
+    unmeasurable: tuple[str, ...]
     assumed_tool: bool
     rank: int
     predicted: Predicted
@@ -259,7 +261,7 @@ def _finished(
         tried=search.candidates.tried,
         checked=workspace.collisions is not None,
         blocked=closed,
-        unseen=tuple(
+        unmeasurable=tuple(
             name for name in workspace.targets if name not in search.candidates.target
         ),
         assumed_tool=measured is None and assumes_tool(problem),

@@ -2,13 +2,18 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.directions import visible_directions, visible_nuisances
+from calib_pin.estimation.directions import (
+    WEAK,
+    Directions,
+    visible_directions,
+    visible_nuisances,
+)
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.nominal import register, structure_at
@@ -19,6 +24,8 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, tracked
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.observations import PLUS, Measurements
+from calib_pin.parameters import ParameterSet
+from calib_pin.planning.information import Information
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.workspace import Candidates
 from calib_pin.setup import Setup
@@ -121,6 +128,86 @@ def identification(
         # The problem's own rows only name the targets; priors count.
         U = J[len(q) * problem.components :] @ basis
     else:
-        _, own = problem.linearize_rows(zero)
-        U = own @ basis
+        _, derivative = problem.linearize_rows(zero)
+        U = derivative @ basis
     return structure, rows, U.T @ U
+
+
+@dataclass(frozen=True)
+class TipTests:
+    """The error of the tip at test poses, in the columns of an information matrix.
+
+    Attributes:
+        position: `J_0' J_0` of its position, mean of the test poses, (m, m) [m^2].
+        orientation: The same of its rotation vector, shape (m, m) [rad^2].
+    """
+
+    position: Floats
+    orientation: Floats
+
+    @staticmethod
+    def at(rows: IdentificationRows, q: Floats) -> TipTests:
+        """Tests at configurations.
+
+        Args:
+            rows: Rows that tell the pose of the tool, with unit sigma.
+            q: Test configurations, shape (N, n) [rad, m].
+        """
+        J = rows.rows(q, ("",) * len(q))
+        position, orientation = (
+            np.einsum("ndi,ndj->ij", part, part, optimize=True) / len(q)
+            for part in (J[:, :3], J[:, 3:])
+        )
+        return TipTests(position, orientation)
+
+
+@dataclass(frozen=True)
+class Predicted:
+    """What a fit of planned measurements is going to know; satisfies `Estimated`.
+
+    Attributes:
+        theta: Parameter values, all zero, shape (P,).
+        covariance: Of the parameters, shape (P, P).
+        directions: The directions that will be estimated, and those too weak for it.
+        position: Root-mean-square error of the tip over the test poses that noise
+            leaves [m].
+        orientation: The same of its orientation [rad].
+    """
+
+    theta: Floats
+    covariance: Floats
+    directions: Directions
+    position: float
+    orientation: float
+
+
+def predict(
+    found: Information, basis: Floats, tests: TipTests, of: ParameterSet
+) -> Predicted:
+    """Covariance of a fit; what it will not be able to tell stays at nominal there.
+
+    A fit also holds all errors by the size that its measurements show (`shrinkage`),
+    which nobody knows before: of a variance v it leaves `v / (1 + v / size^2)`.
+
+    Args:
+        found: The information.
+        basis: Its columns in parameters, shape (P, m).
+        tests: Where the tip's error is predicted.
+        of: The parameters.
+    """
+    f = found.nuisances
+    _, s, right = found.svd
+    strong = s * WEAK > 1.0
+    kept = np.eye(len(found.factor))[:, : f + int(strong.sum())]
+    kept[f:, f:] = right[:, strong]
+    R = found.factor @ kept
+    covariance = kept @ np.linalg.inv(R.T @ R) @ kept.T
+    scaled = basis / of.scales[:, None]
+    robot = scaled[:, f:] @ right
+    return Predicted(
+        theta=np.zeros(len(of)),
+        covariance=basis @ covariance @ basis.T,
+        directions=Directions(scaled[:, :f], robot[:, strong], robot[:, ~strong]),
+        position=float(np.sqrt(np.sum(tests.position * covariance))),
+        orientation=float(np.sqrt(np.sum(tests.orientation * covariance))),
+    )

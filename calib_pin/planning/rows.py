@@ -95,9 +95,9 @@ class IdentificationRows:
         """
         poses, J_pose, J_instrument = self._linear(q, target)
         count, size = J_pose.shape[:2]
-        of_robot, of_own = self._bases
+        of_robot, of_instrument = self._bases
         rows = poses.derivative(J_pose).reshape(count * size, -1) @ of_robot
-        rows += J_instrument.reshape(count * size, -1) @ of_own
+        rows += J_instrument.reshape(count * size, -1) @ of_instrument
         return np.asarray(rows.reshape(count, size, -1))
 
     def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
@@ -121,10 +121,10 @@ class IdentificationRows:
                 allowed="exchange, greedy, pso, ga",
             )
         poses, J_pose, J_instrument = self._linear(q, target)
-        of_robot, of_own = self._bases
+        of_robot, of_instrument = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
-        rows = J_pose @ (V @ of_robot) + J_instrument @ of_own
-        curvature = measurement.curvature(poses.T, self._own, target)
+        rows = J_pose @ (V @ of_robot) + J_instrument @ of_instrument
+        curvature = measurement.curvature(poses.T, self._instrument, target)
         xi = poses.joint_twists()
 
         def pullback(by_rows: Floats) -> Floats:
@@ -133,7 +133,9 @@ class IdentificationRows:
             # The instrument's rows change with the pose, whichever joint moves it.
             by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
             e = np.einsum("nab,nabc->nc", by_L, curvature.J_pose)
-            e += np.einsum("nak,nakc->nc", weighted @ of_own.T, curvature.J_instrument)
+            e += np.einsum(
+                "nak,nakc->nc", weighted @ of_instrument.T, curvature.J_instrument
+            )
             # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
             F = np.swapaxes(J_pose, 1, 2) @ G
             by_place = np.cumsum(_coadjoint(V, F), axis=2)
@@ -144,14 +146,14 @@ class IdentificationRows:
         return np.asarray(rows), pullback
 
     @property
-    def _own(self) -> Floats:
+    def _instrument(self) -> Floats:
         return np.zeros(len(self.measurement.parameters))
 
     @cached_property
     def _bases(self) -> tuple[Floats, Floats]:
         """Rows of the basis that belong to the error model and to the instrument."""
         count = len(self.problem.error.screws)
-        return self.basis[:count], self.basis[count : count + len(self._own)]
+        return self.basis[:count], self.basis[count : count + len(self._instrument)]
 
     @cached_property
     def _carried(self) -> NDArray[np.intp]:
@@ -170,7 +172,9 @@ class IdentificationRows:
         """Poses with the whitened derivatives by the tool's twist and by own."""
         error, measurement = self.problem.error, self.measurement
         poses = error.linearize(q, np.zeros(len(error.screws)))
-        linear = linearized_at(error.chain, measurement, poses.T, self._own, q, target)
+        linear = linearized_at(
+            error.chain, measurement, poses.T, self._instrument, q, target
+        )
         weight = self.sigma[:, None]
         return poses, linear.J_pose / weight, linear.J_instrument / weight
 

@@ -14,10 +14,10 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import tracked
-from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.intrinsics import Camera
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.references import Frame
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify
@@ -54,11 +54,13 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
     """The setup of a calibration, with everything where the fit has found it."""
     sections: dict[str, Any] = {}
     camera = model.setup.camera
-    for feature in model.measurement.features:
-        if isinstance(feature, Camera):
-            camera = feature.stated()
-        elif not isinstance(feature, Frame):
-            sections.setdefault(feature.section, {})[feature.name] = feature.stated()
+    for reference in model.measurement.references:
+        if isinstance(reference, Camera):
+            camera = reference.stated()
+        elif not isinstance(reference, Frame):
+            sections.setdefault(reference.section, {})[reference.name] = (
+                reference.stated()
+            )
     free = model.error.parameters.free
     return replace(
         model.setup,

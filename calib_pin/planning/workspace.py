@@ -214,7 +214,7 @@ class Workspace:
     def _refusals(self, q: Floats, target: Sequence[str]) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
         problem, error = self.problem, self.problem.error
-        of_robot, own = problem.split(np.zeros(len(problem.parameters)))
+        of_robot, instrument = problem.split(np.zeros(len(problem.parameters)))
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
         left = ~beyond
@@ -228,7 +228,7 @@ class Workspace:
         # The real robot must be seen there too, and it is not quite where it should be.
         swaying = (T[:, None] @ SWAY).reshape(-1, 4, 4)
         repeated = [name for name in target for _ in SWAY]
-        each = problem.measurement.observable(swaying, own, repeated)
+        each = problem.measurement.observable(swaying, instrument, repeated)
         seen = np.asarray(each.reshape(-1, len(SWAY)).all(axis=1))
         refusals["not measurable"] = left & ~seen
         left &= seen

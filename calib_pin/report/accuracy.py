@@ -67,7 +67,7 @@ def judged(reason: str, status: str = "untrusted") -> Line:
 
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    model, count = result.model, result.training
+    model, count = result.model, len(result.fitted)
     measured = f"{count} measurement{'s' if count != 1 else ''}"
     search = ""
     if result.solver.history:
@@ -91,14 +91,14 @@ def chain_words(chain: Chain) -> str:
 
 def accuracy(result: CalibrationResult) -> Iterator[Block]:
     """Model selection, accuracy and known distances, and what they refer to."""
-    if result.ladder is not None:
-        yield ladder_table(result.ladder)
+    if result.model_selection is not None:
+        yield ladder_table(result.model_selection)
     yield accuracy_table(result.errors)
     said = []
     if result.validation.method != "none":
         which = HELD_OUT.get(result.validation.method, FOLDS)
         said.append(f"Validation measurements ({result.validation.method}): {which}.")
-    if result.ladder is not None and result.validation.method not in HELD_OUT:
+    if result.model_selection is not None and result.validation.method not in HELD_OUT:
         said.append(
             "The same folds selected the model; separate measurements (--validation) "
             "are a stricter check."

@@ -21,7 +21,6 @@ from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.figures import Drawn
 from calib_pin.report.identification import ranks, remedied, unknown
-from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import (
     STATUS,
     group_table,
@@ -30,7 +29,14 @@ from calib_pin.report.tables import (
     parameter_overview,
     quantity,
 )
-from calib_pin.report.trust import expected, findings, noise, percent
+from calib_pin.report.trust import (
+    correlated,
+    expected,
+    findings,
+    noise,
+    percent,
+    statistics,
+)
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import CalibrationResult
 
@@ -91,7 +97,7 @@ def html_report(
     document: Mapping[str, Any],
     *,
     figures: Sequence[Drawn] = (),
-    remedies: Sequence[Suggestion] = (),
+    suggestions: Sequence[Suggestion] = (),
 ) -> bytes:
     """The report of a calibration as a page.
 
@@ -99,7 +105,7 @@ def html_report(
         result: The result.
         document: Its `calibration.json`, which knows the files and their hashes.
         figures: What is drawn of it.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
 
     Returns:
         UTF-8 text of one HTML file without references to any other.
@@ -112,7 +118,7 @@ def html_report(
         opening=opening(result),
         findings=list(findings(result)),
         tiles=list(_tiles(result)),
-        sections=list(_sections(result, document, figures, remedies)),
+        sections=list(_sections(result, document, figures, suggestions)),
         style=Markup(_file("style.css")),
         script=Markup(_file("script.js")),
         version=document["provenance"]["calib_pin"],
@@ -185,7 +191,7 @@ def _sections(
     result: CalibrationResult,
     document: Mapping[str, Any],
     figures: Sequence[Drawn],
-    remedies: Sequence[Suggestion],
+    suggestions: Sequence[Suggestion],
 ) -> Iterator[_Section]:
     blocks: dict[str, list[Block]] = {
         "accuracy": [
@@ -194,7 +200,7 @@ def _sections(
             *expected(result),
             *beyond(result),
         ],
-        "identifiability": list(_known(result, remedies)),
+        "identifiability": list(_known(result, suggestions)),
         "parameters": list(listed("at a bound", result.solver.at_bounds)),
         "residuals": list(_residuals(result)),
         "provenance": list(_provenance(document)),
@@ -223,14 +229,14 @@ def _sections(
 
 
 def _known(
-    result: CalibrationResult, remedies: Sequence[Suggestion]
+    result: CalibrationResult, suggestions: Sequence[Suggestion]
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
     if result.groups:
         yield group_table(result.groups)
     yield from unknown(result)
-    yield from remedied(result, remedies)
-    for remedy in remedies:
+    yield from remedied(result, suggestions)
+    for remedy in suggestions:
         yield from listed(f"identifiable if you {remedy.change}", remedy.parameters)
     yield from correlated(result, LISTED)
 
@@ -239,7 +245,7 @@ def _residuals(result: CalibrationResult) -> Iterator[Block]:
     yield from noise(result)
     if result.statistics.outliers:
         count = len(result.statistics.outliers)
-        yield Line(f"{count} of {result.training} measurements are outliers.")
+        yield Line(f"{count} of {len(result.fitted)} measurements are outliers.")
         yield outlier_table(result, LISTED)
         if len(result.statistics.outliers) > LISTED:
             more = len(result.statistics.outliers) - LISTED

@@ -22,14 +22,14 @@ REMARKS = {"weak": " (held wholly or partly at nominal)"}
 
 
 def identified(
-    found: Identification, *, fitted: bool, remedies: Sequence[Suggestion] = ()
+    found: Identification, *, fitted: bool, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Ranks, parameters by status, combinations as formulae, suggested measurements.
 
     Args:
         found: The identifiability.
         fitted: Whether there are estimates to show.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     yield ranks(found, fitted=fitted)
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
@@ -47,7 +47,7 @@ def identified(
             "note",
         )
     yield from unknown(found)
-    yield from remedied(found, remedies)
+    yield from remedied(found, suggestions)
 
 
 def of_place(group: CoupledGroup) -> bool:
@@ -66,20 +66,22 @@ def unknown(found: Identification) -> Iterator[Names]:
         yield from listed(STATUS[status] + REMARKS.get(status, ""), names)
 
 
-def remedied(found: Identification, remedies: Sequence[Suggestion]) -> Iterator[Block]:
+def remedied(
+    found: Identification, suggestions: Sequence[Suggestion]
+) -> Iterator[Block]:
     """Suggested measurements, and how many robot parameters each would identify."""
     known, weak = found.identifiability.robot_rank, found.identifiability.weak
     rows = [("no change", known - weak)]
     if weak:
         rows.append(("more or other configurations: calib-pin plan --add N", known))
-    rows += [(remedy.change, remedy.count) for remedy in remedies]
+    rows += [(remedy.change, remedy.count) for remedy in suggestions]
     if len(rows) > 1:
         yield Table(
             "Suggested measurements",
             (Column("", "remark"), Column("identifiable robot parameters")),
             [(Cell(words), Cell(str(count), count)) for words, count in rows],
         )
-    if any(remedy.complete for remedy in remedies):
+    if any(remedy.complete for remedy in suggestions):
         yield Line(
             "The combinations that remain move the tool point only together: no "
             "measurement of it can separate them, and no task requires it.",

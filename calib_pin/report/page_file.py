@@ -6,7 +6,7 @@ from pathlib import Path
 
 from calib_pin.io.calibration_document import calibration_document, provenance
 from calib_pin.io.files import write_atomically
-from calib_pin.io.result_file import read_remedies, read_written
+from calib_pin.io.result_file import read_suggestions, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
@@ -48,10 +48,10 @@ def report(
             model.chain, name, setup, result, seed=result.solver.seed
         )
         made = result.provenance if result.provenance.versions else provenance()
-        document = calibration_document(result, made, remedies=suggested)
+        document = calibration_document(result, made, suggestions=suggested)
     else:
         result, document = read_written(result)
-        suggested = read_remedies(document)
+        suggested = read_suggestions(document)
     figures = list(calibration_figures(result))
-    page = html_report(result, document, figures=figures, remedies=suggested)
+    page = html_report(result, document, figures=figures, suggestions=suggested)
     write_atomically(Path(file), page, force=force)

@@ -58,8 +58,10 @@ def _subject(plan: Plan) -> Iterator[Line]:
             "(frames.tool.xyz); 6 cm beside the tip link is assumed.",
             "note",
         )
-    if plan.unseen:
-        yield Line(f"No configuration can measure {', '.join(plan.unseen)}.", "bad")
+    if plan.unmeasurable:
+        yield Line(
+            f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
+        )
     if not plan.checked:
         moves = "Collisions are not checked."
     elif plan.blocked:

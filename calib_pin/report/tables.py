@@ -15,7 +15,7 @@ from calib_pin.validation.result import (
     ParameterEstimate,
     QuantityErrors,
 )
-from calib_pin.validation.summaries import Ladder, Rung
+from calib_pin.validation.summaries import Candidate, ModelSelection
 
 ESTIMATE = ("value", "std. dev.", "unit")
 """Columns that can stand beside a parameter or a group."""
@@ -128,9 +128,9 @@ def distance_table(distances: Sequence[FoundDistance]) -> Table:
     return Table("Known distances", columns("", titles), rows)
 
 
-def ladder_table(ladder: Ladder) -> Table:
+def ladder_table(ladder: ModelSelection) -> Table:
     """The candidates of model selection with their errors on held-out measurements."""
-    rungs = ladder.rungs
+    rungs = ladder.candidates
     quantities = [
         (name, unit) for name, unit, _ in max((r.errors for r in rungs), key=len)
     ]
@@ -154,7 +154,7 @@ def ladder_table(ladder: Ladder) -> Table:
     )
 
 
-def _remark(rung: Rung, *, kept: bool, best: bool) -> str:
+def _remark(rung: Candidate, *, kept: bool, best: bool) -> str:
     if not rung.helps:
         return "no significant gain"
     if kept:

@@ -9,10 +9,16 @@ from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.identification import identified
-from calib_pin.report.statistics import correlated, statistics
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
-from calib_pin.report.trust import expected, findings, noise, outliers
+from calib_pin.report.trust import (
+    correlated,
+    expected,
+    findings,
+    noise,
+    outliers,
+    statistics,
+)
 from calib_pin.validation.result import CalibrationResult
 
 
@@ -35,13 +41,13 @@ def format_report(result: CalibrationResult) -> str:
 
 
 def report(
-    result: CalibrationResult, remedies: Sequence[Suggestion] = ()
+    result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Verdict, accuracy, noise and outliers, then identifiability and parameters.
 
     Args:
         result: The result.
-        remedies: Suggested measurements.
+        suggestions: Suggested measurements.
     """
     yield from opening(result)
     yield subject(result)
@@ -53,6 +59,6 @@ def report(
     yield from noise(result)
     yield from statistics(result)
     yield from outliers(result)
-    yield from identified(result, fitted=True, remedies=remedies)
+    yield from identified(result, fitted=True, suggestions=suggestions)
     yield from listed("at a bound", result.solver.at_bounds)
     yield from correlated(result)

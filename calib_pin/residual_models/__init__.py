@@ -9,12 +9,12 @@ import numpy as np
 
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
+    LearnedCorrection,
     Linearized,
     ResidualModel,
     Space,
     TrainingRows,
 )
-from calib_pin.residual_models.correction import LearnedCorrection
 from calib_pin.residual_models.documents import checked, stated
 from calib_pin.residual_models.region import TrainedRegion
 

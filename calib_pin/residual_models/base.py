@@ -1,4 +1,4 @@
-"""Residual model, the base of all, and its training data."""
+"""Residual model, the base of all, its training data, and its place in a robot."""
 
 from __future__ import annotations
 
@@ -159,6 +159,32 @@ class ResidualModel(Protocol):
         ...
 
 
+@dataclass(frozen=True)
+class LearnedCorrection:
+    """A residual model, with its shift of the geometry in error parameters.
+
+    Attributes:
+        model: The residual model.
+        shift: Change of the P parameters of the error model, shape (P,).
+    """
+
+    model: ResidualModel
+    shift: Floats
+
+    @property
+    def space(self) -> Space:
+        """Space of the correction."""
+        return self.model.space
+
+    def __call__(self, q: Floats) -> Floats:
+        """Corrections, shape (N, n) -> (N, n) [rad, m] or (N, 6) [m, rad]."""
+        return self.model(q)
+
+    def weight(self, q: Floats) -> Floats:
+        """Weight from 1 near training configurations to 0 far away, shape (N,)."""
+        return self.model.region.weight(q)
+
+
 def convincing(before: Floats, after: Floats) -> bool:
     """Whether predictions of left-out rows became better by more than chance.
 
@@ -186,3 +212,24 @@ def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
         if kind.any() and effect[kind].any() and size > 0.0:
             result[kind] = size / np.sqrt(effect[kind].mean())
     return result
+
+
+def root_mean_square(residual: Floats) -> float:
+    """Root of the mean square of all components."""
+    return float(np.sqrt((residual**2).mean()))
+
+
+def absorbed(by_shift: Floats) -> tuple[Floats, Floats]:
+    """Orthonormal residuals that a shift explains, and the shift for each.
+
+    Args:
+        by_shift: Derivative of the residuals by the shift, shape (N, d, P).
+
+    Returns:
+        Columns, shape (N d, k), and shifts, shape (P, k).
+    """
+    count, d, shifts = by_shift.shape
+    columns = by_shift.reshape(count * d, shifts)
+    left, s, right = np.linalg.svd(columns, full_matrices=False)
+    keep = s > INDEPENDENT * s.max(initial=0.0)
+    return left[:, keep], right[keep].T / s[keep]

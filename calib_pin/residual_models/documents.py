@@ -1,8 +1,9 @@
-"""Readers of a document's values; nothing in it is ever run."""
+"""A document's values, written and read; nothing in it is ever run."""
 
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
+from dataclasses import fields, is_dataclass
 from typing import Any
 
 import numpy as np
@@ -14,6 +15,15 @@ LARGEST = 1e12
 
 MOST = 4_000_000
 """Most numbers in one array of a document."""
+
+
+def written(part: object) -> Any:
+    """The fields of a dataclass by name, as numbers, strings and lists."""
+    if is_dataclass(part):
+        return {each.name: written(getattr(part, each.name)) for each in fields(part)}
+    if isinstance(part, np.ndarray):
+        return part.tolist()
+    return list(part) if isinstance(part, tuple) else part
 
 
 def checked(document: object, what: str) -> Mapping[str, Any]:

@@ -11,7 +11,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Any, cast, get_args
+from typing import Any, ClassVar, cast, get_args
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,15 +21,15 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
-    INDEPENDENT,
     Space,
     TrainingRows,
+    absorbed,
     convincing,
     correction_unit,
+    root_mean_square,
 )
-from calib_pin.residual_models.covariance import Covariance
-from calib_pin.residual_models.documents import checked, numbers, stated
-from calib_pin.residual_models.likelihood import left_out, most_likely
+from calib_pin.residual_models.covariance import Covariance, left_out, most_likely
+from calib_pin.residual_models.documents import checked, numbers, stated, written
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 
 FREE = 1e4
@@ -93,11 +93,7 @@ class GaussianProcess:
     free: float
     weights: Floats
     held_out: tuple[float, float]
-
-    @property
-    def name(self) -> str:
-        """Name as users write it."""
-        return "gaussian-process"
+    name: ClassVar[str] = "gaussian-process"
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
@@ -178,22 +174,7 @@ class GaussianProcess:
 
     def document(self) -> dict[str, Any]:
         """The numbers."""
-        return {
-            "kind": self.name,
-            "region": self.region.document(),
-            "shift": self.shift.tolist(),
-            "space": self.space,
-            "covariance": self.covariance.document(),
-            "noise": self.noise,
-            "unit": self.unit.tolist(),
-            "q": self.q.tolist(),
-            "A": self.A.tolist(),
-            "absorbed": self.absorbed.tolist(),
-            "released": self.released.tolist(),
-            "free": self.free,
-            "weights": self.weights.tolist(),
-            "held_out": list(self.held_out),
-        }
+        return {"kind": self.name, **written(self)}
 
     @staticmethod
     def restore(document: Mapping[str, Any], joints: int) -> GaussianProcess:
@@ -211,7 +192,7 @@ class GaussianProcess:
         if components > LOADED:
             raise ValueError(f"'A' has {components} rows, more than {LOADED}")
         shift = numbers(parts, "shift", (None,), empty=True)
-        absorbed = numbers(parts, "absorbed", (components, None), empty=True)
+        columns = numbers(parts, "absorbed", (components, None), empty=True)
         before, after = numbers(parts, "held_out", (2,))
         return GaussianProcess(
             region=TrainedRegion.restore(parts.get("region"), joints),
@@ -222,9 +203,9 @@ class GaussianProcess:
             unit=numbers(parts, "unit", (m,), positive=True),
             q=q,
             A=A,
-            absorbed=absorbed,
+            absorbed=columns,
             released=numbers(
-                parts, "released", (len(shift), absorbed.shape[1]), empty=True
+                parts, "released", (len(shift), columns.shape[1]), empty=True
             ),
             free=float(numbers(parts, "free", (), positive=True)),
             weights=numbers(parts, "weights", (len(q), m)),
@@ -263,11 +244,12 @@ def fit_gaussian_process(
 
         draft = _Draft(rows, space, region, rng)
         few = draft.sample(options.searched)
+        columns, _ = absorbed(draft.at.by_shift[few])
         covariance, noise = most_likely(
             draft.angle[few],
             draft.A[few],
             -draft.at.residual[few],
-            draft.free * _outer(_absorbed(draft.at.by_shift[few])[0]),
+            draft.free * (columns @ columns.T),
             own=space == "joint",
             progress=lambda part: report(0.7 * part),
         )
@@ -324,7 +306,7 @@ class _Draft:
             G, A = self.at.by_shift[chosen], self.A[chosen]
             effect = (self.at.by_correction @ self.f[:, :, None])[:, :, 0]
             base = (self.at.residual - effect - self.at.by_shift @ self.z)[chosen]
-            absorbed, released = _absorbed(G)
+            columns, released = absorbed(G)
             process = GaussianProcess(
                 region=self.region,
                 shift=self.z,
@@ -334,7 +316,7 @@ class _Draft:
                 unit=self.unit,
                 q=self.rows.q[chosen],
                 A=A,
-                absorbed=absorbed,
+                absorbed=columns,
                 released=released,
                 free=self.free,
                 weights=np.zeros((len(chosen), len(self.unit))),
@@ -346,7 +328,7 @@ class _Draft:
             self.f = covariance.predict(self.angle, here, weights) * self.unit
             # The shift must explain the rest, which neither process nor noise does.
             rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
-            self.z = -released @ (absorbed.T @ rest.reshape(-1))
+            self.z = -released @ (columns.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
         groups = self.rows.groups[chosen]
         predicted, surprise = left_out(process._factor, alpha, groups)
@@ -362,27 +344,5 @@ class _Draft:
             noise=noise * surprise,
             free=self.free * surprise,
             weights=weights / surprise,
-            held_out=(
-                float(np.sqrt((before**2).mean())),
-                float(np.sqrt((predicted**2).mean())),
-            ),
+            held_out=(root_mean_square(before), root_mean_square(predicted)),
         )
-
-
-def _absorbed(G: Floats) -> tuple[Floats, Floats]:
-    """Orthonormal residuals that a shift explains, and the shift for each.
-
-    Args:
-        G: Derivative of the residuals by the shift, shape (N, d, P).
-
-    Returns:
-        Columns, shape (N d, k), and shifts, shape (P, k).
-    """
-    columns = G.reshape(G.shape[0] * G.shape[1], G.shape[2])
-    left, s, right = np.linalg.svd(columns, full_matrices=False)
-    keep = s > INDEPENDENT * s.max(initial=0.0)
-    return left[:, keep], right[keep].T / s[keep]
-
-
-def _outer(columns: Floats) -> Floats:
-    return np.asarray(columns @ columns.T)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property, partial
-from typing import Any
+from typing import Any, ClassVar
 
 import numpy as np
 
@@ -18,15 +18,15 @@ from calib_pin.residual_models.base import (
     TrainingRows,
     convincing,
     correction_unit,
+    root_mean_square,
 )
-from calib_pin.residual_models.documents import checked, numbers
+from calib_pin.residual_models.documents import checked, numbers, written
 from calib_pin.residual_models.region import PIECE, TrainedRegion
 from calib_pin.residual_models.training import Member
 from calib_pin.residual_models.units import Inputs, Weights, combined, series
 
 FAILED = 2.0
 """Multiple of the best member's held-out mean square from which another has failed."""
-
 
 LARGEST_INFLATION = 10.0
 """Largest factor on deviations; beyond, the noise was estimated wrongly."""
@@ -84,16 +84,8 @@ class Network:
     typical: Floats
     inflation: float
     held_out: tuple[float, float]
-
-    @property
-    def name(self) -> str:
-        """Name as users write it."""
-        return "network"
-
-    @property
-    def space(self) -> Space:
-        """Joint positions."""
-        return "joint"
+    name: ClassVar[str] = "network"
+    space: ClassVar[Space] = "joint"
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
@@ -161,19 +153,9 @@ class Network:
         )
 
     def document(self) -> dict[str, Any]:
-        """The numbers."""
-        return {
-            "kind": self.name,
-            "region": self.region.document(),
-            "shift": self.shift.tolist(),
-            "shifts": self.shifts.tolist(),
-            "factors": self.factors.tolist(),
-            "outputs": self.outputs.tolist(),
-            "series": self.series.tolist(),
-            "typical": self.typical.tolist(),
-            "caution": self.inflation,
-            "held_out": list(self.held_out),
-        }
+        """The numbers; files know the inflation factor as `caution`."""
+        parts = {"kind": self.name, **written(self)}
+        return {"caution" if k == "inflation" else k: v for k, v in parts.items()}
 
     @staticmethod
     def restore(document: Mapping[str, Any], joints: int) -> Network:
@@ -287,10 +269,7 @@ def fit_network(
             _jackknife(effects),
             float((after**2).mean() - np.mean([m.noise**2 for m in kept])),
         ),
-        held_out=(
-            float(np.sqrt((before**2).mean())),
-            float(np.sqrt((after**2).mean())),
-        ),
+        held_out=(root_mean_square(before), root_mean_square(after)),
     )
 
 

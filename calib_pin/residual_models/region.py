@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -64,14 +63,6 @@ class Angles:
         """Sines, then cosines of the angles, shape (N, n) -> (N, 2 n)."""
         angle = self(q)
         return np.concatenate([np.sin(angle), np.cos(angle)], axis=1)
-
-    def document(self) -> dict[str, Any]:
-        """The numbers."""
-        return {
-            "center": self.center.tolist(),
-            "rate": self.rate.tolist(),
-            "farthest": self.farthest.tolist(),
-        }
 
     @staticmethod
     def restore(document: object, joints: int) -> Angles:
@@ -161,17 +152,6 @@ class TrainedRegion:
     @cached_property
     def _points(self) -> Floats:
         return self.angles.points(self.anchors)
-
-    def document(self) -> dict[str, Any]:
-        """The numbers."""
-        return {
-            "angles": self.angles.document(),
-            "anchors": self.anchors.tolist(),
-            "reach": self.reach,
-            "middle": self.middle.tolist(),
-            "half": self.half.tolist(),
-            "fade": self.fade.tolist(),
-        }
 
     @staticmethod
     def restore(document: object, joints: int) -> TrainedRegion:

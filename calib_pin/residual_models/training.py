@@ -15,13 +15,8 @@ from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.residual_models.base import INDEPENDENT, TrainingRows
-from calib_pin.residual_models.units import (
-    Inputs,
-    Weights,
-    combined,
-    unit_columns,
-)
+from calib_pin.residual_models.base import TrainingRows, absorbed
+from calib_pin.residual_models.units import Inputs, Weights, combined, unit_columns
 
 FIRST = 2
 """Bands that a network begins with; the others wait until the units have found form.
@@ -183,10 +178,7 @@ class Member:
         self._base = at.residual - self._effect(f) - at.by_shift @ shift
         self._A = self._slope[self._training] * self._unit
         values = self._A.shape[0] * self._A.shape[1]
-        columns = at.by_shift[self._training].reshape(values, -1)
-        left, s, right = np.linalg.svd(columns, full_matrices=False)
-        keep = s > INDEPENDENT * s.max(initial=0.0)
-        self._left, self._back = left[:, keep], right[keep].T / s[keep]
+        self._left, self._back = absorbed(at.by_shift[self._training])
         self._target = -self._projected(self._base[self._training].reshape(-1))
         own = np.einsum("ndj,jnm->ndjm", self._A, self._inputs.waves[:, self._training])
         columns = own.reshape(values, -1)[:, self._kept]

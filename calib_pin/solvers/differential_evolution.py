@@ -27,7 +27,6 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import dataclass
-from numbers import Integral, Real
 
 import numpy as np
 
@@ -53,8 +52,10 @@ from calib_pin.solvers.options import (
     LIMIT,
     TARGET,
     TOLERANCE,
-    Limits,
-    require_numbers,
+    UP_TO_TWO,
+    NumericOptions,
+    limited,
+    whole,
 )
 
 TRADEOFF = "rand-to-best/1"
@@ -111,20 +112,9 @@ BLOCK = 16
 INITS = ("latinhypercube", "random")
 """Names of the ways to choose the first population."""
 
-NUMBERS = {
-    "population_size": Limits(Integral, 4, 100_000, "a whole number, 4 to 100000"),
-    "mutation": Limits(Real, np.nextafter(0.0, 1.0), 2, "more than 0, up to 2"),
-    "recombination": FRACTION,
-    "maxiter": LIMIT,
-    "target": TARGET,
-    "tol": TOLERANCE,
-    "atol": TOLERANCE,
-}
-"""Limits of the options that are numbers."""
-
 
 @dataclass(frozen=True)
-class DifferentialEvolution:
+class DifferentialEvolution(NumericOptions):
     """Options of differential evolution; the defaults are those of Liu et al. (2012).
 
     Attributes:
@@ -148,20 +138,20 @@ class DifferentialEvolution:
     """
 
     strategy: str = "tradeoff"
-    population_size: int = 150
-    mutation: float = 0.6
-    recombination: float = 0.9
-    maxiter: int = 500
-    target: float = -np.inf
-    tol: float = 1e-8
-    atol: float = 0.0
+    population_size: int = limited(150, whole(4, 100_000))
+    mutation: float = limited(0.6, UP_TO_TWO)
+    recombination: float = limited(0.9, FRACTION)
+    maxiter: int = limited(500, LIMIT)
+    target: float = limited(-np.inf, TARGET)
+    tol: float = limited(1e-8, TOLERANCE)
+    atol: float = limited(0.0, TOLERANCE)
     init: str = "latinhypercube"
 
     def __post_init__(self) -> None:
         """Check the values."""
         require_known("mutation strategy", self.strategy, STRATEGIES)
         require_known("init", self.init, INITS)
-        require_numbers(vars(self), NUMBERS)
+        super().__post_init__()
 
     @property
     def budget(self) -> int:

@@ -43,21 +43,12 @@ from calib_pin.solvers.options import (
     LIMIT,
     TARGET,
     Limits,
+    NumericOptions,
+    limited,
     require_numbers,
+    whole,
 )
 from calib_pin.solvers.status import Status
-
-NUMBERS = {
-    "population_size": Limits(Integral, 2, 100_000, "a whole number, 2 to 100000"),
-    "generations": LIMIT,
-    "tournament": LIMIT,
-    "crossover": FRACTION,
-    "swaps": Limits(Real, 0, np.finfo(float).max, "0 or more"),
-    "elite": LIMIT,
-    "patience": LIMIT,
-    "target": TARGET,
-}
-"""Limits of the options."""
 
 SubsetCosts = Callable[[Indices], Floats]
 """Costs of a population of subsets, shape (S, count) -> (S,)."""
@@ -67,7 +58,7 @@ Callback = Callable[[int, Indices, float], bool | None]
 
 
 @dataclass(frozen=True)
-class Genetic:
+class Genetic(NumericOptions):
     """Options of the genetic algorithm.
 
     Attributes:
@@ -85,18 +76,18 @@ class Genetic:
         OptionError: If a value is not allowed.
     """
 
-    population_size: int = 100
-    generations: int = 300
-    tournament: int = 3
-    crossover: float = 0.9
-    swaps: float = 1.0
-    elite: int = 2
-    patience: int = 50
-    target: float = -np.inf
+    population_size: int = limited(100, whole(2, 100_000))
+    generations: int = limited(300, LIMIT)
+    tournament: int = limited(3, LIMIT)
+    crossover: float = limited(0.9, FRACTION)
+    swaps: float = limited(1.0, Limits(Real, 0, np.finfo(float).max, "0 or more"))
+    elite: int = limited(2, LIMIT)
+    patience: int = limited(50, LIMIT)
+    target: float = limited(-np.inf, TARGET)
 
     def __post_init__(self) -> None:
         """Check the values."""
-        require_numbers(vars(self), NUMBERS)
+        super().__post_init__()
         if self.elite >= self.population_size:
             raise OptionError(
                 "elite leaves no room for children",

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 from collections.abc import Mapping
+from dataclasses import field, fields
 from numbers import Integral, Real
-from typing import NamedTuple
+from typing import Any, NamedTuple
 
 import numpy as np
 
@@ -33,11 +34,38 @@ LIMIT = Limits(Integral, 1, np.inf, "a whole number, 1 or more")
 FRACTION = Limits(Real, 0, 1, "0 to 1")
 """A part, or a probability."""
 
+UP_TO_TWO = Limits(Real, np.nextafter(0.0, 1.0), 2, "more than 0, up to 2")
+"""A factor of steps."""
+
 TARGET = Limits(Real, -np.inf, np.finfo(float).max, "a number")
 """A cost to reach; minus infinity for none."""
 
 TOLERANCE = Limits(Real, 0, np.inf, "0 or more")
 """A relative or absolute tolerance."""
+
+
+class NumericOptions:
+    """A dataclass of options, some of them numbers within limits, see `limited`.
+
+    Raises:
+        OptionError: If a number is not within its limits.
+    """
+
+    def __post_init__(self) -> None:
+        """Check the numbers."""
+        limits = {each.name: each.metadata for each in fields(self)}  # type: ignore[arg-type]
+        stated = {k: v["limits"] for k, v in limits.items() if "limits" in v}
+        require_numbers(vars(self), stated)
+
+
+def limited(default: float, limits: Limits) -> Any:
+    """A field of `NumericOptions` that is a number."""
+    return field(default=default, metadata={"limits": limits})
+
+
+def whole(least: int, most: int) -> Limits:
+    """Limits of a whole number."""
+    return Limits(Integral, least, most, f"a whole number, {least} to {most}")
 
 
 def require_numbers(values: Mapping[str, object], limits: Mapping[str, Limits]) -> None:

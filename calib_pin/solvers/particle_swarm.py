@@ -47,7 +47,7 @@ References:
 from __future__ import annotations
 
 from dataclasses import dataclass
-from numbers import Integral, Real
+from numbers import Real
 
 import numpy as np
 
@@ -69,31 +69,19 @@ from calib_pin.solvers.options import (
     LIMIT,
     TARGET,
     TOLERANCE,
+    UP_TO_TWO,
     Limits,
-    require_numbers,
+    NumericOptions,
+    limited,
+    whole,
 )
 
-POSITIVE = np.nextafter(0.0, 1.0)
-
-NUMBERS = {
-    "particles": Limits(Integral, 2, 100_000, "a whole number, 2 to 100000"),
-    "iterations": LIMIT,
-    "c1": Limits(Real, 0, 4, "0 to 4"),
-    "c2": Limits(Real, 0, 4, "0 to 4"),
-    "w": Limits(Real, POSITIVE, 2, "more than 0, up to 2"),
-    "inertia": FRACTION,
-    "velocity": Limits(Real, POSITIVE, 1, "more than 0, up to 1"),
-    "crossover": FRACTION,
-    "mutation": FRACTION,
-    "target": TARGET,
-    "tol": TOLERANCE,
-    "atol": TOLERANCE,
-}
-"""Limits of the options."""
+PULL = Limits(Real, 0, 4, "0 to 4")
+SHARE = Limits(Real, np.nextafter(0.0, 1.0), 1, "more than 0, up to 1")
 
 
 @dataclass(frozen=True)
-class ParticleSwarm:
+class ParticleSwarm(NumericOptions):
     """Options of the particle swarm.
 
     Attributes:
@@ -116,22 +104,18 @@ class ParticleSwarm:
         OptionError: If a value is not allowed.
     """
 
-    particles: int = 60
-    iterations: int = 300
-    c1: float = 1.5
-    c2: float = 1.5
-    w: float = 1.0
-    inertia: float = 0.73
-    velocity: float = 0.25
-    crossover: float = 0.05
-    mutation: float = 0.02
-    target: float = -np.inf
-    tol: float = 1e-8
-    atol: float = 0.0
-
-    def __post_init__(self) -> None:
-        """Check the values."""
-        require_numbers(vars(self), NUMBERS)
+    particles: int = limited(60, whole(2, 100_000))
+    iterations: int = limited(300, LIMIT)
+    c1: float = limited(1.5, PULL)
+    c2: float = limited(1.5, PULL)
+    w: float = limited(1.0, UP_TO_TWO)
+    inertia: float = limited(0.73, FRACTION)
+    velocity: float = limited(0.25, SHARE)
+    crossover: float = limited(0.05, FRACTION)
+    mutation: float = limited(0.02, FRACTION)
+    target: float = limited(-np.inf, TARGET)
+    tol: float = limited(1e-8, TOLERANCE)
+    atol: float = limited(0.0, TOLERANCE)
 
     @property
     def budget(self) -> int:

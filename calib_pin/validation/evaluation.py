@@ -19,8 +19,8 @@ from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.model_errors import registered
 from calib_pin.validation.result import Accuracy, Evaluation
-from calib_pin.validation.validation_registration import registered
 
 
 @serial_blas
@@ -110,8 +110,8 @@ def prepared(
     if isinstance(robot, CalibratedModel):
         rows = among(rows, robot.measurement.name)
         problem = robot.problem(rows)
-        own = np.zeros(len(robot.measurement.parameters))
-        theta = np.concatenate([robot.theta, own])
+        instrument = np.zeros(len(robot.measurement.parameters))
+        theta = np.concatenate([robot.theta, instrument])
     else:
         setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
         problem = make_problem(robot, rows, setup)
@@ -119,7 +119,7 @@ def prepared(
         registration = True
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
-    reason, known = "", {feature.name for feature in problem.measurement.features}
+    reason, known = "", {reference.name for reference in problem.measurement.references}
     if registration:
         if isinstance(robot, CalibratedModel):
             problem, theta = extended(problem, theta, rows)
@@ -128,5 +128,5 @@ def prepared(
         reason = registration_reason(problem, result)
     there = registered(problem, theta, rows)
     problem, theta = there.problem, there.theta
-    new = [f.name for f in problem.measurement.features if f.name not in known]
+    new = [f.name for f in problem.measurement.references if f.name not in known]
     return Prepared(problem, theta, registration, reason, tuple(new))

@@ -3,16 +3,21 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from math import erf
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding
 from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.joint_conventions import suggest_conventions
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.progress import Progress
-from calib_pin.validation.expected_accuracy import expected_accuracy
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.plausibility import plausibility
@@ -115,3 +120,155 @@ def _accuracies(
         for sizes in map(quantity.errors, (errors.before, errors.after))
     )
     return before, after
+
+
+SURE = 0.95
+"""Probability of a bound, and from which a configuration counts as better."""
+
+DRAWS = 400
+"""Draws of an error by which a bound is found, for each size of errors."""
+
+
+def expected_accuracy(
+    fitted: Fit,
+    problem: Problem,
+    theta: Floats,
+    q: Floats,
+    rng: np.random.Generator,
+) -> ExpectedAccuracy:
+    """Accuracy of the nominal and the corrected robot at some configurations.
+
+    With the mean mu and the covariance C of the errors, and G the mean of `J^T J`, the
+    nominal robot's expected square is `mu^T G mu + tr(G C)` and that of the corrected
+    one `tr(G C)`. Their difference for the true errors, `mu^T G mu + 2 mu^T G z` with
+    `z ~ N(0, C)`, is normal, and so is the probability that the corrected robot is the
+    better one. All is averaged over the likely sizes of errors.
+
+    Args:
+        fitted: The fit.
+        problem: The problem about its solution.
+        theta: Parameter values about that, shape (P,).
+        q: Configurations, shape (N, n) [rad, m].
+        rng: Draws the errors by which the bound is found.
+    """
+    parameters = fitted.problem.parameters
+    count = len(problem.error.screws)
+    scales = parameters.scales[:count]
+    robot = (parameters.free & ~parameters.nuisance)[:count]
+    _, J = problem.error.jacobian(q, theta[:count])
+    own = without_frames(J * scales, J)[:, :, robot]
+    effects = np.zeros((*J.shape[:2], 0))
+    if fitted.effects is not None:
+        absorbed = fitted.posterior.by_effects[:count]
+        absorbed = np.where(parameters.nuisance[:count, None], 0.0, absorbed)
+        there = fitted.effects.twists(problem.error, q)
+        effects = without_frames(J @ absorbed - there, J)
+    mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
+    by_position, by_orientation = (
+        _Expected(own[:, part], effects[:, part], _scatter(fitted, unit), mean, C, rng)
+        for part, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
+    )
+    return ExpectedAccuracy(
+        nominal=(by_position.nominal, by_orientation.nominal),
+        calibrated=(by_position.calibrated, by_orientation.calibrated),
+        bound=(by_position.bound, by_orientation.bound),
+        unmodeled=(by_position.unmodeled, by_orientation.unmodeled),
+        better=by_position.better,
+        share=by_position.share,
+    )
+
+
+class _Expected:
+    """Expected accuracy of position or orientation.
+
+    Args:
+        J: Derivative by the scaled errors of the robot, shape (N, 3, p).
+        effects: What independent effects do that the model does not have, beyond what
+            the fit has absorbed of them, shape (N, 3, S).
+        scatter: Variance of each component that is left beside these.
+        mean: The estimated errors, shape (p,).
+        C: Their covariances for several sizes of errors, shape (S, p, p).
+        rng: Random generator of the bound.
+    """
+
+    def __init__(
+        self,
+        J: Floats,
+        effects: Floats,
+        scatter: float,
+        mean: Floats,
+        C: Floats,
+        rng: np.random.Generator,
+    ) -> None:
+        moved = J @ mean
+        gain = np.sum(moved**2, axis=1)
+        G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
+        squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
+        left = float(np.mean([s.sum() for s in squares]))
+        by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
+        lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
+        draws = [
+            np.concatenate([s, lacking])
+            @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
+            for s in squares
+        ]
+        # At so many configurations, what scatters is about its mean.
+        others = float(lacking.sum()) + 3.0 * scatter
+        self.unmodeled = float(np.sqrt(others))
+        self.nominal = float(np.sqrt(gain.mean() + left + others))
+        self.calibrated = float(np.sqrt(left + others))
+        bound = np.quantile(np.concatenate(draws), SURE) + 3.0 * scatter
+        self.bound = float(np.sqrt(bound))
+        # The differences of single configurations, and of the whole, are normal along
+        # one direction of the errors each.
+        along = np.einsum("nd,ndi->ni", moved, J)
+        beside = np.einsum("nd,ndi->ni", moved, effects)
+        chances = _chance(
+            gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
+        )
+        self.better = float(chances[0])
+        self.share = float(np.mean(_chance(gain, along, beside, C) >= SURE))
+
+
+def _scatter(fitted: Fit, unit: str) -> float:
+    """Variance of a component that neither noise nor the known effects explain.
+
+    Of the first quantity in a unit; zero where noise is neither stated nor repeated,
+    so that nothing tells both apart.
+    """
+    for k, noise in enumerate(fitted.noise):
+        if noise.unit == unit:
+            found = (noise.unmodeled or 0.0) ** 2
+            if fitted.effects is not None:
+                explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)
+                found -= explained * (noise.factor * noise.given) ** 2
+            return max(found, 0.0)
+    return 0.0
+
+
+def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
+    """Probability that `gain + 2 (along^T z + beside^T g)` is positive.
+
+    With `z ~ N(0, C)` and effects `g ~ N(0, I)`.
+
+    Args:
+        gain: Shape (N,).
+        along: Shape (N, p).
+        beside: Shape (N, S).
+        C: Covariances that are equally likely, shape (S, p, p).
+    """
+    variances = np.sum((along @ C) * along, axis=2)
+    variances += np.sum(beside**2, axis=1)
+    ratios = gain / np.sqrt(np.maximum(8.0 * variances, 1e-300))
+    chances = np.array([[0.5 + 0.5 * erf(x) for x in row] for row in ratios])
+    return np.asarray(chances.mean(axis=0))
+
+
+def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
+    """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
+    scales = fitted.problem.parameters.scales[: len(robot)][robot]
+    halves = [
+        found.by_noise[: len(robot)][robot] / scales[:, None]
+        for found in likely_posteriors(fitted)
+    ]
+    return np.array([half @ half.T for half in halves])

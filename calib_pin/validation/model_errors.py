@@ -4,18 +4,22 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
+from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.predicted import predicted_variance
 from calib_pin.validation.result import FoundDistance
-from calib_pin.validation.validation_registration import Registered, registered
 
 
 @dataclass(frozen=True)
@@ -141,7 +145,7 @@ def errors_of_registered(
         positions: Positions of the measurements among all, shape (N,).
     """
     problem, theta = after.problem, after.theta
-    known = {feature.name for feature in model.problem.measurement.features}
+    known = {reference.name for reference in model.problem.measurement.references}
     there = replace(model.fit.problem, data=problem.data), model.fit.theta
     estimated = (*after.refitted, *after.new)
     if estimated:
@@ -152,7 +156,7 @@ def errors_of_registered(
         problem.masked_errors(theta),
         predicted_variance(model.fit, *there, estimated),
         _found_distances(before, after, known),
-        tuple(f.name for f in problem.measurement.features if f.name not in known),
+        tuple(f.name for f in problem.measurement.references if f.name not in known),
     )
 
 
@@ -174,10 +178,83 @@ def _found_distances(
     (first, nominal), (second, found) = (
         (distances, distances.lengths(at.problem.split(at.theta)[1]))
         for at in (before, after)
-        for distances in [KnownDistances.of(stated, at.problem.measurement.features)]
+        for distances in [KnownDistances.of(stated, at.problem.measurement.references)]
     )
     assert first.stated == second.stated
     return tuple(
         FoundDistance(d.between, d.value, d.sigma, float(n), float(f), known is None)
         for d, n, f in zip(first.stated, nominal, found, strict=True)
     )
+
+
+@dataclass(frozen=True)
+class Registered:
+    """A fitted problem registered on other measurements.
+
+    Attributes:
+        problem: The problem of these measurements.
+        theta: Its parameter values, shape (P,).
+        new: Positions of the parameters of reference objects that only these
+            measurements name.
+        refitted: Positions of further parameters that were estimated anew from them.
+    """
+
+    problem: Problem
+    theta: Floats
+    new: tuple[int, ...] = ()
+    refitted: tuple[int, ...] = ()
+
+
+def registered(
+    problem: Problem, theta: Floats, measurements: Measurements
+) -> Registered:
+    """A fitted problem on other measurements, with what only these name registered.
+
+    A socket, say, that only these measurements name is estimated from them. Nothing
+    else is fitted, and known distances between new reference objects do not count:
+    they are there to be found.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        measurements: The other measurements.
+
+    Raises:
+        InputError: If a new reference object uses up all that its measurements say.
+    """
+    known = set(problem.parameters.names)
+    problem, theta = extended(problem, theta, measurements)
+    names = problem.parameters.names
+    new = tuple(k for k, name in enumerate(names) if name not in known)
+    if not new:
+        return Registered(problem, theta)
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    _require_redundancy(plain, theta, new)
+    basis = np.diag(problem.parameters.scales)[:, list(new)]
+    return Registered(problem, least_squares(plain, theta, basis).x, new)
+
+
+def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
+    """Refuse measurements that a new reference object uses up.
+
+    Raises:
+        InputError: If there are such; their errors would all be zero.
+    """
+    count, size = len(problem.data), problem.components
+    _, J = problem.linearize_rows(theta)
+    J = J[: count * size].reshape(count, size, -1)
+    owners: dict[str, list[int]] = {}
+    for k in new:
+        owners.setdefault(problem.parameters.names[k].rsplit(".", 2)[0], []).append(k)
+    for name, columns in owners.items():
+        rows = np.flatnonzero(J[:, :, columns].any(axis=(1, 2)))
+        A = J[rows][:, :, columns].reshape(-1, len(columns))
+        values = distinct_values(replace(problem, data=problem.data.rows(rows)))
+        if values <= np.linalg.matrix_rank(A):
+            data = problem.data
+            error = partial(data.error, int(rows[0])) if len(rows) else InputError
+            raise error(
+                f"the measurements of '{name}', which was not fitted, say no more than "
+                "where it is; measure it in more configurations",
+                column="target",
+            )

@@ -35,7 +35,7 @@ from calib_pin.setup import Setup
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.splits import FOLDS, Grouping, folds
-from calib_pin.validation.summaries import Ladder, Rung
+from calib_pin.validation.summaries import Candidate, ModelSelection
 
 OFFSETS = JointOffset.name
 
@@ -53,7 +53,7 @@ class SelectedModel:
         parts: Its cross-validation, fold by fold.
     """
 
-    selection: Ladder
+    selection: ModelSelection
     model: FittedModel
     parts: tuple[ModelErrors, ...]
 
@@ -69,7 +69,7 @@ class _Judged:
         sizes: Mean size of the whitened errors of every cluster, shape (G,).
     """
 
-    candidate: Rung
+    candidate: Candidate
     model: FittedModel | None = None
     parts: tuple[ModelErrors, ...] = ()
     sizes: Floats | None = None
@@ -122,7 +122,7 @@ def select_model(
     found = candidates.judged[chosen]
     assert found.model is not None
     every = tuple(judged.candidate for judged in candidates.judged)
-    return SelectedModel(Ladder(every, chosen), found.model, found.parts)
+    return SelectedModel(ModelSelection(every, chosen), found.model, found.parts)
 
 
 class _Candidates:
@@ -171,7 +171,7 @@ class _Candidates:
         share = (1.0 if learned is None else LEARNING) / self._all
         tell = portion(named(self._progress, name), self._done, share)
         self._done += share
-        blank = Rung(name, parameters, learned)
+        blank = Candidate(name, parameters, learned)
         try:
             found = self._judge(blank, tell)
         except InputError as error:
@@ -182,7 +182,7 @@ class _Candidates:
         self.judged.append(found)
         return found
 
-    def _judge(self, candidate: Rung, progress: Progress | None) -> _Judged:
+    def _judge(self, candidate: Candidate, progress: Progress | None) -> _Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
         chain, measurements, seed = self._chain, self._measurements, self._seed
         setup = replace(self._setup, learned=candidate.learned)

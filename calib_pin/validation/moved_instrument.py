@@ -15,8 +15,12 @@ from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.problem import SAMPLE, Problem, distinct_values
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.validation.model_errors import ModelErrors, errors_of_registered
-from calib_pin.validation.validation_registration import Registered, registered
+from calib_pin.validation.model_errors import (
+    ModelErrors,
+    Registered,
+    errors_of_registered,
+    registered,
+)
 
 MOVED = 4.0
 """Errors with the stand of the fit, by those with a stand of their own, of an

@@ -242,8 +242,8 @@ def _yardstick(fitted: Fit) -> str:
 
 def _known(fitted: Fit) -> KnownDistances:
     problem = fitted.problem
-    features = problem.measurement.features
-    return KnownDistances.of(problem.setup.distances, features)
+    references = problem.measurement.references
+    return KnownDistances.of(problem.setup.distances, references)
 
 
 def _distances(fitted: Fit) -> Iterator[Finding]:
@@ -257,8 +257,11 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     known = _known(fitted)
     if not len(known):
         return
-    own = fitted.problem.split(fitted.theta)[1]
-    v, left = known.residual(own), _decided_by_others(fitted, known.jacobian(own))
+    instrument = fitted.problem.split(fitted.theta)[1]
+    v, left = (
+        known.residual(instrument),
+        _decided_by_others(fitted, known.jacobian(instrument)),
+    )
     if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
         yield from _distances(fitted.robust.squared)

@@ -14,10 +14,10 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.named_array import NamedArray
-from calib_pin.validation.row_errors import RowErrors
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.summaries import (
-    Ladder,
+    ModelSelection,
+    NamedArray,
     Provenance,
     SolverSummary,
     Statistics,
@@ -220,8 +220,8 @@ class Tables:
     reason: str
     parameters: tuple[ParameterEstimate, ...]
     errors: tuple[QuantityErrors, ...]
-    fitted: RowErrors
-    unseen: RowErrors | None
+    fitted: MeasurementErrors
+    held_out: MeasurementErrors | None
 
     @property
     def residuals(self) -> NamedArray:
@@ -230,7 +230,7 @@ class Tables:
         A row for each fitted measurement, by its file and line; NaN for a component
         that a measurement does not have.
         """
-        places = [self.fitted.rows.place(k) for k in range(len(self.fitted))]
+        places = [self.fitted.rows.source(k) for k in range(len(self.fitted))]
         return NamedArray.of(self.fitted.after, places, self.fitted.components)
 
     @property
@@ -247,7 +247,7 @@ class Tables:
         sigma = problem.sigma.reshape(-1, 1)
         J = J[: len(sigma)] * np.where(np.isfinite(sigma), sigma, 0.0)
         components = self.fitted.components
-        names = [f"{rows.place(k)} {c}" for k in range(len(rows)) for c in components]
+        names = [f"{rows.source(k)} {c}" for k in range(len(rows)) for c in components]
         return NamedArray.of(J, names, [p.name for p in self.parameters])
 
     def to_frame(self) -> Any:
@@ -260,7 +260,7 @@ class Tables:
             pandas = import_module("pandas")
         except ImportError as error:
             raise OptionError("to_frame needs pandas: pip install pandas") from error
-        parts = {"train": self.fitted, "validate": self.unseen}
+        parts = {"train": self.fitted, "validate": self.held_out}
         frames = [
             pandas.DataFrame(p.table(n)) for n, p in parts.items() if p is not None
         ]
@@ -297,16 +297,15 @@ class CalibrationResult(Tables, Identification):
         verdict: `good`, `no-gain`, `unchecked` or `untrusted`.
         reason: Why, in one sentence with numbers.
         errors: Accuracy by quantity.
-        training: Number of fitted measurements.
         validation: How the fit was checked.
         solver: How the solver ended.
         statistics: The statistics of the residuals.
         accuracy: The expected errors of the tool.
         covariance: Of the parameters, shape (P, P), with their names.
         fitted: Errors of the fitted measurements.
-        unseen: Errors of the validation measurements; None without a validation.
+        held_out: Errors of the validation measurements; None without a validation.
         files: Measurement files.
-        ladder: The model selection, if there was one.
+        model_selection: The model selection, if there was one.
         urdf: The geometry alone, where the model is more than that.
         rejected: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
@@ -319,16 +318,15 @@ class CalibrationResult(Tables, Identification):
     verdict: str
     reason: str
     errors: tuple[QuantityErrors, ...]
-    training: int
     validation: Validation
     solver: SolverSummary
     statistics: Statistics
     accuracy: ToolAccuracy
     covariance: NamedArray = field(repr=False)
-    fitted: RowErrors = field(repr=False)
-    unseen: RowErrors | None = field(repr=False)
+    fitted: MeasurementErrors = field(repr=False)
+    held_out: MeasurementErrors | None = field(repr=False)
     files: tuple[str, ...] = ()
-    ladder: Ladder | None = None
+    model_selection: ModelSelection | None = None
     urdf: UrdfResult | None = None
     rejected: str = ""
     distances: tuple[FoundDistance, ...] = ()

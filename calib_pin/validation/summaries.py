@@ -3,8 +3,11 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field
+from typing import Any
+
+import numpy as np
 
 from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
@@ -15,21 +18,49 @@ from calib_pin.estimation.evidence import (
 )
 
 
+class NamedArray(np.ndarray):
+    """A numpy array with names of its rows and columns; what is made of it has none.
+
+    Attributes:
+        rows: Names of the rows.
+        columns: Names of the columns.
+
+    Example:
+        >>> found = NamedArray.of(np.eye(2), ("a", "b"), ("x", "y"))
+        >>> found.columns, found[1].columns, float(found[found.rows.index("b"), 1])
+        (('x', 'y'), (), 1.0)
+    """
+
+    rows: tuple[str, ...]
+    columns: tuple[str, ...]
+
+    @staticmethod
+    def of(values: Any, rows: Sequence[str], columns: Sequence[str]) -> NamedArray:
+        """A view of an array of shape (len(rows), len(columns)) with names."""
+        result = np.asarray(values, float).view(NamedArray)
+        result.rows, result.columns = tuple(rows), tuple(columns)
+        return result
+
+    def __array_finalize__(self, array: object) -> None:
+        """Leave the names behind: a part or a product has others."""
+        self.rows, self.columns = (), ()
+
+
 @dataclass(frozen=True)
-class Rung:
-    """One step of the model ladder, judged by cross-validation.
+class Candidate:
+    """A candidate of the model selection, judged by cross-validation.
 
     Attributes:
         name: What it adds.
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
-        errors: Name, unit and mean error on unseen rows of every quantity.
-        score: Mean error on unseen rows, root mean square of the components in standard
-            deviations; NaN where it could not be tried.
+        errors: Name, unit and mean error on held-out measurements of every quantity.
+        score: Mean error on held-out measurements, root mean square of the components
+            in standard deviations; NaN where it could not be tried.
         deviation: Standard error of the score.
-        helps: Whether it lowers the errors of the rungs that it stands on by more than
-            the standard error of the difference.
+        helps: Whether it lowers the errors of the candidates that it extends by more
+            than the standard error of the difference.
         reason: Why it could not be tried; empty where it was.
     """
 
@@ -45,15 +76,15 @@ class Rung:
 
 
 @dataclass(frozen=True)
-class Ladder:
-    """The model ladder.
+class ModelSelection:
+    """The model selection.
 
     Attributes:
-        rungs: All of them, simplest first.
+        candidates: All of them, simplest first.
         chosen: Position of the one that is kept.
     """
 
-    rungs: tuple[Rung, ...]
+    candidates: tuple[Candidate, ...]
     chosen: int
 
 

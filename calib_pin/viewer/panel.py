@@ -8,14 +8,11 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.colors import STAGES
-from calib_pin.viewer.controls import Controls, scale, swatch, text
-from calib_pin.viewer.drawings import RowsDrawing
+from calib_pin.viewer.controls import STAGES, Controls, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.joints import Joints
-from calib_pin.viewer.player import Player
+from calib_pin.viewer.motion import Joints, Player
 from calib_pin.viewer.scene import Rows, Scene
-from calib_pin.viewer.stage import Stage
+from calib_pin.viewer.stage import RowsDrawing, Stage
 
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Magnifications of the error vectors."""
@@ -129,7 +126,7 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
-    lines = [html.escape(Path(rows.data.place(row)).name)]
+    lines = [html.escape(Path(rows.data.source(row)).name)]
     if rows.data.target[row]:
         lines.append(f"target {html.escape(rows.data.target[row])}")
     for name in next(iter(rows.stages.values())).quantities:

@@ -22,9 +22,8 @@ from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.shapes import Shape
+from calib_pin.viewer.shapes import Shape, box
 from calib_pin.viewer.skeleton import Skeleton
-from calib_pin.viewer.surfaces import box
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""

@@ -2,16 +2,175 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from typing import TYPE_CHECKING
 
 import numpy as np
+from numpy.typing import NDArray
 
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.viewer.drawings import RobotDrawing, RowsDrawing, draw_path
-from calib_pin.viewer.scene import Scene, floor_height
+from calib_pin.kinematics.spatial import Floats, to_quaternion
+from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
+from calib_pin.viewer.errors import StageErrors
+from calib_pin.viewer.scene import Body, Rows, Scene, floor_height
+from calib_pin.viewer.shapes import Shape
 
 if TYPE_CHECKING:
     import viser
+
+OPACITY = 0.3
+"""Of the nominal robot beside the corrected one."""
+
+
+class RobotDrawing:
+    """A robot.
+
+    Args:
+        api: Where it is drawn.
+        body: The robot; the nominal one is a ghost.
+        shapes: What its links look like.
+
+    Attributes:
+        root: Carries all of it.
+    """
+
+    def __init__(
+        self, api: viser.SceneApi, body: Body, shapes: Sequence[Shape]
+    ) -> None:
+        """Draw the links; they are not in place yet."""
+        self._body = body
+        self._placements = np.zeros((len(body.skeleton.links), 4, 4))
+        name, ghost = f"/{body.name}", body.name == "nominal"
+        self.root = api.add_frame(name, show_axes=False)
+        # Names of links may hold slashes, which mean something here.
+        number = {link: k for k, link in enumerate(body.skeleton.links)}
+        self._links = {
+            number[link]: api.add_frame(f"{name}/{number[link]}", show_axes=False)
+            for link in dict.fromkeys(shape.link for shape in shapes)
+        }
+        for k, shape in enumerate(shapes):
+            color = ROBOT if shape.color is None else _bytes(shape.color)
+            api.add_mesh_simple(
+                f"{name}/{number[shape.link]}/{k}",
+                shape.surface.vertices.astype(np.float32),
+                shape.surface.triangles.astype(np.uint32),
+                color=GHOST if ghost else color,
+                opacity=OPACITY if ghost else None,
+                cast_shadow=not ghost,
+                receive_shadow=not ghost,
+                position=shape.placement[:3, 3],
+                wxyz=_wxyz(shape.placement),
+            )
+
+    def pose(self, q: Floats, payload: str) -> None:
+        """Put the links in place; arguments as for `Body.placements`."""
+        placements = self._body.placements(q, payload)
+        moved = (placements != self._placements).any(axis=(1, 2))
+        self._placements = placements
+        for number, link in self._links.items():
+            if moved[number]:  # To tell a browser takes longer than to compute it.
+                link.position = placements[number, :3, 3]
+                link.wxyz = _wxyz(placements[number])
+
+
+class RowsDrawing:
+    """Measured points, error vectors, and the residual map.
+
+    Args:
+        api: Where they are drawn.
+        rows: The measurements.
+        size: Size of the robot [m].
+
+    Attributes:
+        behind: Carries the measured points.
+        measured: The measured points.
+        map: Carries the residual map.
+        vectors: Error vectors by stage; none where nothing is measured as a position.
+    """
+
+    def __init__(self, api: viser.SceneApi, rows: Rows, size: float) -> None:
+        """Draw them; vectors as long as they are, and a map without points."""
+        self._api, self._rows, self._size = api, rows, size
+        self._last = list(rows.stages.values())[-1]
+        measured = self._last.measured
+        self.behind = api.add_frame("/behind", show_axes=False)
+        self.measured = api.add_point_cloud(
+            "/behind/measured",
+            measured[np.isfinite(measured).all(axis=1)].astype(np.float32),
+            MEASURED,
+            point_size=0.005 * size,
+            point_shape="circle",
+            precision="float32",
+        )
+        self.map = api.add_frame("/map", show_axes=False)
+        self._mark = api.add_icosphere(
+            "/row", radius=0.012 * size, color=MARK, cast_shadow=False
+        )
+        # Lines have no shades: they keep the colors of the legend.
+        self.vectors = {
+            name: api.add_line_segments(
+                f"/{name}",
+                lines(errors, 1.0),
+                np.array(STAGES[name]),
+                thickness=0.004 * size,
+            )
+            for name, errors in rows.stages.items()
+            if np.isfinite(errors.vectors).any()
+        }
+
+    def magnify(self, factor: float) -> None:
+        """Draw the error vectors magnified by a factor."""
+        for name, handle in self.vectors.items():
+            handle.points = lines(self._rows.stages[name], factor)
+
+    def color_map(self, stage: str, quantity: str) -> None:
+        """Color the tool points of a stage by the error of a quantity."""
+        errors = self._rows.stages[stage]
+        found = errors.quantities[quantity]
+        # Points and colors in one: a browser may draw between two messages.
+        self._api.add_point_cloud(
+            "/map/points",
+            errors.points[found.shown].astype(np.float32),
+            scaled(found.sizes[found.shown]) if found.shown.any() else MEASURED,
+            point_size=0.014 * self._size,
+            point_shape="circle",
+            precision="float32",
+        )
+
+    def mark(self, row: int) -> None:
+        """Mark the tool point of a row."""
+        self._mark.position = self._last.points[row]
+
+
+def draw_path(
+    api: viser.SceneApi, path: Floats, size: float
+) -> viser.LineSegmentsHandle:
+    """A line through points, shape (P, 3) [m], as thick as suits a robot's size."""
+    return api.add_line_segments(
+        "/path",
+        np.stack([path[:-1], path[1:]], axis=1),
+        np.array(PATH),
+        thickness=0.002 * size,
+    )
+
+
+def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
+    """Magnified error vectors from the measured points, shape (n, 2, 3) [m].
+
+    Rows that measure no position have none.
+    """
+    measured = errors.measured
+    ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
+    return ends[np.isfinite(ends).all(axis=(1, 2))].astype(np.float32)
+
+
+def _bytes(color: tuple[float, float, float]) -> tuple[int, int, int]:
+    red, green, blue = (round(255 * part) for part in color)
+    return red, green, blue
+
+
+def _wxyz(T: Floats) -> Floats:
+    return np.roll(to_quaternion(T[:3, :3]), 1)
+
 
 CORNER = np.array([0.80, -0.52, 0.30])
 """Direction from the robot to the camera: from its front, its right and above."""

@@ -92,12 +92,12 @@ def _configurations(nominal: Problem, rng: np.random.Generator) -> Floats:
     """Configurations with the whole board in the image, shape (IMAGES, n)."""
     found: list[Floats] = []
     zero = np.zeros(len(nominal.parameters))
-    own = nominal.split(zero)[1]
+    instrument = nominal.split(zero)[1]
     while sum(map(len, found)) < IMAGES:
         q = nominal.error.chain.random_configurations(20_000, rng)
         for name in BOARD:
             T = nominal.error.poses(q, nominal.split(zero)[0])
-            q = q[nominal.measurement.observable(T, own, (name,) * len(q))]
+            q = q[nominal.measurement.observable(T, instrument, (name,) * len(q))]
         found.append(q)
     return np.concatenate(found)[:IMAGES]
 

@@ -11,7 +11,7 @@ import pinocchio as pin
 
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import Plane
+from calib_pin.measurement_models.planes import Plane
 
 DH = np.array(
     [

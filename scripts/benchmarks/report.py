@@ -55,7 +55,7 @@ def page_of(result: CalibrationResult) -> bytes:
         result,
         calibration_document(result, PROVENANCE),
         figures=list(calibration_figures(result)),
-        remedies=suggestions(chain, "pose", calibrated_setup(result.model), result),
+        suggestions=suggestions(chain, "pose", calibrated_setup(result.model), result),
     )
 
 

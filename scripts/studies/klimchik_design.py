@@ -18,8 +18,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.information import Information
-from calib_pin.planning.planned_problem import identification
-from calib_pin.planning.prediction import TipTests
+from calib_pin.planning.planned_problem import TipTests, identification
 from calib_pin.planning.rows import IdentificationRows, Pullback
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace

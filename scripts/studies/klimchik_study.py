@@ -220,8 +220,8 @@ def _compliances(found: CalibrationResult) -> tuple[Floats, Floats]:
 
 def _values(found: CalibrationResult) -> Floats:
     """Parameters about the calibration: all of base, tool and points are zero."""
-    own = np.zeros(len(found.model.measurement.parameters))
-    return np.concatenate([found.model.theta, own])
+    instrument = np.zeros(len(found.model.measurement.parameters))
+    return np.concatenate([found.model.theta, instrument])
 
 
 def _distances(found: CalibrationResult, rows: Measurements) -> Floats:

@@ -24,8 +24,8 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, so3_log
-from calib_pin.measurement_models.features import Plane
 from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.planes import Plane
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import (
     DifferentialEvolution,

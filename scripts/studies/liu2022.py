@@ -10,7 +10,6 @@ from pathlib import Path
 
 import numpy as np
 
-from calib_pin.control.tip_errors import TipErrors
 from calib_pin.io.measurements import write_configurations
 from calib_pin.kinematics.spatial import Floats
 from studies import shared
@@ -18,6 +17,7 @@ from studies.liu2022_arm import PUBLISHED, Arm
 from studies.liu2022_figures import FIGURES
 from studies.liu2022_study import OURS, Search, Settings, Study, study
 from studies.records import Condition, Report, Table, Values
+from studies.tip_errors import TipErrors
 
 SOURCE = "Liu Qian et al. 2022, Manned Spaceflight 28(6), 711-719"
 

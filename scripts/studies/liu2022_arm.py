@@ -37,7 +37,7 @@ class SpatialTwist(Pose):
     order a spatial twist, so that `J_pose = Ad(T)` where T_y = T.
     """
 
-    def residual(self, T: Floats, own: Floats, data: Measurements) -> Floats:
+    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted against measured pose, shape (N, 6) [m, rad]."""
         measured = np.zeros_like(T)
         measured[:, :3, :3] = from_quaternion(data.values[:, 3:])
@@ -51,12 +51,16 @@ class SpatialTwist(Pose):
         ]
         return np.column_stack([E[:, :3, 3], 0.5 * np.transpose(turn)])
 
-    def linearize(self, T: Floats, own: Floats, data: Measurements) -> Linearization:
+    def linearize(
+        self, T: Floats, instrument: Floats, data: Measurements
+    ) -> Linearization:
         """`Ad(T)`; exact where the measured pose is the predicted one."""
         none = np.zeros((len(T), 6, 0))
-        return Linearization(self.residual(T, own, data), adjoint(T), none)
+        return Linearization(self.residual(T, instrument, data), adjoint(T), none)
 
-    def curvature(self, T: Floats, own: Floats, target: Sequence[str]) -> Curvature:
+    def curvature(
+        self, T: Floats, instrument: Floats, target: Sequence[str]
+    ) -> Curvature:
         """`Ad(T Exp(xi)) = Ad(T) (I + ad(xi))` to first order."""
         turns = np.moveaxis(skew(np.eye(3)), 0, 2)
         brackets = np.zeros((6, 6, 6))

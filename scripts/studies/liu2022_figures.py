@@ -7,10 +7,10 @@ from pathlib import Path
 import numpy as np
 from matplotlib.axes import Axes
 
-from calib_pin.control.tip_errors import TipErrors
 from calib_pin.kinematics.spatial import Floats
 from studies import shared
 from studies.liu2022_study import OURS, Settings, Study, motion
+from studies.tip_errors import TipErrors
 
 C = shared.COLORS
 

@@ -19,7 +19,6 @@ from time import perf_counter
 import numpy as np
 
 import calib_pin
-from calib_pin.control.tip_errors import TipErrors, tip_errors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.planning import search as planning
@@ -37,6 +36,7 @@ from studies.liu2022_arm import (
     conditions,
     singular_values,
 )
+from studies.tip_errors import TipErrors, tip_errors
 from studies.trajectory import Trajectory, trapezoidal
 
 OURS = "ours"

@@ -13,11 +13,16 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.features import Anchor, Feature, Point, Sphere
 from calib_pin.measurement_models.planes import Plane
+from calib_pin.measurement_models.references import (
+    Anchor,
+    Point,
+    ReferenceObject,
+    Sphere,
+)
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 
-FEATURES: tuple[Feature, ...] = (
+REFERENCES: tuple[ReferenceObject, ...] = (
     Point("probe", "target", np.array([0.0, 0.0, 0.1])),
     Plane("table", np.array([0.0, 0.0, 1.0])),
     Point("left", "socket", np.array([1.0, 0.0, 0.0])),
@@ -33,11 +38,11 @@ DISTANCES = (
 )
 
 
-def known(own: Floats | None = None) -> tuple[KnownDistances, Floats]:
-    count = sum(len(feature.parameters) for feature in FEATURES)
-    return KnownDistances.of(DISTANCES, FEATURES), np.zeros(
+def known(instrument: Floats | None = None) -> tuple[KnownDistances, Floats]:
+    count = sum(len(reference.parameters) for reference in REFERENCES)
+    return KnownDistances.of(DISTANCES, REFERENCES), np.zeros(
         count
-    ) if own is None else own
+    ) if instrument is None else instrument
 
 
 def test_those_whose_ends_are_known() -> None:
@@ -56,15 +61,17 @@ def test_those_whose_ends_are_known() -> None:
 
 def test_many_members_at_once() -> None:
     found, zero = known()
-    own = 0.1 * np.random.default_rng(1).normal(size=(2, 3, len(zero)))
-    together = found.residual(own)
+    instrument = 0.1 * np.random.default_rng(1).normal(size=(2, 3, len(zero)))
+    together = found.residual(instrument)
     assert together.shape == (2, 3, 2)
     for place in np.ndindex(2, 3):
-        np.testing.assert_array_equal(together[place], found.residual(own[place]))
+        np.testing.assert_array_equal(
+            together[place], found.residual(instrument[place])
+        )
 
 
 def test_none() -> None:
-    found = KnownDistances.of((), FEATURES)
+    found = KnownDistances.of((), REFERENCES)
     assert len(found) == 0
     zero = known()[1]
     assert found.residual(zero).shape == found.lengths(zero).shape == (0,)
@@ -73,27 +80,27 @@ def test_none() -> None:
 
 def test_jacobian_agrees_with_central_differences() -> None:
     found, zero = known()
-    own = 0.1 * np.random.default_rng(0).normal(size=len(zero))
-    J, step = found.jacobian(own), 1e-6
-    for k in range(len(own)):
-        shift = step * np.eye(len(own))[k]
-        change = found.residual(own + shift) - found.residual(own - shift)
+    instrument = 0.1 * np.random.default_rng(0).normal(size=len(zero))
+    J, step = found.jacobian(instrument), 1e-6
+    for k in range(len(instrument)):
+        shift = step * np.eye(len(instrument))[k]
+        change = found.residual(instrument + shift) - found.residual(instrument - shift)
         np.testing.assert_allclose(J[:, k], change / (2.0 * step), rtol=1e-6, atol=1e-5)
 
 
 def test_a_socket_goes_before_a_point_of_the_tool() -> None:
-    features = (
+    references = (
         Point("a", "target", np.zeros(3)),
         Point("a", "socket", np.array([1.0, 0.0, 0.0])),
         Point("b", "target", np.array([0.0, 2.0, 0.0])),
         Point("b", "socket", np.array([1.0, 0.5, 0.0])),
         Point("c", "target", np.array([0.0, 0.0, 7.0])),
     )
-    for order in (features, features[::-1]):
+    for order in (references, references[::-1]):
         found = KnownDistances.of((DistanceSetup(("a", "b"), 1.0),), order)
         assert found.lengths(np.zeros(15)) == pytest.approx([0.5])
     # Two points of the tool, where no place has their names.
-    found = KnownDistances.of((DistanceSetup(("a", "c"), 1.0),), features[::4])
+    found = KnownDistances.of((DistanceSetup(("a", "c"), 1.0),), references[::4])
     assert found.lengths(np.zeros(6)) == pytest.approx([7.0])
 
 
@@ -138,7 +145,7 @@ def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     fitted = fit(make_problem(ARM, rows, told), rng)
     places = fitted.problem.measurement.rebased(
         fitted.problem.split(fitted.theta)[1]
-    ).places
+    ).sites
     found = float(np.linalg.norm(places[0].xyz - places[1].xyz))
     assert abs(found - apart - 1e-3) <= 1.1 * left
     assert (abs(found - apart) < 2e-4) == (sigma == 1.0)

@@ -117,7 +117,7 @@ def test_position(write, chain):
     assert not data.validate.any()
     assert data.lines.tolist() == [2, 3]
     assert data.files == (str(file), str(file))
-    assert data.place(1) == f"{file}:3"
+    assert data.source(1) == f"{file}:3"
 
 
 def test_columns_in_any_order_with_units(write, chain):

@@ -59,7 +59,7 @@ def test_all_comes_back(document, result):
     assert found.accuracy.tip.rms == result.accuracy.tip.rms
     assert found.accuracy.tip.of_robot == result.accuracy.tip.of_robot
     assert stated_noise(found) == result.statistics.sigma0
-    assert (found.validation.method, found.training) == ("5-fold", 40)
+    assert (found.validation.method, len(found.fitted)) == ("5-fold", 40)
     assert (found.verdict, found.reason) == ("good", result.reason)
     assert result.reason and found.provenance.file == "c.json"
     assert found.provenance.hashes == ("abc", "")
@@ -196,9 +196,9 @@ def test_a_folder_of_an_older_version(tmp_path):
     """It has neither `measurements.csv` nor what came with it."""
     folder = Path(__file__).parents[1] / "data" / "calibration-0.1"
     found = read_result(folder)
-    assert (found.verdict, found.training) == ("good", 40)
+    assert (found.verdict, len(found.fitted)) == ("good", 40)
     assert found.identifiability.structural_rank == 34
     assert len(found.fitted) == 40 and np.isnan(found.fitted.after).all()
-    assert found.unseen is None and np.isnan(found.covariance).all()
+    assert found.held_out is None and np.isnan(found.covariance).all()
     calib_pin.report(folder, tmp_path / "page.html")
     assert b"GOOD" in (tmp_path / "page.html").read_bytes()

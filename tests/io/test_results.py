@@ -23,7 +23,7 @@ from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.features import Frame
+from calib_pin.measurement_models.references import Frame
 from calib_pin.measurement_models.rows import absent
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
@@ -312,15 +312,15 @@ def naming(chain: Chain, model: str, setup: Setup, targets: tuple[str, ...]) -> 
     )
     problem = make_problem(chain, rows, setup)
     stands = {"base": frame_pose(ABOVE), "tool": frame_pose(PROBE)}
-    features = [
+    references = [
         replace(f, pose=stands[f.kind]) if isinstance(f, Frame) else f
-        for f in problem.measurement.features
+        for f in problem.measurement.references
     ]
     frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
     return replace(
         problem,
         error=problem.error.with_frames(*frames),
-        measurement=problem.measurement.with_features(features),
+        measurement=problem.measurement.with_references(references),
     )
 
 
@@ -346,10 +346,14 @@ def stored(arm: Path) -> tuple[CalibrationResult, Path]:
 
 def predict(model: CalibratedModel, rows: Measurements) -> Any:
     """Tool poses, values and errors."""
-    own = np.zeros(len(model.measurement.parameters))
-    problem, theta = model.problem(rows), np.concatenate([model.theta, own])
+    instrument = np.zeros(len(model.measurement.parameters))
+    problem, theta = model.problem(rows), np.concatenate([model.theta, instrument])
     T = problem.poses(theta, problem.data)
-    return T, model.measurement.predict(T, own, rows.target), problem.errors(theta)
+    return (
+        T,
+        model.measurement.predict(T, instrument, rows.target),
+        problem.errors(theta),
+    )
 
 
 def assert_equal_accuracy(

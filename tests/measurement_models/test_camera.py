@@ -16,8 +16,8 @@ from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import CurvedModel
 from calib_pin.measurement_models.camera import CameraModel
 from calib_pin.measurement_models.camera_start import IMAGES, ROWS, Rays
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.pinhole import distort, turning_radius, undistort
+from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import CameraSetup, PointSetup, Setup
 
@@ -152,14 +152,14 @@ def test_behind_the_camera_there_is_no_pixel(mount: str) -> None:
     T = np.tile(np.eye(4), (3, 1, 1))
     depths = np.array([0.5, 0.0, -0.5])
     T[:, 2, 3] = depths if mount == "world" else -depths
-    target, own = ("p0", "p1", "p2"), zero(model)
-    assert np.isfinite(model.predict(T, own, target)).all(axis=1).tolist() == [
+    target, instrument = ("p0", "p1", "p2"), zero(model)
+    assert np.isfinite(model.predict(T, instrument, target)).all(axis=1).tolist() == [
         *(True, False, False)
     ]
-    assert np.isnan(model.predict(T[1:], own, target[1:])).all()
-    assert model.observable(T, own, target).tolist() == [True, False, False]
+    assert np.isnan(model.predict(T[1:], instrument, target[1:])).all()
+    assert model.observable(T, instrument, target).tolist() == [True, False, False]
     data = Measurements(("j",), T[:, 0, :1], "camera", T[:, :2, 0], None, target)
-    linear = model.linearize(T, own, data)
+    linear = model.linearize(T, instrument, data)
     assert np.isfinite(linear.residual).all(axis=1).tolist() == [True, False, False]
     assert np.isnan(linear.J_pose[1:]).any(axis=(1, 2)).all()
 
@@ -178,8 +178,8 @@ def test_distortion_is_undone(lens: tuple[float, ...]) -> None:
 def test_rays_of_pixels() -> None:
     model = model_of("world", SPACE)
     T, target = views(model, 20)
-    places = np.array([SPACE[int(name[1:])] for name in target])
-    X = np.einsum("nij,nj->ni", T[:, :3, :3], places) + T[:, :3, 3]
+    sites = np.array([SPACE[int(name[1:])] for name in target])
+    X = np.einsum("nij,nj->ni", T[:, :3, :3], sites) + T[:, :3, 3]
     rays = model.camera.rays(model.predict(T, zero(model), target))
     np.testing.assert_allclose(rays, X[:, :2] / X[:, 2:], atol=1e-12)
 
@@ -202,9 +202,9 @@ def test_distortion_that_folds_back() -> None:
     seen = model.observable(T, zero(model), list(targets))
     assert seen.tolist() == [True, False, False]
     # A lens that is estimated folds where its parameters say.
-    own = zero(model)
-    own[4] = 0.2
-    assert model.observable(T, own, list(targets)).all()
+    instrument = zero(model)
+    instrument[4] = 0.2
+    assert model.observable(T, instrument, list(targets)).all()
 
 
 def test_the_edges_of_the_image() -> None:
@@ -236,24 +236,26 @@ def test_derivatives(mount: str, kind: str) -> None:
         # Another model may hand over its own, which always have parameters.
         other = Point("p2", "target", SPACE[2], estimate=False)
         kept = [other if p.name == "p2" else p for p in model.points]
-        model = model.with_features([model.camera, *kept])
+        model = model.with_references([model.camera, *kept])
     T, target = views(model, 30)
     data = data_of(model, T, target)
     scales = np.array([p.scale for p in model.parameters])
-    own = np.random.default_rng(2).normal(size=len(scales)) * scales * 0.02
-    linear = model.linearize(T, own, data)
-    np.testing.assert_array_equal(linear.residual, model.residual(T, own, data))
-    assert linear.J_instrument.shape == (30, 2, len(own))
+    instrument = np.random.default_rng(2).normal(size=len(scales)) * scales * 0.02
+    linear = model.linearize(T, instrument, data)
+    np.testing.assert_array_equal(linear.residual, model.residual(T, instrument, data))
+    assert linear.J_instrument.shape == (30, 2, len(instrument))
     step = 1e-6
     for k in range(6):
         shift = pin.exp6(step * np.eye(6)[k])
-        ahead = model.residual(T @ shift.homogeneous, own, data)
-        behind = model.residual(T @ shift.inverse().homogeneous, own, data)
+        ahead = model.residual(T @ shift.homogeneous, instrument, data)
+        behind = model.residual(T @ shift.inverse().homogeneous, instrument, data)
         difference = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(linear.J_pose[:, :, k], difference, atol=2e-5)
     for k, scale in enumerate(scales):
-        shift = step * scale * np.eye(len(own))[k]
-        ahead, behind = (model.residual(T, own + s, data) for s in (shift, -shift))
+        shift = step * scale * np.eye(len(instrument))[k]
+        ahead, behind = (
+            model.residual(T, instrument + s, data) for s in (shift, -shift)
+        )
         difference = (ahead - behind) / (2 * step)
         found = scale * linear.J_instrument[:, :, k]
         np.testing.assert_allclose(found, difference, atol=2e-5)
@@ -265,14 +267,14 @@ def test_curvature(mount: str) -> None:
     assert isinstance(model, CurvedModel)
     T, target = views(model, 20)
     scales = np.array([p.scale for p in model.parameters])
-    own = np.random.default_rng(3).normal(size=len(scales)) * scales * 0.02
+    instrument = np.random.default_rng(3).normal(size=len(scales)) * scales * 0.02
     data = data_of(model, T, target)
-    curvature = model.curvature(T, own, target)
+    curvature = model.curvature(T, instrument, target)
     step = 1e-6
     for k in range(6):
         shift = pin.exp6(step * np.eye(6)[k])
-        ahead = model.linearize(T @ shift.homogeneous, own, data)
-        behind = model.linearize(T @ shift.inverse().homogeneous, own, data)
+        ahead = model.linearize(T @ shift.homogeneous, instrument, data)
+        behind = model.linearize(T @ shift.inverse().homogeneous, instrument, data)
         for found, plus, minus in (
             (curvature.J_pose, ahead.J_pose, behind.J_pose),
             (curvature.J_instrument, ahead.J_instrument, behind.J_instrument),
@@ -301,23 +303,25 @@ def test_parameters() -> None:
     assert known.external and known.sees_tool
 
 
-def test_own_parameters_move_into_the_references() -> None:
+def test_instrument_parameters_move_into_the_references() -> None:
     model = model_of("world", SPACE, True, (2,))
     T, target = views(model, 20)
-    own = np.array([5.0, -3.0, 2.0, 1.0, 0.01, -0.02, 1e-3, 2e-3, 0.01, 0.1, 0.2, 0.3])
-    moved = model.rebased(own)
+    instrument = np.array(
+        [5.0, -3.0, 2.0, 1.0, 0.01, -0.02, 1e-3, 2e-3, 0.01, 0.1, 0.2, 0.3]
+    )
+    moved = model.rebased(instrument)
     again = moved.predict(T, zero(moved), target)
-    np.testing.assert_array_equal(again, model.predict(T, own, target))
+    np.testing.assert_array_equal(again, model.predict(T, instrument, target))
     assert [p.name for p in moved.parameters] == [p.name for p in model.parameters]
-    stated, *points = (feature.stated() for feature in moved.features)
+    stated, *points = (reference.stated() for reference in moved.references)
     assert isinstance(stated, CameraSetup) and stated.estimate
     assert stated.focal == (905.0, 907.0) and stated.size == SEEN.size
     assert stated.center == (642.0, 481.0) and stated.mount == "world"
-    np.testing.assert_allclose(stated.distortion, LENS + own[4:9])
+    np.testing.assert_allclose(stated.distortion, LENS + instrument[4:9])
     assert isinstance(points[2], PointSetup) and points[2].xyz is not None
-    np.testing.assert_allclose(points[2].xyz, SPACE[2] + own[9:])
+    np.testing.assert_allclose(points[2].xyz, SPACE[2] + instrument[9:])
     assert points[3] == PointSetup(tuple(SPACE[3].tolist()), False)
-    assert model_of("hand", GRID).features[0].stated() == SEEN
+    assert model_of("hand", GRID).references[0].stated() == SEEN
 
 
 def test_only_points_that_rows_name_count() -> None:

@@ -18,8 +18,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact, directions
-from calib_pin.measurement_models.features import Sphere
 from calib_pin.measurement_models.planes import Plane
+from calib_pin.measurement_models.references import Sphere
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
 
@@ -71,22 +71,24 @@ def on_sphere(sphere: SphereSetup, count: int, seed: int = 2) -> Floats:
 
 def test_height_above_a_plane_by_hand() -> None:
     plane = Plane("table", np.array([0.6, 0.0, 0.8]), -1.0)
-    model = PlaneContact(places=(plane,))
+    model = PlaneContact(sites=(plane,))
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, 3] = [[0.0, 5.0, 1.25], [1.0, 0.0, 1.0], [0.0, 0.0, 0.0]]
     data = data_of(model.name, 3, "")
     height = model.residual(T, np.zeros(3), data)
     np.testing.assert_allclose(height[:, 0], [0.0, 0.4, -1.0], atol=1e-15)
     # Turned and shifted as by `Plane.turned`.
-    own = np.array([0.2, -0.1, 0.3])
-    normal, offset, _ = plane.turned(own)
+    instrument = np.array([0.2, -0.1, 0.3])
+    normal, offset, _ = plane.turned(instrument)
     expected = T[:, :3, 3] @ normal + offset
-    np.testing.assert_allclose(model.residual(T, own, data)[:, 0], expected, atol=1e-15)
+    np.testing.assert_allclose(
+        model.residual(T, instrument, data)[:, 0], expected, atol=1e-15
+    )
 
 
 def test_height_above_a_sphere_by_hand() -> None:
     """The radius of a probe's ball counts to that of the sphere."""
-    model = SphereContact(places=(Sphere("s", np.array([1.0, 0.0, 0.0]), 2.0),))
+    model = SphereContact(sites=(Sphere("s", np.array([1.0, 0.0, 0.0]), 2.0),))
     T = np.tile(np.eye(4), (3, 1, 1))
     T[:, :3, 3] = [[1.0, 3.0, 4.0], [1.0, 0.0, -2.0], [0.5, 0.0, 0.0]]
     data = data_of(model.name, 3, "s")
@@ -105,16 +107,18 @@ def test_directions_have_no_zero() -> None:
     assert np.isnan(e[1]).all()
 
 
-def test_rows_of_several_places_keep_their_own() -> None:
+def test_measurements_of_several_sites_keep_their_own() -> None:
     """Parameters of a plane move its rows and no others."""
     model = measurement_model("plane-contact", Setup(planes={"a": TABLE, "b": WALL}))
     T = touching(np.random.default_rng(0).normal(size=(6, 3)))
     data = data_of("plane-contact", 6, "b", "a", "a")
-    own = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
-    moved = model.residual(T, own, data) - model.residual(T, 0.0 * own, data)
+    instrument = np.array([0.1, 0.2, 0.3, 0.0, 0.0, 0.0])
+    moved = model.residual(T, instrument, data) - model.residual(
+        T, 0.0 * instrument, data
+    )
     of_a = np.array([name == "a" for name in data.target])
     assert np.abs(moved[of_a]).min() > 1e-3 and not moved[~of_a].any()
-    J_instrument = model.linearize(T, own, data).J_instrument
+    J_instrument = model.linearize(T, instrument, data).J_instrument
     assert (
         not J_instrument[of_a][:, :, 3:].any()
         and not J_instrument[~of_a][:, :, :3].any()
@@ -149,7 +153,7 @@ def test_planes_and_the_point_that_touches_them(known: bool) -> None:
     found, base, found_tool = model.register(F, data, None, tool)
     assert base == pin.SE3.Identity()
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-12)
-    for plane, stated in zip(found.features, (TABLE, WALL), strict=True):
+    for plane, stated in zip(found.references, (TABLE, WALL), strict=True):
         size = np.linalg.norm(stated.normal)
         normal, offset = np.array(stated.normal) / size, stated.offset / size
         np.testing.assert_allclose(plane.normal, normal, atol=1e-12)
@@ -169,19 +173,19 @@ def test_spheres_and_the_point_that_touches_them(
         F, data_of("sphere-contact", 30, "ball"), None, tool
     )
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-11)
-    (sphere,) = found.features
+    (sphere,) = found.references
     np.testing.assert_allclose(sphere.xyz, BALL.xyz, atol=1e-11)
     assert sphere.radius == pytest.approx(0.15, abs=1e-11)
     # A radius that is stated is known, one that is not is estimated.
     assert [p.free for p in found.parameters] == [True] * 3 + [radius is None]
 
 
-def test_places_that_are_given_stand() -> None:
+def test_sites_that_are_given_stand() -> None:
     F = touching(on_plane(TABLE, 20))
     wrong = PlaneSetup((0.0, 0.0, 1.0), -0.3)
     model = measurement_model("plane-contact", Setup(planes={"table": wrong}))
     found, _, tool = model.register(F, data_of("plane-contact", 20, ""), None, None)
-    assert found.features == model.features
+    assert found.references == model.references
     # The point is found all the same.
     np.testing.assert_allclose(tool.translation, TIP, atol=1e-12)
 
@@ -198,18 +202,18 @@ def test_a_base_that_is_known() -> None:
     np.testing.assert_allclose(tool.translation, TIP, atol=1e-12)
     size = np.linalg.norm(TABLE.normal)
     np.testing.assert_allclose(
-        found.features[0].normal, np.array(TABLE.normal) / size, atol=1e-12
+        found.references[0].normal, np.array(TABLE.normal) / size, atol=1e-12
     )
 
 
-def test_new_places_are_where_rows_put_them() -> None:
+def test_new_sites_are_where_measurements_put_them() -> None:
     setup = Setup(planes={"wall": WALL})
     model = measurement_model("plane-contact", setup)
     T = touching(on_plane(TABLE, 9), np.zeros(3))
     wider = model.extended(T, data_of("plane-contact", 9, "table"))
-    assert [p.name for p in wider.features] == ["wall", "table"]
-    assert wider.features[0] is model.features[0]
-    (_, table) = wider.features
+    assert [p.name for p in wider.references] == ["wall", "table"]
+    assert wider.references[0] is model.references[0]
+    (_, table) = wider.references
     size = np.linalg.norm(TABLE.normal)
     np.testing.assert_allclose(table.normal, np.array(TABLE.normal) / size, atol=1e-12)
     assert model.extended(T, data_of("plane-contact", 9, "wall")) is model

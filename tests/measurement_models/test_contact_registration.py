@@ -20,13 +20,13 @@ TRIALS = 20
 NAN = np.full(3, np.nan)
 
 
-def poses(places: Floats, point: Floats, rng: np.random.Generator) -> Floats:
+def poses(sites: Floats, point: Floats, rng: np.random.Generator) -> Floats:
     """Poses of a tip whose point is at places, turned at random."""
-    turns = [pin.exp3(rng.normal(size=3)) for _ in places]
+    turns = [pin.exp3(rng.normal(size=3)) for _ in sites]
     return np.array(
         [
             pin.SE3(R, p - R @ point).homogeneous
-            for R, p in zip(turns, places, strict=True)
+            for R, p in zip(turns, sites, strict=True)
         ]
     )
 
@@ -107,7 +107,7 @@ def test_planes_are_exact(known: bool) -> None:
         F = poses(on_plane(n, f, count, rng), t, rng)
         found = register_touched_plane(F, t if known else None)
         np.testing.assert_allclose(found.point, t, atol=1e-9)
-        np.testing.assert_allclose(found.place, n, atol=1e-9)
+        np.testing.assert_allclose(found.site, n, atol=1e-9)
         assert found.size == pytest.approx(f, abs=1e-9)
 
 
@@ -118,7 +118,7 @@ def test_few_contacts_leave_the_point_at_the_tip(count: int) -> None:
     F = poses(on_plane(unit(rng), -0.5, count, rng), np.full(3, 0.1), rng)
     found = register_touched_plane(F, None)
     np.testing.assert_array_equal(found.point, 0.0)
-    assert np.linalg.norm(found.place) == pytest.approx(1.0)
+    assert np.linalg.norm(found.site) == pytest.approx(1.0)
 
 
 def test_contacts_without_turns_do_not_mislead() -> None:
@@ -129,9 +129,9 @@ def test_contacts_without_turns_do_not_mislead() -> None:
     F[:, :3, 3] = on_plane(n, -0.5, 30, rng) - t
     found = register_touched_plane(F, None)
     # The plane goes through the points, wherever on the tool these are.
-    left = (F[:, :3, 3] + found.point) @ found.place + found.size
+    left = (F[:, :3, 3] + found.point) @ found.site + found.size
     np.testing.assert_allclose(left, 0.0, atol=1e-9)
-    np.testing.assert_allclose(np.abs(found.place @ n), 1.0, atol=1e-9)
+    np.testing.assert_allclose(np.abs(found.site @ n), 1.0, atol=1e-9)
 
 
 # Distances and spheres.
@@ -143,12 +143,12 @@ def test_anchors_are_exact(bias: float | None, known: bool) -> None:
     rng = np.random.default_rng(6)
     for trial in range(TRIALS):
         a, t = rng.uniform(-2, 2, 3), rng.uniform(-0.3, 0.3, 3)
-        places = rng.uniform(-1, 1, (17 + trial if not known else 5 + trial, 3))
-        F = poses(places, t, rng)
-        d = np.linalg.norm(places - a, axis=1) + 0.03
+        sites = rng.uniform(-1, 1, (17 + trial if not known else 5 + trial, 3))
+        F = poses(sites, t, rng)
+        d = np.linalg.norm(sites - a, axis=1) + 0.03
         found = register_distances(F, d, t if known else None, bias)
         np.testing.assert_allclose(found.point, t, atol=1e-8)
-        np.testing.assert_allclose(found.place, a, atol=1e-8)
+        np.testing.assert_allclose(found.site, a, atol=1e-8)
         assert found.size == pytest.approx(0.03, abs=1e-8)
 
 
@@ -160,12 +160,12 @@ def test_spheres_are_exact(stated: bool, known: bool) -> None:
     for trial in range(TRIALS):
         c, t = rng.uniform(-1, 1, 3), rng.uniform(-0.3, 0.3, 3)
         r = rng.uniform(0.05, 0.5)
-        places = c + r * np.array([unit(rng) for _ in range(20 + trial)])
-        F = poses(places, t, rng)
+        sites = c + r * np.array([unit(rng) for _ in range(20 + trial)])
+        F = poses(sites, t, rng)
         distances = np.full(len(F), r) if stated else None
         found = register_distances(F, distances, t if known else None)
         np.testing.assert_allclose(found.point, t, atol=1e-9)
-        np.testing.assert_allclose(found.place, c, atol=1e-9)
+        np.testing.assert_allclose(found.site, c, atol=1e-9)
         if not stated:
             assert found.size == pytest.approx(r, abs=1e-9)
 
@@ -176,7 +176,7 @@ def test_few_distances_leave_the_point_at_the_tip(distances: Floats | None) -> N
     F = poses(rng.uniform(-1, 1, (9, 3)), np.full(3, 0.1), rng)
     found = register_distances(F, distances, None)
     np.testing.assert_array_equal(found.point, 0.0)
-    assert np.isfinite(found.place).all() and np.isfinite(found.size)
+    assert np.isfinite(found.site).all() and np.isfinite(found.size)
 
 
 # Ways.

@@ -18,7 +18,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.distance import PointDistance, RelativeDistance
-from calib_pin.measurement_models.features import Anchor, Point
+from calib_pin.measurement_models.references import Anchor, Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import AnchorSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -46,7 +46,7 @@ def data_of(model: str, values: Floats, *names: str) -> Measurements:
 
 
 def test_a_wire_by_hand() -> None:
-    model = PointDistance(places=(Anchor("w", np.array([1.0, 0.0, 0.0]), 0.5),))
+    model = PointDistance(sites=(Anchor("w", np.array([1.0, 0.0, 0.0]), 0.5),))
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, :3, 3] = [[1.0, 3.0, 4.0], [1.0, 0.0, -2.0]]
     reading = model.predict(T, np.zeros(4), ("w", ""))
@@ -77,7 +77,7 @@ def test_anchors_and_points_are_registered(
     )
     assert base == pin.SE3.Identity()
     np.testing.assert_allclose(found_tool.translation, TIP, atol=1e-10)
-    (anchor,) = found.features
+    (anchor,) = found.references
     np.testing.assert_allclose(anchor.xyz, AT, atol=1e-10)
     assert anchor.bias == pytest.approx(bias, abs=1e-10)
     assert [p.free for p in found.parameters] == [True] * 3 + [estimate]
@@ -93,7 +93,7 @@ def test_several_wires() -> None:
     model = measurement_model("point-distance", Setup(), data.target)
     found, _, tool = model.register(F, data, None, None)
     np.testing.assert_allclose(tool.translation, TIP, atol=1e-10)
-    for anchor in found.features:
+    for anchor in found.references:
         np.testing.assert_allclose(anchor.xyz, ends[anchor.name], atol=1e-10)
     with pytest.raises(InputError, match=r"row 2: there is no anchor 'c'"):
         found.register(F, replace(data, target=("a", "b", "c") * 20), None, None)
@@ -190,9 +190,9 @@ def test_points_are_registered_by_their_ways(names: tuple[str, ...]) -> None:
     model = measurement_model("relative-distance", Setup(), target)
     found, base, tool = model.register(T, data, None, None)
     assert base == pin.SE3.Identity()
-    if not found.features:
+    if not found.references:
         np.testing.assert_allclose(tool.translation, TIP, atol=1e-10)
-    for point in found.features:
+    for point in found.references:
         np.testing.assert_allclose(point.xyz, points[point.name], atol=1e-10)
     _, _, kept = model.register(T, data, None, pin.SE3(np.eye(3), TIP))
     np.testing.assert_array_equal(kept.translation, TIP)

@@ -17,8 +17,8 @@ from calib_pin.estimation.nominal import structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
+from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -71,18 +71,18 @@ def test_the_gap_by_hand() -> None:
     assert model.contact and model.width == 0 and not model.external
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, :3, 3] = [[0.7, 0.3, 0.4], [0.5, -0.2, 0.4]]
-    own, target = np.zeros(6), ("s/0", "s/1")
+    instrument, target = np.zeros(6), ("s/0", "s/1")
     data = Measurements(
         ("j",), np.zeros((2, 1)), "fixed-point", np.zeros((2, 0)), target=target
     )
     # From the socket to the ball.
-    gap = model.residual(T, own, data)
+    gap = model.residual(T, instrument, data)
     np.testing.assert_allclose(gap, [[0.1, 0, 0], [0, 0, -0.2]], atol=1e-15)
-    own[3:] = [0.0, 0.0, -0.2]
-    gap = model.residual(T, own, data)
+    instrument[3:] = [0.0, 0.0, -0.2]
+    gap = model.residual(T, instrument, data)
     np.testing.assert_allclose(gap, [[0.1, 0, 0], [0, 0, 0]], atol=1e-15)
     # Nothing is measured, so that there is nothing to predict or disturb.
-    assert model.predict(T, own, target).shape == (2, 0)
+    assert model.predict(T, instrument, target).shape == (2, 0)
     assert model.disturb(data.values, np.ones((2, 3))).shape == (2, 0)
 
 
@@ -95,7 +95,7 @@ def test_what_rows_can_name() -> None:
     )
     assert fixed_point(setup, "s/0").targets == ("s/0", "s/1")
     model = fixed_point(Setup(), "red@s/0", "blue@s/9")
-    assert [(p.name, p.kind) for p in (*model.points, *model.places)] == [
+    assert [(p.name, p.kind) for p in (*model.points, *model.sites)] == [
         ("red", "target"),
         ("blue", "target"),
         ("s/0", "socket"),
@@ -129,7 +129,7 @@ def test_registration(ball: bool, known: tuple[str, ...], base: pin.SE3 | None) 
     )
     np.testing.assert_allclose(found_tool.translation, BALL, atol=1e-12)
     assert found_base == (base or pin.SE3.Identity())
-    centers = [s.xyz for s in model.places if isinstance(s, Point)]
+    centers = [s.xyz for s in model.sites if isinstance(s, Point)]
     np.testing.assert_allclose(centers, list(CENTERS.values())[:2], atol=1e-12)
     T = found_base.homogeneous @ F @ found_tool.homogeneous
     gap = model.residual(T, np.zeros(6), data)
@@ -154,13 +154,13 @@ def test_two_balls_on_one_tool() -> None:
 def test_new_sockets_are_where_the_ball_is_on_average() -> None:
     F, data = at_rest(BALL, ("s/0", "s/1", "t/0") * 6)
     known = Point("s/0", "socket", np.array([0.61, 0.3, 0.4]))
-    model = FixedPoint(places=(known,))
+    model = FixedPoint(sites=(known,))
     T = F @ pin.SE3(np.eye(3), BALL).homogeneous
     T[1, 0, 3] += 0.006
     found = model.extended(T, data)
-    assert [place.name for place in found.places] == ["s/0", "s/1", "t/0"]
-    assert found.places[0] is known
-    off, right = (place.xyz for place in found.places[1:])
+    assert [site.name for site in found.sites] == ["s/0", "s/1", "t/0"]
+    assert found.sites[0] is known
+    off, right = (site.xyz for site in found.sites[1:])
     np.testing.assert_allclose(off, np.add(CENTERS["s/1"], [0.001, 0, 0]), atol=1e-12)
     np.testing.assert_allclose(right, CENTERS["t/0"], atol=1e-12)
     assert model.extended(T[::3], data.rows(np.arange(0, 18, 3))) is model
@@ -170,7 +170,7 @@ def test_new_sockets_are_where_the_ball_is_on_average() -> None:
 
 
 @pytest.mark.parametrize(
-    ("places", "distances", "rank", "scaled"),
+    ("sites", "distances", "rank", "scaled"),
     [
         # 18 of the robot, 3 of the ball, 3 of the socket, but not the scale.
         (sockets(1), (), 23, False),
@@ -185,12 +185,12 @@ def test_new_sockets_are_where_the_ball_is_on_average() -> None:
     ],
 )
 def test_ranks(
-    places: dict[str, PointSetup],
+    sites: dict[str, PointSetup],
     distances: tuple[DistanceSetup, ...],
     rank: int,
     scaled: bool,
 ) -> None:
-    setup = Setup(sockets=places, tool_frame=TOOL, distances=distances)
+    setup = Setup(sockets=sites, tool_frame=TOOL, distances=distances)
     found = calib_pin.identify(ARM, "fixed-point", setup).identifiability
     assert found.rank == found.structural_rank == rank
     assert found.gap > 1e9
@@ -224,7 +224,7 @@ def test_sockets_from_nothing(simulated: Simulated) -> None:
     assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
     a, b = fitted.problem.measurement.rebased(
         fitted.problem.split(fitted.theta)[1]
-    ).places
+    ).sites
     assert np.linalg.norm(a.xyz - b.xyz) == pytest.approx(APART, abs=1e-10)
     # With a wrong distance all rows fit as well, and the robot has another size.
     bare = Setup(distances=known_apart(1.01 * APART))

@@ -19,9 +19,9 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import extended, registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Mixed, measurement_model
-from calib_pin.measurement_models.features import Frame
 from calib_pin.measurement_models.mixed import qualified
 from calib_pin.measurement_models.mount import Mounted
+from calib_pin.measurement_models.references import Frame
 from calib_pin.measurement_models.side_by_side import by_part, concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import (
@@ -98,18 +98,18 @@ def test_targets_of_the_parts() -> None:
     }
 
 
-def test_what_several_parts_name_is_one_feature() -> None:
+def test_what_several_parts_name_is_one_reference() -> None:
     """The ball that a tracker sees rests in the sockets."""
     ball = {"ball": PointSetup((0.05, 0.08, 0.12))}
     setup = Setup(targets=ball, sockets=SOCKETS)
     rows = ("position:ball", "fixed-point:ball@s/0", "fixed-point:ball@s/1")
     model = mixed(setup, "position", "fixed-point", targets=rows)
-    assert [feature.name for feature in model.features] == ["ball", "s/0", "s/1"]
+    assert [reference.name for reference in model.references] == ["ball", "s/0", "s/1"]
     assert len(model.parameters) == 9
     moved = model.rebased(np.array([0.1, 0, 0, 0, 0.2, 0, 0, 0, 0]))
     for part in moved.parts.values():
-        np.testing.assert_allclose(part.features[0].xyz, [0.15, 0.08, 0.12])
-    np.testing.assert_allclose(moved.parts["fixed-point"].features[1].xyz[1], 0.5)
+        np.testing.assert_allclose(part.references[0].xyz, [0.15, 0.08, 0.12])
+    np.testing.assert_allclose(moved.parts["fixed-point"].references[1].xyz[1], 0.5)
 
 
 @pytest.mark.parametrize("order", [("position", "camera"), ("camera", "position")])
@@ -121,14 +121,14 @@ def test_what_one_part_estimates_is_estimated(order: tuple[str, str]) -> None:
     )
     rows = ("position:m", "camera:m", "camera:n")
     model = mixed(setup, *order, targets=rows)
-    features = {feature.name: feature for feature in model.features}
-    assert len(features["m"].parameters) == 3 and not features["n"].parameters
+    references = {reference.name: reference for reference in model.references}
+    assert len(references["m"].parameters) == 3 and not references["n"].parameters
     assert isinstance(model.parts["camera"], Mounted)
     assert len(model.parameters) == 3 + 9 + 12
 
 
 def test_only_a_camera_has_frames_of_its_own(equipped: Setup) -> None:
-    frames = [f for f in mixed(equipped, *PARTS).features if isinstance(f, Frame)]
+    frames = [f for f in mixed(equipped, *PARTS).references if isinstance(f, Frame)]
     assert [(f.name, f.kind) for f in frames] == [
         ("camera", "base"),
         ("camera", "tool"),
@@ -144,8 +144,8 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
     problem, theta = all_parts
     model, data = problem.measurement, problem.data
     assert isinstance(model, Mixed)
-    T, own = problem.poses(theta, data), problem.split(theta)[1]
-    linear, start = model.linearize(T, own, data), 0
+    T, instrument = problem.poses(theta, data), problem.split(theta)[1]
+    linear, start = model.linearize(T, instrument, data), 0
     seen: list[int] = []
     names = [p.name for p in model.parameters]
     for name, part in model.parts.items():
@@ -153,7 +153,7 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
         assert of_part.model == name and of_part.values.shape[1] == part.width
         assert len(of_part) == len(rows) > 0
         columns = [names.index(p.name) for p in part.parameters]
-        alone = part.linearize(T[rows], own[columns], of_part)
+        alone = part.linearize(T[rows], instrument[columns], of_part)
         size = alone.residual.shape[1]
         here = slice(start, start + size)
         start += size
@@ -171,7 +171,7 @@ def test_rows_are_those_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
         seen += rows.tolist()
     assert sorted(seen) == list(range(len(data)))
     assert start == problem.components
-    np.testing.assert_array_equal(model.residual(T, own, data), linear.residual)
+    np.testing.assert_array_equal(model.residual(T, instrument, data), linear.residual)
 
 
 def test_the_cost_is_that_of_the_parts(all_parts: tuple[Problem, Floats]) -> None:
@@ -240,7 +240,7 @@ def rows_of_all(simulated: Simulated, setup: Setup, **models: int) -> Measuremen
 
 
 @pytest.mark.parametrize("order", [1, -1])
-def test_frames_come_first_and_places_after(simulated: Simulated, order: int) -> None:
+def test_frames_come_first_and_sites_after(simulated: Simulated, order: int) -> None:
     """Sockets stand in the frame of a tracker, which is known when they are put."""
     setup = Setup(
         base_frame=BASE, tool_frame=TOOL, sockets=SOCKETS, planes={"table": TABLE}
@@ -252,10 +252,10 @@ def test_frames_come_first_and_places_after(simulated: Simulated, order: int) ->
     found = registered(problem, np.zeros(len(problem.parameters)))
     zero = np.zeros(len(found.parameters))
     assert np.abs(found.errors(zero)).max() < 1e-9
-    placed = {feature.name: feature for feature in found.measurement.features}
-    np.testing.assert_allclose(placed["s/1"].xyz, SOCKETS["s/1"].xyz, atol=1e-9)
+    located = {reference.name: reference for reference in found.measurement.references}
+    np.testing.assert_allclose(located["s/1"].xyz, SOCKETS["s/1"].xyz, atol=1e-9)
     normal = np.array(TABLE.normal) / np.linalg.norm(TABLE.normal)
-    np.testing.assert_allclose(placed["table"].normal, normal, atol=1e-9)
+    np.testing.assert_allclose(located["table"].normal, normal, atol=1e-9)
     np.testing.assert_allclose(found.error.base.translation, BASE.xyz, atol=1e-9)
     np.testing.assert_allclose(found.error.tool.translation, TOOL.xyz, atol=1e-9)
 
@@ -291,9 +291,9 @@ def test_a_camera_beside_a_tracker(equipped_problem: Equipped) -> None:
     bare = replace(truth.setup, base_frame=FrameSetup(), tool_frame=FrameSetup())
     problem = make_problem(ARM, rows, bare)
     found = registered(problem, zero)
-    stand, place = (f for f in found.measurement.features if isinstance(f, Frame))
-    known = [f for f in truth.measurement.features if isinstance(f, Frame)]
-    for frame, other in zip((stand, place), known, strict=True):
+    stand, site = (f for f in found.measurement.references if isinstance(f, Frame))
+    known = [f for f in truth.measurement.references if isinstance(f, Frame)]
+    for frame, other in zip((stand, site), known, strict=True):
         np.testing.assert_allclose(
             frame.pose.homogeneous, other.pose.homogeneous, atol=1e-6
         )
@@ -341,7 +341,7 @@ def test_known_distances_reach_across_parts() -> None:
     assert found.identifiability.scale_observable
 
 
-def test_new_places_are_put_by_their_rows(simulated: Simulated) -> None:
+def test_new_sites_are_located_by_their_measurements(simulated: Simulated) -> None:
     setup = Setup(base_frame=BASE, tool_frame=TOOL, sockets=SOCKETS)
     data = rows_of_all(simulated, setup, position=20, fixed_point=20)
     first = [not name.endswith("s/1") for name in data.target]
@@ -350,9 +350,9 @@ def test_new_places_are_put_by_their_rows(simulated: Simulated) -> None:
     problem = registered(problem, np.zeros(len(problem.parameters)))
     zero = np.zeros(len(problem.parameters))
     wider, theta = extended(problem, zero, data)
-    assert [f.name for f in wider.measurement.features] == ["s/0", "s/1"]
-    place = wider.measurement.features[1]
-    np.testing.assert_allclose(place.xyz, SOCKETS["s/1"].xyz, atol=1e-12)
+    assert [f.name for f in wider.measurement.references] == ["s/0", "s/1"]
+    site = wider.measurement.references[1]
+    np.testing.assert_allclose(site.xyz, SOCKETS["s/1"].xyz, atol=1e-12)
     assert np.abs(wider.errors(theta)).max() < 1e-12
 
 
@@ -393,18 +393,18 @@ def test_a_study_lacks_what_a_part_lacks() -> None:
 def test_pose_of_a_frame() -> None:
     """A turn about screws in their order, as those of base and tool."""
     frame = Frame("camera", "base", pin.exp6(np.array([1.0, 2, 3, 0.3, 0.2, 0.1])))
-    own = np.array([0.1, 0.0, -0.2, 0.3, -0.1, 0.2])
+    instrument = np.array([0.1, 0.0, -0.2, 0.3, -0.1, 0.2])
     expected = frame.pose
     for k in range(6):
-        expected = expected * pin.exp6(np.eye(6)[k] * own[k])
-    moved = frame.rebased(own)
+        expected = expected * pin.exp6(np.eye(6)[k] * instrument[k])
+    moved = frame.rebased(instrument)
     np.testing.assert_allclose(moved.pose.homogeneous, expected.homogeneous, atol=1e-14)
     step = 1e-6
     for k in range(6):
         shift = step * np.eye(6)[k]
-        ahead, behind = (frame.rebased(own + s).pose for s in (shift, -shift))
+        ahead, behind = (frame.rebased(instrument + s).pose for s in (shift, -shift))
         twist = pin.log6(behind.actInv(ahead)).vector / (2.0 * step)
-        np.testing.assert_allclose(frame.twists(own)[:, k], twist, atol=1e-9)
+        np.testing.assert_allclose(frame.twists(instrument)[:, k], twist, atol=1e-9)
     stated = frame.stated()
     np.testing.assert_allclose(stated.xyz, frame.pose.translation)
     np.testing.assert_allclose(pin.rpy.rpyToMatrix(*stated.rpy), frame.pose.rotation)

@@ -17,9 +17,9 @@ from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.named_points import split_names
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -52,7 +52,7 @@ def seen(
     return F, Measurements(("j",), q, "position", values, target=target)
 
 
-def placed(model: Position) -> Floats:
+def located(model: Position) -> Floats:
     return np.array([point.xyz for point in model.points])
 
 
@@ -69,8 +69,8 @@ def test_points_by_hand() -> None:
     # A quarter of a turn about z: x becomes y.
     expected = np.array([[-0.08, 0.05, 0.12], [0.07, 0.02, 0.15]]) + origin
     np.testing.assert_allclose(values, expected, atol=1e-15)
-    own = np.array([0, 0, 0, 0, 0, 0, 0.1, 0.2, 0.3])
-    moved = model.predict(T, own, ("a", "c")) - values
+    instrument = np.array([0, 0, 0, 0, 0, 0, 0.1, 0.2, 0.3])
+    moved = model.predict(T, instrument, ("a", "c")) - values
     np.testing.assert_allclose(moved, [[0, 0, 0], [-0.2, 0.1, 0.3]], atol=1e-15)
     names = [p.name for p in model.parameters]
     assert names[:4] == ["a.target.x", "a.target.y", "a.target.z", "b.target.x"]
@@ -117,14 +117,14 @@ def test_rows_of_an_unknown_point(refused: Callable[..., Any]) -> None:
     _, data = seen(("a", "b"), 4)
     model = position(Setup(targets=STATED), *data.target)
     wrong = replace(data, target=("a", "b", "bb", "a"), lines=np.arange(2, 6))
-    reason, place = ["no target 'bb'", "mean 'b'?"], {"file": "m.csv", "line": 4}
-    with refused(InputError, reason, **place, column="target", allowed="a, b"):
+    reason, site = ["no target 'bb'", "mean 'b'?"], {"file": "m.csv", "line": 4}
+    with refused(InputError, reason, **site, column="target", allowed="a, b"):
         model.names(wrong.target, replace(wrong, files=("m.csv",) * 4))
     with pytest.raises(InputError, match="row 1: the row names no target, others do"):
         model.names(("a", "", "a", "a"), data)
 
 
-def test_names_of_points_and_places() -> None:
+def test_names_of_points_and_sites() -> None:
     assert split_names(["", "a", "b@c", "a@b@c"], True) == (
         ("", "", "b", "a@b"),
         ("", "a", "c", "c"),
@@ -143,7 +143,7 @@ def test_unknown_points_are_registered_in_the_tip(base: pin.SE3 | None) -> None:
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-12)
     assert tool == pin.SE3.Identity()
     expected = [TOOL.act(np.array(xyz)) for xyz in XYZ.values()]
-    np.testing.assert_allclose(placed(found), expected, atol=1e-12)
+    np.testing.assert_allclose(located(found), expected, atol=1e-12)
 
 
 @pytest.mark.parametrize("names", [("a", "b", "c"), ("", "a", "b")])
@@ -157,7 +157,7 @@ def test_known_points_show_the_tool(
     found, found_base, tool = model.register(F, data, base, None)
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-11)
     np.testing.assert_allclose(tool.homogeneous, TOOL.homogeneous, atol=1e-8)
-    np.testing.assert_array_equal(placed(found), placed(model))
+    np.testing.assert_array_equal(located(found), located(model))
 
 
 @pytest.mark.parametrize("base", [None, BASE])
@@ -169,7 +169,7 @@ def test_some_points_are_known(base: pin.SE3 | None) -> None:
     found, found_base, tool = model.register(F, data, base, TOOL)
     assert tool == TOOL
     np.testing.assert_allclose(found_base.homogeneous, BASE.homogeneous, atol=1e-12)
-    np.testing.assert_allclose(placed(found), list(XYZ.values()), atol=1e-12)
+    np.testing.assert_allclose(located(found), list(XYZ.values()), atol=1e-12)
 
 
 def test_one_known_point_does_not_turn_the_tool() -> None:
@@ -187,7 +187,7 @@ def test_a_point_that_no_row_looks_at_stays_at_the_origin() -> None:
     model = Position(tuple(Point(name, "target") for name in "abc"), origin=False)
     found, _, _ = model.register(F, data, None, None)
     assert found.missing == ""
-    np.testing.assert_array_equal(placed(found)[2], 0.0)
+    np.testing.assert_array_equal(located(found)[2], 0.0)
 
 
 # What can be known.

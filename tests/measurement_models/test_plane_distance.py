@@ -72,11 +72,11 @@ def test_distances() -> None:
 
 def test_the_beam_ends_on_its_plane() -> None:
     model = PlaneDistance((FLOOR, WALL))
-    T, own = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
+    T, instrument = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
     target = tuple(("wall", "floor")[i % 2] for i in range(len(T)))
-    h = model.predict(T, own, target)
+    h = model.predict(T, instrument, target)
     hits = T[:, :3, 3] + h * T[:, :3, 2]
-    for name, part in (("floor", own[:3]), ("wall", own[3:])):
+    for name, part in (("floor", instrument[:3]), ("wall", instrument[3:])):
         plane = {"floor": FLOOR, "wall": WALL}[name]
         normal, offset, _ = plane.turned(part)
         chosen = [name == other for other in target]
@@ -89,8 +89,8 @@ def test_a_turned_plane(normal: Floats) -> None:
     t_1, t_2 = plane.tangents
     frame = np.array([t_1, t_2, normal])
     np.testing.assert_allclose(frame @ frame.T, np.eye(3), atol=1e-15)
-    own = np.array([0.3, -0.4, 0.2])
-    turned, offset, slope = plane.turned(own)
+    instrument = np.array([0.3, -0.4, 0.2])
+    turned, offset, slope = plane.turned(instrument)
     expected = so3_exp(0.3 * t_1) @ so3_exp(-0.4 * t_2) @ normal
     np.testing.assert_allclose(turned, expected, atol=1e-15)
     assert abs(np.linalg.norm(turned) - 1.0) < 1e-15
@@ -98,7 +98,7 @@ def test_a_turned_plane(normal: Floats) -> None:
     step = 1e-6
     for k in range(2):
         shift = step * np.eye(3)[k]
-        ahead, behind = (plane.turned(own + s)[0] for s in (shift, -shift))
+        ahead, behind = (plane.turned(instrument + s)[0] for s in (shift, -shift))
         np.testing.assert_allclose(
             slope[:, k], (ahead - behind) / (2 * step), atol=1e-9
         )
@@ -109,22 +109,24 @@ def test_a_turned_plane(normal: Floats) -> None:
 
 def test_derivatives() -> None:
     model = PlaneDistance((FLOOR, WALL))
-    T, own = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
+    T, instrument = beams(), np.array([0.1, -0.2, 0.05, 0.3, 0.2, -0.1])
     target = tuple(("wall", "floor")[i % 2] for i in range(len(T)))
-    seen = model.observable(T, own, target)
+    seen = model.observable(T, instrument, target)
     T, target = T[seen], tuple(np.array(target)[seen])
     assert len(T) > 5
     data = data_of(T, np.zeros((len(T), 1)), target)
-    linear = model.linearize(T, own, data)
+    linear = model.linearize(T, instrument, data)
     step = 1e-6
     for k in range(6):
         shift = pin.exp6(step * np.eye(6)[k])
-        ahead = model.residual(T @ shift.homogeneous, own, data)
-        behind = model.residual(T @ shift.inverse().homogeneous, own, data)
+        ahead = model.residual(T @ shift.homogeneous, instrument, data)
+        behind = model.residual(T @ shift.inverse().homogeneous, instrument, data)
         difference = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(linear.J_pose[:, :, k], difference, atol=1e-7)
         shift = step * np.eye(6)[k]
-        ahead, behind = (model.residual(T, own + s, data) for s in (shift, -shift))
+        ahead, behind = (
+            model.residual(T, instrument + s, data) for s in (shift, -shift)
+        )
         difference = (ahead - behind) / (2 * step)
         np.testing.assert_allclose(linear.J_instrument[:, :, k], difference, atol=1e-7)
     # A turn about the beam changes nothing, and each row has one plane.

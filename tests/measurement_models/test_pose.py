@@ -56,14 +56,14 @@ def test_either_sign_of_a_quaternion() -> None:
 def test_large_residuals_keep_their_derivative() -> None:
     # The body twist near a half turn, where J_log is far from the identity.
     T = tips()
-    data, own = data_of(T), np.zeros(0)
+    data, instrument = data_of(T), np.zeros(0)
     T[:, :3, :3] = T[:, :3, :3] @ so3_exp(np.array([2.0, -1.0, 1.5]))
-    linear = Pose().linearize(T, own, data)
+    linear = Pose().linearize(T, instrument, data)
     step = 1e-6
     for k in range(6):
         shift = pin.exp6(step * np.eye(6)[k])
-        ahead = Pose().residual(T @ shift.homogeneous, own, data)
-        behind = Pose().residual(T @ shift.inverse().homogeneous, own, data)
+        ahead = Pose().residual(T @ shift.homogeneous, instrument, data)
+        behind = Pose().residual(T @ shift.inverse().homogeneous, instrument, data)
         np.testing.assert_allclose(
             linear.J_pose[:, :, k], (ahead - behind) / (2 * step), rtol=0, atol=1e-8
         )

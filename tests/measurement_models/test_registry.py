@@ -62,14 +62,14 @@ def poses(model: MeasurementModel, seed: int = 0, count: int = 20) -> Floats:
     return np.array([pin.exp6(twist).homogeneous for twist in twists])
 
 
-def exact(model: MeasurementModel, T: Floats, own: Floats) -> Measurements:
+def exact(model: MeasurementModel, T: Floats, instrument: Floats) -> Measurements:
     names = tuple(model.targets) or ("",)
     target = tuple(names[i % len(names)] for i in range(len(T)))
     return Measurements(
         joints=("j",),
         q=np.zeros((len(T), 1)),
         model=model.name,
-        values=model.predict(T, own, target),
+        values=model.predict(T, instrument, target),
         sigma=absent(model, target),
         target=target,
     )
@@ -90,16 +90,16 @@ def told(model: MeasurementModel, data: Measurements) -> NDArray[np.bool_]:
 
 def test_shapes_and_names(model: MeasurementModel, request: Any) -> None:
     assert model.name == CASES[request.node.callspec.params["model"]]
-    T, own = poses(model), parameters_of(model)
-    data = exact(model, T, own)
-    linear = model.linearize(T, own, data)
+    T, instrument = poses(model), parameters_of(model)
+    data = exact(model, T, instrument)
+    linear = model.linearize(T, instrument, data)
     size = model.quantities[-1].columns.stop
     assert data.values.shape == (20, model.width)
     assert linear.residual.shape == (20, size)
     assert linear.J_pose.shape == (20, size, 6)
-    assert linear.J_instrument.shape == (20, size, len(own))
-    np.testing.assert_array_equal(linear.residual, model.residual(T, own, data))
-    assert model.observable(T, own, data.target).shape == (20,)
+    assert linear.J_instrument.shape == (20, size, len(instrument))
+    np.testing.assert_array_equal(linear.residual, model.residual(T, instrument, data))
+    assert model.observable(T, instrument, data.target).shape == (20,)
     # The quantities cover the residual one after the other.
     edges = [0]
     for quantity in model.quantities:
@@ -114,9 +114,9 @@ def test_shapes_and_names(model: MeasurementModel, request: Any) -> None:
 
 
 def test_predictions_leave_no_residual(model: MeasurementModel) -> None:
-    T, own = poses(model), parameters_of(model)
-    data = exact(model, T, own)
-    residual = model.residual(T, own, data)
+    T, instrument = poses(model), parameters_of(model)
+    data = exact(model, T, instrument)
+    residual = model.residual(T, instrument, data)
     size = max(1.0, np.abs(data.values).max(initial=0.0))
     for quantity in model.quantities:
         left = np.abs(residual[:, quantity.columns]).max()
@@ -130,14 +130,14 @@ def gapped(model: MeasurementModel, quantity: Quantity) -> bool:
 
 
 def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> None:
-    T, own = poses(model), parameters_of(model)
-    data = exact(model, T, own)
+    T, instrument = poses(model), parameters_of(model)
+    data = exact(model, T, instrument)
     size = model.quantities[-1].columns.stop
     noise = np.random.default_rng(2).normal(size=(20, size)) * 0.3
     kept = data.values.copy()
     disturbed = replace(data, values=model.disturb(data.values, noise))
     np.testing.assert_array_equal(data.values, kept)
-    before, residual = (model.residual(T, own, d) for d in (data, disturbed))
+    before, residual = (model.residual(T, instrument, d) for d in (data, disturbed))
     # A contact has no value that noise could be in.
     measured = told(model, data)
     for quantity in model.quantities:
@@ -150,14 +150,16 @@ def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> N
     )
 
 
-def test_own_parameters_move_into_the_references(model: MeasurementModel) -> None:
-    T, own = poses(model), parameters_of(model)
-    moved = model.rebased(own)
-    data = exact(model, T, own)
-    zero = np.zeros_like(own)
+def test_instrument_parameters_move_into_the_references(
+    model: MeasurementModel,
+) -> None:
+    T, instrument = poses(model), parameters_of(model)
+    moved = model.rebased(instrument)
+    data = exact(model, T, instrument)
+    zero = np.zeros_like(instrument)
     again = moved.predict(T, zero, data.target)
     np.testing.assert_allclose(again, data.values, rtol=1e-12, atol=1e-14)
-    residual = model.residual(T, own, data)
+    residual = model.residual(T, instrument, data)
     size = max(1.0, np.abs(data.values).max(initial=0.0))
     np.testing.assert_allclose(
         moved.residual(T, zero, data), residual, rtol=0, atol=1e-13 * size
@@ -173,7 +175,7 @@ def test_known_frames_stand(model: MeasurementModel) -> None:
     registered, base, tool = model.register(F, data, B, X)
     assert base == B and tool == X
     # So do places and points that are given.
-    for one, other in zip(registered.features, model.features, strict=True):
+    for one, other in zip(registered.references, model.references, strict=True):
         assert one.stated() == other.stated()
 
 

@@ -643,7 +643,7 @@ def test_hardly_more_candidates_than_wanted_of_two_planes(method: str) -> None:
         candidates=44,
         progress=lambda *_: next(calls) > 200,
     )
-    assert set(plan.target) == {"near", "side"} and plan.unseen == ()
+    assert set(plan.target) == {"near", "side"} and plan.unmeasurable == ()
     zero = np.zeros(len(plan.problem.parameters))
     rng = np.random.default_rng(0)
     rows = calib_pin.simulate(plan.problem, zero, rng, q=plan.q, target=plan.target)
@@ -657,7 +657,7 @@ def test_planes_that_nothing_can_measure_are_named() -> None:
     plan = calib_pin.plan(
         chain, "plane-distance", 30, replace(setup, planes=planes), method="greedy"
     )
-    assert plan.unseen == ("far",) and set(plan.target) == {"wall"}
+    assert plan.unmeasurable == ("far",) and set(plan.target) == {"wall"}
 
 
 def test_additions_look_at_planes_that_were_not_measured() -> None:

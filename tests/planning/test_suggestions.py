@@ -82,10 +82,10 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     rows = calib_pin.read_measurements(file, chain)
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
     stood = calibrated_setup(result.model)
-    features = {f.name: f for f in result.model.measurement.features}
-    assert stood.targets.keys() == features.keys()
+    references = {f.name: f for f in result.model.measurement.references}
+    assert stood.targets.keys() == references.keys()
     for name, point in stood.targets.items():
-        assert point.xyz == pytest.approx(features[name].stated().xyz)
+        assert point.xyz == pytest.approx(references[name].stated().xyz)
     base = stood.base_frame
     assert base.estimate and base.xyz == pytest.approx(
         result.model.error.base.translation

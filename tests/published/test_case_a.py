@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.measurement_models.features import Plane
+from calib_pin.measurement_models.planes import Plane
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.solvers.differential_evolution import TRADEOFF
 from calib_pin.validation.result import Identification

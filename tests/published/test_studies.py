@@ -193,20 +193,22 @@ def poses(seed: int) -> Floats:
 
 
 def test_spatial_twists_against_central_differences() -> None:
-    model, T, own, step = SpatialTwist(), poses(0), np.zeros(0), 1e-6
+    model, T, instrument, step = SpatialTwist(), poses(0), np.zeros(0), 1e-6
     target = ("",) * len(T)
     empty = Arm.load().measure(np.zeros((5, 7)), Arm.load().preset, {}, 0)
-    data = replace(empty, values=model.predict(T, own, target))
-    linear = model.linearize(T, own, data)
+    data = replace(empty, values=model.predict(T, instrument, target))
+    linear = model.linearize(T, instrument, data)
     assert np.abs(linear.residual).max() < 1e-14
     np.testing.assert_array_equal(linear.J_pose, adjoint(T))
-    curvature = model.curvature(T, own, target)
+    curvature = model.curvature(T, instrument, target)
     assert curvature.J_instrument.shape == (5, 6, 0, 6)
     for k in range(6):
         ahead, behind = (
             T @ pin.exp6(s * np.eye(6)[k]).homogeneous for s in (step, -step)
         )
-        moved = model.residual(ahead, own, data) - model.residual(behind, own, data)
+        moved = model.residual(ahead, instrument, data) - model.residual(
+            behind, instrument, data
+        )
         np.testing.assert_allclose(
             linear.J_pose[:, :, k], moved / (2 * step), atol=1e-8
         )

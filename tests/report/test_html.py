@@ -28,8 +28,8 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.report.text import report
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.row_errors import RowErrors
 from calib_pin.validation.summaries import Provenance
 
 ARM = """<robot name="{0}">
@@ -106,9 +106,9 @@ def page_of(
     chain: Chain, result: CalibrationResult, *, figures: bool = True
 ) -> tuple[bytes, dict[str, Any]]:
     better = suggestions(chain, "pose", calibrated_setup(result.model), result)
-    document = calibration_document(result, PROVENANCE, remedies=better)
+    document = calibration_document(result, PROVENANCE, suggestions=better)
     drawn = list(calibration_figures(result)) if figures else []
-    page = html_report(result, document, figures=drawn, remedies=better)
+    page = html_report(result, document, figures=drawn, suggestions=better)
     return page, json.loads(encode(document))
 
 
@@ -269,7 +269,7 @@ def section(page: bytes, name: str) -> str:
 # --- many rows ---------------------------------------------------------------------
 
 
-def repeated(errors: RowErrors, count: int) -> RowErrors:
+def repeated(errors: MeasurementErrors, count: int) -> MeasurementErrors:
     """As many rows, made of a few and scattered."""
     order = np.arange(count) % len(errors)
     rng = np.random.default_rng(2)
@@ -295,12 +295,11 @@ def test_many_rows_make_a_small_page(
     count: int, arm: tuple[Chain, CalibrationResult]
 ) -> None:
     chain, result = arm
-    assert result.unseen is not None
+    assert result.held_out is not None
     many = replace(
         result,
         fitted=repeated(result.fitted, count),
-        unseen=repeated(result.unseen, count),
-        training=count,
+        held_out=repeated(result.held_out, count),
     )
     content, _ = page_of(chain, many)
     assert len(content) < 3e6

@@ -85,7 +85,7 @@ def words(result: CalibrationResult, **changes: Any) -> str:
 
 def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
     said = (
-        f"2 of {result.training} measurements were set aside (rows.csv:12, "
+        f"2 of {len(result.fitted)} measurements were set aside (rows.csv:12, "
         "rows.csv:14; target ball); with them the tool point would move by 2.6 mm."
     )
     assert words(result).startswith(f"{said} GOOD: ")
@@ -179,7 +179,7 @@ def test_noise(result: CalibrationResult) -> None:
 
 def test_outliers(result: CalibrationResult) -> None:
     lines = format_report(result).splitlines()
-    start = lines.index(f"Outliers (3 of {result.training})")
+    start = lines.index(f"Outliers (3 of {len(result.fitted)})")
     cells = [line.split() for line in lines[start + 1 : start + 5]]
     assert cells[0] == ["normalized", "residual", "weight", "cause"]
     assert cells[1] == ["rows.csv:12", "180.2", "0", "target", "ball"]

@@ -11,7 +11,7 @@ import pytest
 import calib_pin
 from calib_pin.cli.results import Run, result_contents, result_files
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.result_file import read_remedies, read_written
+from calib_pin.io.result_file import read_suggestions, read_written
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
@@ -127,8 +127,8 @@ def test_page_and_figures_from_files_are_the_same_bytes(
     assert [f.name for f in again] == [f.name for f in drawn]
     for one, other in zip(again, drawn, strict=True):
         assert one.svg() == other.svg(), one.name
-    stated = read_remedies(document)
+    stated = read_suggestions(document)
     assert stated == better
-    page = html_report(found, document, figures=again, remedies=stated)
+    page = html_report(found, document, figures=again, suggestions=stated)
     assert page == files.report.read_bytes()
     assert plain_text(report(found, stated)) == plain_text(report(result, better))

@@ -19,8 +19,12 @@ from calib_pin.kinematics.spatial import se3_exp
 from calib_pin.measurement_models import measurement_model
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.simulation import draw_errors
-from calib_pin.validation.comparison import compare, unknown_ends
-from calib_pin.validation.parameter_changes import Difference, robot_groups
+from calib_pin.validation.comparison import (
+    Difference,
+    compare,
+    robot_groups,
+    unknown_ends,
+)
 from calib_pin.validation.result import ParameterEstimate
 from calib_pin.validation.summaries import ToolAccuracy
 

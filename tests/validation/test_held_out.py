@@ -123,8 +123,8 @@ def test_a_path_is_folded_by_stretch() -> None:
         assert np.count_nonzero(np.diff(part.positions) > 1) < 8
     assert 5 <= found.gains[0].configurations < 30
     result = calib_pin.calibrate(CHAIN, rows, SETUP, holdout=0.25)
-    assert result.unseen is not None
-    left = np.isin(rows.q[:, 0], result.unseen.rows.q[:, 0])
+    assert result.held_out is not None
+    left = np.isin(rows.q[:, 0], result.held_out.rows.q[:, 0])
     assert np.count_nonzero(np.diff(left.astype(int))) < 16
 
 

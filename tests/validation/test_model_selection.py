@@ -22,7 +22,7 @@ from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import fitted_errors
 from calib_pin.validation.model_selection import SelectedModel, select_model
 from calib_pin.validation.splits import FOLDS
-from calib_pin.validation.summaries import Rung
+from calib_pin.validation.summaries import Candidate
 
 NOISE = 2e-5
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -96,12 +96,12 @@ def simulated(
     return replace(rows, payload=())  # What is carried in all rows goes without saying.
 
 
-def rungs(selected: SelectedModel) -> dict[str, Rung]:
-    return {rung.name: rung for rung in selected.selection.rungs}
+def rungs(selected: SelectedModel) -> dict[str, Candidate]:
+    return {rung.name: rung for rung in selected.selection.candidates}
 
 
-def kept(selected: SelectedModel) -> Rung:
-    return selected.selection.rungs[selected.selection.chosen]
+def kept(selected: SelectedModel) -> Candidate:
+    return selected.selection.candidates[selected.selection.chosen]
 
 
 # What is kept.
@@ -167,11 +167,11 @@ def test_what_a_robot_has_is_kept(
     found = kept(selected)
     assert (found.name, found.parameters) == (expected, parameters)
     assert selected.model.fit.problem.setup.parameters == parameters
-    helps = {rung.name for rung in selected.selection.rungs if rung.helps}
+    helps = {rung.name for rung in selected.selection.candidates if rung.helps}
     assert {"joint offset", expected} <= helps
     assert ("geometric" in helps) == ("placement" in truth)
     assert (BOTH in helps) == (expected == BOTH)
-    assert not any(rung.reason for rung in selected.selection.rungs)
+    assert not any(rung.reason for rung in selected.selection.candidates)
     # As good as the noise, and what it was before is seen.
     assert found.score == pytest.approx(1.0, abs=0.3)
     ((quantity, unit, mean),) = found.errors
@@ -215,7 +215,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     rows = simulated(chain, ["dh"])
     setup = Setup(parameters=("compliance", "dh", "joint-offset"))
     selected = select_model(chain, rows, setup, 0)
-    assert [rung.parameters for rung in selected.selection.rungs] == [
+    assert [rung.parameters for rung in selected.selection.candidates] == [
         ("joint-offset",),
         ("dh",),
         ("dh", "transmission"),
@@ -224,7 +224,7 @@ def test_the_geometry_of_the_setup_makes_the_second_rung(chain: Chain) -> None:
     ]
     # Nothing but offsets and corrections is no geometry.
     selected = select_model(chain, rows, Setup(parameters=("joint-offset",)), 0)
-    assert selected.selection.rungs[1].parameters == ("placement",)
+    assert selected.selection.candidates[1].parameters == ("placement",)
 
 
 @pytest.mark.slow
@@ -242,12 +242,12 @@ def test_calibrating_with_the_ladder(chain: Chain) -> None:
     """The result is that of the kept rung, cross-validated already."""
     rows = simulated(chain, ["placement", "transmission"], Setup())
     result = calib_pin.calibrate(chain, rows, ladder=True)
-    assert result.ladder is not None
-    rung = result.ladder.rungs[result.ladder.chosen]
+    assert result.model_selection is not None
+    rung = result.model_selection.candidates[result.model_selection.chosen]
     assert rung.name == "+ transmission"
     assert result.model.setup.parameters == rung.parameters
     plain = calib_pin.calibrate(chain, rows, Setup(parameters=rung.parameters))
-    assert plain.ladder is None
+    assert plain.model_selection is None
     np.testing.assert_array_equal(result.model.theta, plain.model.theta)
     assert result.errors == plain.errors
     assert (result.verdict, result.validation.method) == ("good", "5-fold")
@@ -259,11 +259,11 @@ def test_unseen_rows_of_a_file_check_what_the_ladder_kept(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup())
     training, unseen = rows.rows(np.arange(30)), rows.rows(np.arange(30, 50))
     result = calib_pin.calibrate(chain, training, validation=unseen, ladder=True)
-    assert result.ladder is not None
+    assert result.model_selection is not None
     assert (result.validation.method, result.validation.count) == ("file", 20)
     # They have no part in the choice.
     alone = select_model(chain, training, Setup(), 0).selection
-    assert alone == result.ladder
+    assert alone == result.model_selection
 
 
 # How rows are divided.
@@ -304,7 +304,7 @@ def test_repetitions_make_no_score_more_certain(
     # Against the size that errors are expected to have, they do count.
     often = select_model(chain, rows.rows(np.repeat(np.arange(50), 3)), Setup(), 0)
     for one, other in zip(
-        plain.selection.rungs[:2], often.selection.rungs, strict=False
+        plain.selection.candidates[:2], often.selection.candidates, strict=False
     ):
         assert other.score == pytest.approx(one.score, rel=0.01)
         assert other.deviation == pytest.approx(one.deviation, rel=0.01)
@@ -312,11 +312,11 @@ def test_repetitions_make_no_score_more_certain(
 
 def test_the_seed_divides(chain: Chain, plain: SelectedModel) -> None:
     rows = simulated(chain, ["placement"])
-    first = [rung.score for rung in plain.selection.rungs]
+    first = [rung.score for rung in plain.selection.candidates]
     again, other = (
         [
             rung.score
-            for rung in select_model(chain, rows, Setup(), seed).selection.rungs
+            for rung in select_model(chain, rows, Setup(), seed).selection.candidates
         ]
         for seed in (0, 1)
     )
@@ -331,7 +331,7 @@ def test_few_rows_leave_the_upper_rungs_untried(chain: Chain) -> None:
     """Five of seven configurations tell of offsets, but not of all the geometry."""
     rows = simulated(chain, ["joint-offset"], count=7)
     selected = select_model(chain, rows, Setup(), 0)
-    offset, geometric, transmission, compliance, both = selected.selection.rungs
+    offset, geometric, transmission, compliance, both = selected.selection.candidates
     assert not offset.reason and kept(selected) is offset
     assert not compliance.reason
     for rung in (geometric, transmission, both):

@@ -99,7 +99,11 @@ def test_every_plane_stays_in_every_part() -> None:
     chain = calib_pin.load_chain("space6")
     problem = nominal_problem(chain, "plane-distance", setup)
     rows = calib_pin.simulate(
-        problem, problem.held, np.random.default_rng(0), count=100, noise=1e-4
+        problem,
+        np.zeros(len(problem.parameters)),
+        np.random.default_rng(0),
+        count=100,
+        noise=1e-4,
     )
     fitted = fit(replace(problem, data=rows), np.random.default_rng(0))
     assert len(folds(rows, fitted, 0)) == FOLDS
@@ -229,7 +233,7 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) ->
     chain, rows = in_sockets
     of_back = np.array([name.startswith("back") for name in rows.target])
     trained = fit_model(chain, rows.rows(~of_back), IN_SOCKETS, 0)
-    known = [feature.name for feature in trained.problem.measurement.features]
+    known = [reference.name for reference in trained.problem.measurement.references]
     assert set(known) == set(SOCKETS) - {"back/0", "back/1"}
     unseen = model_errors(trained, rows.rows(of_back), np.flatnonzero(of_back))
     np.testing.assert_array_equal(unseen.positions, np.flatnonzero(of_back))

@@ -56,8 +56,8 @@ def measured_rows() -> Callable[..., Measurements]:
         chain, measurement = model.chain, model.measurement
         q = chain.random_configurations(count, rng)
         target = target or ("",) * count
-        own = np.zeros(len(measurement.parameters))
-        values = measurement.predict(model.poses(q), own, target)
+        instrument = np.zeros(len(measurement.parameters))
+        values = measurement.predict(model.poses(q), instrument, target)
         noise = 1e-3 * rng.normal(size=(count, measurement.quantities[-1].columns.stop))
         return Measurements(
             joints=chain.joints,

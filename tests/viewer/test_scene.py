@@ -16,12 +16,12 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
-from calib_pin.measurement_models.features import Point
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
+from calib_pin.measurement_models.references import Point
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import Payload
@@ -198,7 +198,7 @@ def test_named_points_and_sockets(
     np.testing.assert_allclose(np.linalg.norm(errors.vectors, axis=1), 1e-3, atol=5e-3)
     ball = Point("ball", "target", np.array([0.0, 0.0, 0.1]))
     places = tuple(Point(k, "socket", np.array([0.4, y, 0.3])) for k, y in SOCKETS)
-    model = calibrated(panda, FixedPoint(points=(ball,), places=places))
+    model = calibrated(panda, FixedPoint(points=(ball,), sites=places))
     rows = replace(measured_rows(model, 4, TARGETS), model="fixed-point")
     errors = stage_errors(prepared(model, rows))
     centers = np.array([place.xyz for place in places])[[0, 1, 1, 0]]

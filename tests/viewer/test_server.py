@@ -20,17 +20,13 @@ from calib_pin.cli import main
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.position import Position
 from calib_pin.validation.evaluation import prepared
-from calib_pin.viewer.colors import STAGES, scaled
-from calib_pin.viewer.controls import Controls
-from calib_pin.viewer.drawings import lines
+from calib_pin.viewer.controls import STAGES, Controls, scaled
 from calib_pin.viewer.errors import stage_errors
-from calib_pin.viewer.joints import Joints
-from calib_pin.viewer.player import Player
+from calib_pin.viewer.motion import Joints, Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_path
 from calib_pin.viewer.server import Window
-from calib_pin.viewer.shapes import Shape
-from calib_pin.viewer.stage import Stage
-from calib_pin.viewer.surfaces import Surface
+from calib_pin.viewer.shapes import Shape, Surface
+from calib_pin.viewer.stage import Stage, lines
 
 SETUP = """base: panda_link0
 tip: panda_hand

@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 
 from calib_pin.io.urdf import load_robot
-from calib_pin.viewer.shapes import robot_shapes
-from calib_pin.viewer.surfaces import Surface, ball, box, capsule, creased, cylinder
+from calib_pin.viewer.shapes import (
+    Surface,
+    ball,
+    box,
+    capsule,
+    creased,
+    cylinder,
+    robot_shapes,
+)
 
 ARM = """<robot name="arm">
   <material name="red"><color rgba="1 0 0 1"/></material>

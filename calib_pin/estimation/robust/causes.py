@@ -149,7 +149,7 @@ def _configurations(
     for label in np.unique(found.labels[out]).tolist():
         if sizes[label] > 1:
             rows = np.flatnonzero(found.labels == label).tolist()
-            yield rows, f"configuration of {problem.data.place(rows[0])}"
+            yield rows, f"configuration of {problem.data.source(rows[0])}"
 
 
 def _exchanged(
@@ -182,5 +182,5 @@ def _exchanged(
         sizes.append(size < OPTIONS.fits * own[a])
     for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():
         a, b = int(i[k]), int(j[k])
-        yield [a], f"exchanged with {data.place(b)}"
-        yield [b], f"exchanged with {data.place(a)}"
+        yield [a], f"exchanged with {data.source(b)}"
+        yield [b], f"exchanged with {data.source(a)}"

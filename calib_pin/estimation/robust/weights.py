@@ -362,7 +362,7 @@ def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, 
     order = rows[np.argsort(-sizes[rows], kind="stable")]
     return tuple(
         Outlier(
-            data.place(row),
+            data.source(row),
             row,
             float(sizes[row]),
             float(data.weight[row]),

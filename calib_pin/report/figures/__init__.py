@@ -9,16 +9,17 @@ from matplotlib.figure import Figure
 
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
-from calib_pin.report.figures.convergence import convergence
 from calib_pin.report.figures.correlations import correlations
 from calib_pin.report.figures.error_vectors import error_vectors
-from calib_pin.report.figures.intervals import parameter_intervals
-from calib_pin.report.figures.ladder import model_ladder
-from calib_pin.report.figures.plan_deviations import predicted_deviations
-from calib_pin.report.figures.plan_positions import planned_positions
-from calib_pin.report.figures.plan_steps import criterion_by_count
+from calib_pin.report.figures.estimates import parameter_intervals
+from calib_pin.report.figures.plans import (
+    criterion_by_count,
+    planned_positions,
+    predicted_deviations,
+)
 from calib_pin.report.figures.residuals import residuals
 from calib_pin.report.figures.row_errors import errors_per_measurement
+from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.singular_values import singular_values
 from calib_pin.report.figures.tip_accuracy import (
     drift_in_workspace,

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import MUTED, WIDTH, Drawn, note, panel
-from calib_pin.report.figures.estimated import Estimate, correlation, of_robot
-from calib_pin.report.figures.lists import beside
+from calib_pin.report.figures.estimates import Estimate, beside, correlation, of_robot
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
 

@@ -10,12 +10,11 @@ from matplotlib.figure import Figure
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import AFTER, BEFORE, INK, WIDTH, Drawn, note
 from calib_pin.report.figures.labels import plain, unit_of
-from calib_pin.report.figures.strokes import arrows
-from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.figures.strokes import arrows, thinned, thinning
 from calib_pin.report.figures.views import FOOT, LEFT, SCALE, SIDES, Sides, colored
 from calib_pin.report.tables import number
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.row_errors import RowErrors
 
 ARROWS = 300
 """Arrows of one kind: more hide each other."""
@@ -100,7 +99,7 @@ def _scale_arrow(figure: Figure, scale: float, factor: float) -> None:
     note(figure, WIDTH - 0.28 - shown, 0.2, told, ha="right", va="center")
 
 
-def _sizes(rows: RowErrors) -> Drawn | None:
+def _sizes(rows: MeasurementErrors) -> Drawn | None:
     """Where no position is measured: points colored by the remaining error."""
     rated = [(q, rows.sizes(q)[1]) for q in rows.quantities]
     rated = [(q, sizes) for q, sizes in rated if not np.isnan(sizes).all()]

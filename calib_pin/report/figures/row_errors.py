@@ -23,11 +23,10 @@ from calib_pin.report.figures.canvas import (
     panels,
 )
 from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
-from calib_pin.report.figures.strokes import Marks
-from calib_pin.report.figures.thinning import thinned, thinning
+from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.report.tables import number
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.row_errors import RowErrors
 
 LIMIT = 20_000
 """Measurements that are drawn at most."""
@@ -91,8 +90,8 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     parts = [
         _panes("fitted", result.fitted, [o.row for o in result.statistics.outliers])
     ]
-    if result.unseen is not None:
-        parts.append(_panes("validation", result.unseen, []))
+    if result.held_out is not None:
+        parts.append(_panes("validation", result.held_out, []))
     rows = [panes for panes in zip(*parts, strict=True) if panes[0].means]
     if not rows:
         return None
@@ -121,7 +120,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     )
 
 
-def _panes(name: str, rows: RowErrors, outliers: Sequence[int]) -> list[_Pane]:
+def _panes(name: str, rows: MeasurementErrors, outliers: Sequence[int]) -> list[_Pane]:
     """The panels of some measurements; of many, the most important ones are drawn."""
     sizes = [rows.sizes(quantity) for quantity in rows.quantities]
     drawn = thinned(

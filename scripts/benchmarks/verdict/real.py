@@ -169,8 +169,8 @@ def blocks() -> Iterator[Line]:
         held = np.zeros(len(rows), bool)
         held[block] = True
         result = calib_pin.calibrate(chain, rows.rows(~held), ladder=True)
-        assert result.ladder is not None
-        rung = result.ladder.rungs[result.ladder.chosen]
+        assert result.model_selection is not None
+        rung = result.model_selection.candidates[result.model_selection.chosen]
         promised.append(next(e for name, _, e in rung.errors if name == "position"))
         ((_, _, accuracy),) = calib_pin.evaluate(result.model, rows.rows(held)).errors
         found.append(accuracy.mean)

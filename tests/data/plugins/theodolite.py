@@ -15,7 +15,7 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.named_points import placed_tool, tip_points
+from calib_pin.measurement_models.named_points import located_tool, tip_points
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
@@ -45,7 +45,7 @@ class Theodolite(PointModel):
     alone = True
 
     def compare(
-        self, p: Floats, place: NDArray[np.int64], own: Floats
+        self, p: Floats, site: NDArray[np.int64], values: Floats
     ) -> PointMeasurement:
         """Both angles."""
         x, y, z = p.T
@@ -57,7 +57,9 @@ class Theodolite(PointModel):
         by_point[:, 1] /= r2[:, None]
         return PointMeasurement(value, by_point, np.zeros((len(p), 2, 0)))
 
-    def bend(self, p: Floats, place: NDArray[np.int64], own: Floats) -> PointCurvature:
+    def bend(
+        self, p: Floats, site: NDArray[np.int64], values: Floats
+    ) -> PointCurvature:
         """Second derivatives along the horizontal ray, across it, and upwards."""
         x, y, z = p.T
         rho, r2 = np.hypot(x, y), np.einsum("ni,ni->n", p, p)
@@ -103,5 +105,5 @@ class Theodolite(PointModel):
             away = x[rows] @ base.rotation.T + base.translation
             right = -np.einsum("nka,na->nk", across[rows], away).reshape(-1)
             tip[k] = np.linalg.lstsq(A, right, rcond=None)[0]
-        points, tool = placed_tool(tip, self.points, tool)
+        points, tool = located_tool(tip, self.points, tool)
         return replace(self, points=points), base, tool

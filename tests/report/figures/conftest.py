@@ -13,9 +13,9 @@ import calib_pin
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import Drawn, drawing
+from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.row_errors import RowErrors
-from calib_pin.validation.summaries import Ladder, Rung
+from calib_pin.validation.summaries import Candidate, ModelSelection
 
 
 @pytest.fixture(scope="session")
@@ -28,14 +28,18 @@ def calibrated() -> CalibrationResult:
     )
     result = calib_pin.calibrate(chain, rows, setup)
     rungs = (
-        Rung("joint offset", (), None, 7, (("position", "m", 2e-3),), 20.0, 2.0, True),
-        Rung("geometric", (), None, 34, (("position", "m", 1e-4),), 1.0, 0.1, True),
-        Rung("+ compliance", (), None, reason="no masses"),
+        Candidate(
+            "joint offset", (), None, 7, (("position", "m", 2e-3),), 20.0, 2.0, True
+        ),
+        Candidate(
+            "geometric", (), None, 34, (("position", "m", 1e-4),), 1.0, 0.1, True
+        ),
+        Candidate("+ compliance", (), None, reason="no masses"),
     )
     return replace(
         result,
         solver=replace(result.solver, history=(50.0, 20.0, 5.0, 5.0)),
-        ladder=Ladder(rungs, 1),
+        model_selection=ModelSelection(rungs, 1),
         statistics=replace(
             result.statistics,
             outliers=(Outlier("row 8", 7, 9.0), Outlier("row 4", 3, 8.0)),
@@ -80,7 +84,7 @@ def many(calibrated: CalibrationResult) -> Callable[[int], CalibrationResult]:
             for name in ("sigma", "points", "leverage")
         }
         taller = replace(rows, rows=rows.rows.rows(chosen), **errors, **parts)
-        return replace(calibrated, fitted=taller, unseen=taller, training=count)
+        return replace(calibrated, fitted=taller, held_out=taller)
 
     return repeated
 
@@ -93,7 +97,7 @@ def with_errors() -> Callable[..., CalibrationResult]:
     """
 
     def changed(result: CalibrationResult, **errors: Any) -> CalibrationResult:
-        fitted: RowErrors = result.fitted
+        fitted: MeasurementErrors = result.fitted
         shape = fitted.after.shape
         arrays = {k: np.broadcast_to(v, shape).copy() for k, v in errors.items()}
         return replace(result, fitted=replace(fitted, **arrays))

@@ -11,10 +11,14 @@ from matplotlib.patches import PathPatch
 
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.correlations import MOST, correlations, shown
-from calib_pin.report.figures.estimated import Estimate, correlation, of_robot
-from calib_pin.report.figures.intervals import parameter_intervals
-from calib_pin.report.figures.lists import MOST as LINES
-from calib_pin.report.figures.lists import lists
+from calib_pin.report.figures.estimates import MOST as LINES
+from calib_pin.report.figures.estimates import (
+    Estimate,
+    correlation,
+    lists,
+    of_robot,
+    parameter_intervals,
+)
 from calib_pin.validation.result import CalibrationResult
 
 

@@ -24,7 +24,7 @@ from calib_pin.report.figures import (
     plan_figures,
 )
 from calib_pin.report.figures.correlations import correlations
-from calib_pin.report.figures.intervals import parameter_intervals
+from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Validation
 
@@ -170,7 +170,7 @@ def one_row(result: CalibrationResult) -> CalibrationResult:
         rows, rows=rows.rows.rows([0]), **{k: getattr(rows, k)[:1] for k in names}
     )
     none = replace(result.statistics, outliers=())
-    return replace(result, fitted=first, unseen=first, statistics=none)
+    return replace(result, fitted=first, held_out=first, statistics=none)
 
 
 def without(result: CalibrationResult) -> CalibrationResult:
@@ -185,12 +185,12 @@ def without(result: CalibrationResult) -> CalibrationResult:
         groups=(),
         covariance=np.zeros((0, 0)),
         statistics=replace(result.statistics, sigma0=np.nan, noise=()),
-        unseen=None,
+        held_out=None,
         validation=Validation("none", 0),
         accuracy=replace(result.accuracy, tip=None),
         identifiability=ranks,
         solver=replace(result.solver, history=()),
-        ladder=None,
+        model_selection=None,
     )
 
 

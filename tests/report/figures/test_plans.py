@@ -9,12 +9,12 @@ import numpy as np
 
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import Drawn
-from calib_pin.report.figures.plan_deviations import predicted_deviations
-from calib_pin.report.figures.plan_positions import (
+from calib_pin.report.figures.plans import (
+    criterion_by_count,
     planned_positions,
+    predicted_deviations,
     tool_positions,
 )
-from calib_pin.report.figures.plan_steps import criterion_by_count
 
 
 def test_the_plan_and_chance_are_marked(

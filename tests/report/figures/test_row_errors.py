@@ -26,7 +26,7 @@ def test_points_are_the_errors(
     drawn = draw(errors_per_measurement, calibrated)
     titles = []
     for row, columns, factor in ((0, slice(0, 3), 1e3), (1, slice(3, 6), 180 / np.pi)):
-        for k, part in enumerate((calibrated.fitted, calibrated.unseen)):
+        for k, part in enumerate((calibrated.fitted, calibrated.held_out)):
             axes = drawn.figure.axes[2 * row + k]
             assert axes.get_yscale() == "log"
             for stage in ("before", "after"):
@@ -66,7 +66,7 @@ def test_what_has_no_logarithm_stands_at_the_ends(
     result = replace(
         calibrated,
         fitted=fitted,
-        unseen=None,
+        held_out=None,
         statistics=replace(calibrated.statistics, outliers=()),
     )
     drawn = draw(errors_per_measurement, result)

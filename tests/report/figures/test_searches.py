@@ -10,11 +10,10 @@ import pytest
 from matplotlib.patches import PathPatch
 
 from calib_pin.report.figures.canvas import Drawn
-from calib_pin.report.figures.convergence import convergence
-from calib_pin.report.figures.ladder import model_ladder
+from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.tip_accuracy import tip_by_count, tip_in_workspace
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Ladder, Rung
+from calib_pin.validation.summaries import Candidate, ModelSelection
 
 
 def test_convergence_is_the_history(
@@ -116,10 +115,12 @@ def test_rungs_have_their_score_and_its_deviation(
 def test_rungs_alike_have_a_linear_axis(
     calibrated: CalibrationResult, draw: Callable[..., Drawn], score: float
 ) -> None:
-    rung = Rung("a\nname", (), None, 7, (("x", "m", 1e-3),), score, 0.1 * score)
-    drawn = draw(model_ladder, replace(calibrated, ladder=Ladder((rung,), 0)))
+    rung = Candidate("a\nname", (), None, 7, (("x", "m", 1e-3),), score, 0.1 * score)
+    drawn = draw(
+        model_ladder, replace(calibrated, model_selection=ModelSelection((rung,), 0))
+    )
     (axes,) = drawn.figure.axes
     assert axes.get_xscale() == "linear" and axes.get_xlim()[0] == 0.0
     assert drawn.svg()
-    untried = Ladder((Rung("a", (), None, reason="too few rows"),), 0)
-    assert model_ladder(replace(calibrated, ladder=untried)) is None
+    untried = ModelSelection((Candidate("a", (), None, reason="too few rows"),), 0)
+    assert model_ladder(replace(calibrated, model_selection=untried)) is None

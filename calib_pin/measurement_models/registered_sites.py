@@ -10,18 +10,18 @@ import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact_registration import Reached
-from calib_pin.measurement_models.features import Feature
-from calib_pin.measurement_models.named_points import placed_tool, tip_points
+from calib_pin.measurement_models.named_points import located_tool, tip_points
+from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.measurement_models.tool_point import PointModel
 from calib_pin.observations import Measurements
 
 
 @dataclass(frozen=True)
-class PlaceModel(PointModel):
+class SiteModel(PointModel):
     """A point of the tool against places that are registered from rows of theirs."""
 
     def reached(
-        self, F: Floats, data: Measurements, point: Floats | None, place: Feature
+        self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> Reached:
         """What the rows of one place and one point tell in closed form.
 
@@ -29,11 +29,11 @@ class PlaceModel(PointModel):
             F: Tip poses in the measuring frame, shape (N, 4, 4).
             data: The rows.
             point: The point in the tip frame where it is known, shape (3,) [m].
-            place: The place, not placed yet.
+            site: The place, not placed yet.
         """
         raise NotImplementedError
 
-    def found(self, place: Feature, reached: Reached) -> Feature:
+    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
         """The place where that has put it."""
         raise NotImplementedError
 
@@ -45,29 +45,29 @@ class PlaceModel(PointModel):
         A base that is not given stays where the URDF puts it.
         """
         base = base or pin.SE3.Identity()
-        label, place = self.names(data.target, data)
+        label, site = self.names(data.target, data)
         F = base.homogeneous @ F
         tip = tip_points(self.points, tool)
         for k in np.unique(label[np.isnan(tip[label, 0])]):
             found, sizes = [], []
-            for s in np.unique(place[label == k]):
-                rows = (label == k) & (place == s)
-                reached = self.reached(F[rows], data.rows(rows), None, self.places[s])
+            for s in np.unique(site[label == k]):
+                rows = (label == k) & (site == s)
+                reached = self.reached(F[rows], data.rows(rows), None, self.sites[s])
                 found.append(reached.point)
                 sizes.append(rows.sum())
             # The place with most rows: a poor one would spoil an average.
             tip[k] = found[int(np.argmax(sizes))]
-        points, tool = placed_tool(tip, self.points, tool)
+        points, tool = located_tool(tip, self.points, tool)
         at = tip_points(points, tool)[label]
         # With the points in place, every row tells of its place.
         moved = F.copy()
         moved[:, :3, 3] += np.einsum("nij,nj->ni", F[:, :3, :3], at)
-        places = list(self.places)
-        for s, feature in enumerate(places):
-            rows = place == s
-            if not feature.placed and rows.any():
+        sites = list(self.sites)
+        for s, reference in enumerate(sites):
+            rows = site == s
+            if not reference.located and rows.any():
                 reached = self.reached(
-                    moved[rows], data.rows(rows), np.zeros(3), feature
+                    moved[rows], data.rows(rows), np.zeros(3), reference
                 )
-                places[s] = self.found(feature, reached)
-        return replace(self, points=points, places=tuple(places)), base, tool
+                sites[s] = self.found(reference, reached)
+        return replace(self, points=points, sites=tuple(sites)), base, tool

@@ -10,11 +10,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.report.comparison_text import comparison_report
+from calib_pin.report.comparison import comparison_report
 from calib_pin.report.tables import significant
 from calib_pin.report.terminal import plain_text
-from calib_pin.validation.comparison import Comparison, Displacement, compare
-from calib_pin.validation.parameter_changes import Difference
+from calib_pin.validation.comparison import (
+    Comparison,
+    Difference,
+    Displacement,
+    compare,
+)
 
 
 @pytest.fixture(scope="module")

@@ -1,9 +1,9 @@
 """What measurements refer to beside the robot: points, planes, spheres, anchors.
 
-A feature is frozen and carries a reference, that it may lack until it is registered;
-its parameters are deviations from that. Rows name it as their target. Whatever has
-parameters of its own beside the robot's is a feature, so that a measurement model is
-only the formula that relates a tool pose to some of them.
+A reference object is frozen and carries a reference, that it may lack until it is
+registered; its parameters are deviations from that. Measurements name it as their
+target. Whatever has parameters beside the robot's is a reference object, so that a
+measurement model is only the formula that relates a tool pose to some of them.
 """
 
 from __future__ import annotations
@@ -40,7 +40,7 @@ Stated = PointSetup | PlaneSetup | SphereSetup | AnchorSetup | CameraSetup | Fra
 """A reference as a setup file would state it."""
 
 
-class Feature(Protocol):
+class ReferenceObject(Protocol):
     """Something with a name that rows refer to."""
 
     @property
@@ -54,7 +54,7 @@ class Feature(Protocol):
         ...
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether it has a reference."""
         ...
 
@@ -63,8 +63,8 @@ class Feature(Protocol):
         """Its parameters, deviations from the reference."""
         ...
 
-    def rebased(self, own: Floats) -> Self:
-        """The same about moved references; own has shape (K,)."""
+    def rebased(self, values: Floats) -> Self:
+        """The same about moved references; shape (K,)."""
         ...
 
     def stated(self) -> Stated:
@@ -78,11 +78,11 @@ def nuisances(
     components: Iterable[tuple[str, str, bool]],
     outer: bool = True,
 ) -> tuple[Parameter, ...]:
-    """Parameters `<owner>.<kind>.<component>` of a feature.
+    """Parameters `<owner>.<kind>.<component>` of a reference object.
 
     Args:
-        owner: Name of the feature.
-        kind: Kind of the feature.
+        owner: Name of the object.
+        kind: Kind of the object.
         components: Name, unit, and whether it is estimated.
         outer: Whether it stands where the base does and not on the tool.
     """
@@ -114,7 +114,7 @@ class Point:
         return f"{self.kind}s"
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether its place is given or registered."""
         return self.xyz is not None
 
@@ -125,14 +125,14 @@ class Point:
         components = ((c, "m", free) for c in "xyz")
         return nuisances(self.name, self.kind, components, self.kind != "target")
 
-    def at(self, own: Floats) -> Floats:
+    def at(self, values: Floats) -> Floats:
         """Its place, shape (3,) [m]."""
         assert self.xyz is not None
-        return np.asarray(self.xyz + own)
+        return np.asarray(self.xyz + values)
 
-    def rebased(self, own: Floats) -> Point:
+    def rebased(self, values: Floats) -> Point:
         """Moved by (x, y, z)."""
-        return replace(self, xyz=self.at(own))
+        return replace(self, xyz=self.at(values))
 
     def stated(self) -> PointSetup:
         """Its place."""
@@ -160,7 +160,7 @@ class Sphere:
     section = "spheres"
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether center and radius are given or registered."""
         return self.xyz is not None and self.radius is not None
 
@@ -171,11 +171,11 @@ class Sphere:
         radius = ("r", "m", self.estimate_radius)
         return nuisances(self.name, "sphere", [*center, radius])
 
-    def rebased(self, own: Floats) -> Sphere:
+    def rebased(self, values: Floats) -> Sphere:
         """Moved by (x, y, z) and larger by r."""
         assert self.xyz is not None and self.radius is not None
-        radius = self.radius + float(own[3])
-        return replace(self, xyz=self.xyz + own[:3], radius=radius)
+        radius = self.radius + float(values[3])
+        return replace(self, xyz=self.xyz + values[:3], radius=radius)
 
     def stated(self) -> SphereSetup:
         """Its center and radius."""
@@ -205,22 +205,24 @@ class Anchor:
     section = "anchors"
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether its place is given or registered."""
         return self.xyz is not None
 
     @property
     def parameters(self) -> Sequence[Parameter]:
         """`<anchor>.anchor.x|y|z|bias`."""
-        place = [(c, "m", self.estimate) for c in "xyz"]
+        site = [(c, "m", self.estimate) for c in "xyz"]
         return nuisances(
-            self.name, "anchor", [*place, ("bias", "m", self.estimate_bias)]
+            self.name, "anchor", [*site, ("bias", "m", self.estimate_bias)]
         )
 
-    def rebased(self, own: Floats) -> Anchor:
+    def rebased(self, values: Floats) -> Anchor:
         """Moved by (x, y, z), with another bias."""
         assert self.xyz is not None
-        return replace(self, xyz=self.xyz + own[:3], bias=self.bias + float(own[3]))
+        return replace(
+            self, xyz=self.xyz + values[:3], bias=self.bias + float(values[3])
+        )
 
     def stated(self) -> AnchorSetup:
         """Its place and bias."""
@@ -251,7 +253,7 @@ class Frame:
         return f"{self.kind} frames"
 
     @property
-    def placed(self) -> bool:
+    def located(self) -> bool:
         """Whether it is registered."""
         return self.pose is not None
 
@@ -263,31 +265,31 @@ class Frame:
         components = ((c, u, self.estimate) for c, u in units)
         return nuisances(self.name, self.kind, components, self.kind == "base")
 
-    def rebased(self, own: Floats) -> Frame:
+    def rebased(self, values: Floats) -> Frame:
         """Moved by the screws."""
         assert self.pose is not None
         pose = self.pose
-        for k in np.flatnonzero(own):
-            pose = pose * pin.exp6(np.eye(6)[k] * own[k])
+        for k in np.flatnonzero(values):
+            pose = pose * pin.exp6(np.eye(6)[k] * values[k])
         return replace(self, pose=pose)
 
-    def moved(self, own: Floats) -> Floats:
+    def moved(self, values: Floats) -> Floats:
         """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
         from calib_pin.compiled import link_kernels
 
         assert self.pose is not None
         reference = self.pose.homogeneous[:3].reshape(1, 12)
-        result, first = np.empty((len(own), 1, 12)), np.zeros(6, np.int64)
+        result, first = np.empty((len(values), 1, 12)), np.zeros(6, np.int64)
         screws = first, np.arange(6), np.eye(6)
-        link_kernels.links(reference, *screws, np.ascontiguousarray(own), result)
+        link_kernels.links(reference, *screws, np.ascontiguousarray(values), result)
         return result[:, 0]
 
-    def twists(self, own: Floats) -> Floats:
+    def twists(self, values: Floats) -> Floats:
         """Body twists of the frame by its parameters, shape (6, 6)."""
         result, behind = np.eye(6), pin.SE3.Identity()
         for k in reversed(range(6)):
             result[:, k] = behind.toActionMatrixInverse()[:, k]
-            behind = pin.exp6(np.eye(6)[k] * own[k]) * behind
+            behind = pin.exp6(np.eye(6)[k] * values[k]) * behind
         return result
 
     def stated(self) -> FrameSetup:
@@ -298,32 +300,32 @@ class Frame:
         return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
 
 
-def slices(features: Sequence[Feature]) -> list[slice]:
-    """Where the parameters of each feature stand among those of all."""
-    ends = np.cumsum([0, *(len(feature.parameters) for feature in features)])
+def slices(references: Sequence[ReferenceObject]) -> list[slice]:
+    """Where the parameters of each reference object stand among those of all."""
+    ends = np.cumsum([0, *(len(reference.parameters) for reference in references)])
     return [slice(int(a), int(b)) for a, b in pairwise(ends)]
 
 
 def locate(
     names: Sequence[str],
-    features: Sequence[Feature],
+    references: Sequence[ReferenceObject],
     what: str,
     data: Measurements | None = None,
     alone: bool = True,
 ) -> NDArray[np.int64]:
-    """Position of the feature that each row names.
+    """Position of the reference object that each measurement names.
 
     Args:
         names: Name of each row.
-        features: The features.
+        references: The reference objects.
         what: What they are called in messages.
         data: Tells where a wrong name stands.
-        alone: Whether rows may leave the name out where there is one feature.
+        alone: Whether the name may be left out where there is one.
 
     Raises:
-        InputError: If there is no feature of a name.
+        InputError: If there is none of a name.
     """
-    known = {feature.name: k for k, feature in enumerate(features)}
+    known = {reference.name: k for k, reference in enumerate(references)}
     if alone and len(known) == 1:
         known[""] = 0
     try:
@@ -338,7 +340,7 @@ def locate(
         if name
         else f"the row names no {what}",
         column="target",
-        allowed=", ".join(feature.name for feature in features),
+        allowed=", ".join(reference.name for reference in references),
     )
 
 

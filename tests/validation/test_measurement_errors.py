@@ -41,10 +41,10 @@ def position() -> CalibrationResult:
 
 def test_sizes_are_those_of_the_accuracy(position: CalibrationResult) -> None:
     (error,) = position.errors
-    assert position.unseen is not None
+    assert position.held_out is not None
     for rows, stages in (
         (position.fitted, (error.before, error.after)),
-        (position.unseen, (error.validation_before, error.validation_after)),
+        (position.held_out, (error.validation_before, error.validation_after)),
     ):
         found = rows.sizes(rows.quantities[0])
         for sizes, accuracy in zip(found, stages, strict=True):
@@ -59,13 +59,13 @@ def test_sizes_are_those_of_the_accuracy(position: CalibrationResult) -> None:
 
 def test_unseen_rows_keep_the_order_of_the_file(position: CalibrationResult) -> None:
     """Folds are drawn at random; what is shown stands where the row does."""
-    assert position.unseen is not None
-    np.testing.assert_array_equal(position.unseen.rows.q, position.fitted.rows.q)
+    assert position.held_out is not None
+    np.testing.assert_array_equal(position.held_out.rows.q, position.fitted.rows.q)
     # Predicted by other fits, but of the same rows: nearly the same before.
     np.testing.assert_allclose(
-        position.unseen.before, position.fitted.before, atol=3e-3
+        position.held_out.before, position.fitted.before, atol=3e-3
     )
-    assert not np.array_equal(position.unseen.after, position.fitted.after)
+    assert not np.array_equal(position.held_out.after, position.fitted.after)
 
 
 def test_points_and_displacements_are_in_the_base_link(
@@ -90,7 +90,7 @@ def test_of_distances_there_are_no_displacements() -> None:
         chain, rows, Setup(planes=WALL, parameters=("joint-offset",)), validate=False
     )
     assert result.fitted.displacements is None
-    assert result.unseen is None
+    assert result.held_out is None
     assert result.fitted.after.shape == result.fitted.sigma.shape == (60, 1)
 
 

@@ -18,7 +18,7 @@ AXES = ("x", "y", "z")
 
 
 @dataclass(frozen=True)
-class RowErrors:
+class MeasurementErrors:
     """Errors of N measurements, predicted minus measured.
 
     Attributes:
@@ -52,7 +52,7 @@ class RowErrors:
         before: Floats,
         after: Floats,
         leverage: Floats | None = None,
-    ) -> RowErrors:
+    ) -> MeasurementErrors:
         """Errors of rows that a fitted problem has, or of others.
 
         Args:
@@ -67,7 +67,7 @@ class RowErrors:
         T = error.poses(rows.q, of_error, error.basis(rows.q, rows.payload))
         base = error.base * error.corrections(of_error)[0]
         to_base = base.inverse()
-        return RowErrors(
+        return MeasurementErrors(
             rows=rows,
             quantities=tuple(problem.measurement.quantities),
             before=before,

@@ -5,9 +5,9 @@ from __future__ import annotations
 import numpy as np
 import pytest
 
-from calib_pin.control.tip_errors import tip_errors
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import so3_exp
+from studies.tip_errors import tip_errors
 
 
 def poses(count: int, seed: int) -> np.ndarray:

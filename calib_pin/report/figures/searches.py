@@ -1,4 +1,4 @@
-"""Model selection: the gain of every further part of the model."""
+"""Convergence of a search, and model selection."""
 
 from __future__ import annotations
 
@@ -8,17 +8,46 @@ import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
-from calib_pin.report.figures.canvas import AFTER, MUTED, WIDTH, Drawn, marks, panel
-from calib_pin.report.figures.labels import (
-    log_axis,
-    log_limits,
-    shortened,
-    unit_of,
+from calib_pin.report.figures.canvas import (
+    AFTER,
+    MUTED,
+    WIDTH,
+    Drawn,
+    marks,
+    panel,
+    panels,
 )
-from calib_pin.report.figures.lists import beside
+from calib_pin.report.figures.estimates import beside
+from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.tables import number
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Ladder, Rung
+from calib_pin.validation.summaries import Candidate, ModelSelection
+
+
+def convergence(result: CalibrationResult) -> Drawn | None:
+    """The best cost of every generation, where there were any."""
+    cost = np.array(result.solver.history)
+    limits = log_limits(cost)
+    if len(cost) < 2 or limits is None:
+        return None
+    figure = Figure(figsize=(WIDTH, 2.5))
+    (axes,) = panels(figure, 1, 0.15, 1.85, left=0.85)
+    generation = np.arange(len(cost))
+    shown = np.isfinite(cost) & (cost > 0.0)
+    axes.plot(generation[shown], cost[shown], color=AFTER, drawstyle="steps-post")
+    log_axis(axes, "y", limits)
+    axes.set_xlim(0, len(cost) - 1)
+    axes.set_xlabel("generation")
+    axes.set_ylabel("best cost")
+    return Drawn(
+        "convergence",
+        "Convergence of the search",
+        f"Half the sum of squared normalized residuals of the best member fell from "
+        f"{number(cost[0])} to {number(cost[-1])} in {len(cost) - 1} generations of "
+        f"{result.solver.name}. Where the curve ends flat, more would not have helped.",
+        figure,
+    )
+
 
 LINE = 0.3
 """Height of a candidate [inch]."""
@@ -35,16 +64,16 @@ DWARFS = 8.0
 
 def model_ladder(result: CalibrationResult) -> Drawn | None:
     """Mean error on validation measurements by candidate, with its standard error."""
-    ladder = result.ladder
-    if ladder is None or not np.isfinite([r.score for r in ladder.rungs]).any():
+    ladder = result.model_selection
+    if ladder is None or not np.isfinite([r.score for r in ladder.candidates]).any():
         return None
-    count = len(ladder.rungs)
+    count = len(ladder.candidates)
     height = LINE * (count + 0.4)
     figure = Figure(figsize=(WIDTH, height + 0.65))
     axes = panel(figure, LEFT, 0.1, WIDTH - LEFT - RIGHT, height)
     _rungs(axes, ladder)
-    _scale(axes, [r for r in ladder.rungs if np.isfinite(r.score)])
-    kept = ladder.rungs[ladder.chosen]
+    _scale(axes, [r for r in ladder.candidates if np.isfinite(r.score)])
+    kept = ladder.candidates[ladder.chosen]
     return Drawn(
         "model-ladder",
         "Model selection",
@@ -55,9 +84,9 @@ def model_ladder(result: CalibrationResult) -> Drawn | None:
     )
 
 
-def _rungs(axes: Axes, ladder: Ladder) -> None:
+def _rungs(axes: Axes, ladder: ModelSelection) -> None:
     """A point with its standard error for every candidate, the simplest at the top."""
-    for k, rung in enumerate(ladder.rungs):
+    for k, rung in enumerate(ladder.candidates):
         if not np.isfinite(rung.score):
             continue
         kept = k == ladder.chosen
@@ -69,9 +98,9 @@ def _rungs(axes: Axes, ladder: Ladder) -> None:
             capsize=3.0,
             label=rung.name,
         )
-    axes.set_ylim(len(ladder.rungs) - 0.3, -0.7)
+    axes.set_ylim(len(ladder.candidates) - 0.3, -0.7)
     axes.set_yticks([])
-    for k, rung in enumerate(ladder.rungs):
+    for k, rung in enumerate(ladder.candidates):
         remark = " (selected)" if k == ladder.chosen else ""
         beside(axes, k, f"{shortened(rung.name, 30)}{remark}", size=9.0)
         place = axes.get_yaxis_transform()
@@ -79,7 +108,7 @@ def _rungs(axes: Axes, ladder: Ladder) -> None:
     axes.set_xlabel("mean error on validation measurements [std. dev.]")
 
 
-def _scale(axes: Axes, rungs: Sequence[Rung]) -> None:
+def _scale(axes: Axes, rungs: Sequence[Candidate]) -> None:
     """The axis of the errors, logarithmic where one candidate dwarfs another."""
     best = min(rungs, key=lambda rung: rung.score)
     axes.axvline(best.score + best.deviation, color=MUTED, linestyle=":")
@@ -94,7 +123,7 @@ def _scale(axes: Axes, rungs: Sequence[Rung]) -> None:
         axes.set_xlim(0.0, 1.08 * float(highs.max()) or 1.0)
 
 
-def _errors(rung: Rung) -> str:
+def _errors(rung: Candidate) -> str:
     """Mean errors in their own units, or why there are none."""
     if rung.reason:
         return "not tried"

@@ -1,0 +1,287 @@
+"""The estimates of the robot, parameters and linear combinations, in panels."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+import numpy as np
+from matplotlib.axes import Axes
+from matplotlib.figure import Figure
+
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.report.figures.canvas import (
+    AFTER,
+    GRID,
+    INK,
+    MUTED,
+    WIDTH,
+    Drawn,
+    key,
+    marks,
+    panel,
+)
+from calib_pin.report.figures.labels import shortened, unit_of
+from calib_pin.validation.result import (
+    CalibrationResult,
+    CoupledGroup,
+    ParameterEstimate,
+)
+
+
+@dataclass(frozen=True)
+class Estimate:
+    """A parameter or a linear combination that is known.
+
+    Attributes:
+        label: Its name in figures.
+        unit: Its unit.
+        value: Estimate.
+        sigma: Standard deviation.
+        terms: Names of parameters and their coefficients.
+    """
+
+    label: str
+    unit: str
+    value: float
+    sigma: float
+    terms: tuple[tuple[str, float], ...]
+
+
+def of_robot(
+    parameters: Sequence[ParameterEstimate],
+    groups: Sequence[CoupledGroup],
+    error: ErrorModel,
+) -> list[Estimate]:
+    """Identifiable parameters and combinations of the robot, from base to tip.
+
+    A combination that begins with a frame or the instrument is theirs.
+
+    Args:
+        parameters: All parameters.
+        groups: All coupled groups.
+        error: Tells what belongs to the robot.
+    """
+    own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
+    place = {parameter.name: k for k, parameter in enumerate(parameters)}
+    found: list[tuple[int, Estimate]] = []
+    for p in parameters:
+        if p.status == "identifiable" and p.name in own and _known(p.sigma):
+            terms = ((p.name, 1.0),)
+            found.append((place[p.name], _estimate(shortened(p.name), p, terms)))
+    for g in groups:
+        if g.terms[0][0] in own and _known(g.sigma):
+            at = place[g.terms[0][0]]
+            found.append((at, _estimate(f"combination {g.number}", g, g.terms)))
+    return [estimate for _, estimate in sorted(found, key=lambda pair: pair[0])]
+
+
+def _known(sigma: float | None) -> bool:
+    return sigma is not None and bool(np.isfinite(sigma))
+
+
+def _estimate(
+    label: str,
+    of: ParameterEstimate | CoupledGroup,
+    terms: tuple[tuple[str, float], ...],
+) -> Estimate:
+    assert of.sigma is not None, "only what is known is an estimate"
+    return Estimate(label, of.unit, of.value, of.sigma, terms)
+
+
+def correlation(
+    estimates: Sequence[Estimate], places: Mapping[str, int], covariance: Floats
+) -> Floats:
+    """Correlation of estimates, shape (n, n); NaN for one without a variance.
+
+    Args:
+        estimates: The n estimates.
+        places: Positions of the parameters by name.
+        covariance: Of the parameters, shape (P, P).
+    """
+    C = np.zeros((len(estimates), len(covariance)))
+    for row, estimate in zip(C, estimates, strict=True):
+        for name, coefficient in estimate.terms:
+            row[places[name]] = coefficient
+    S = C @ covariance @ C.T
+    variance = np.diag(S)
+    sigma = np.sqrt(np.where(variance > 0.0, variance, np.nan))
+    return np.asarray(np.clip(S / np.outer(sigma, sigma), -1.0, 1.0))
+
+
+MOST = 48
+"""Lines of a panel."""
+
+LINE = 0.175
+"""Height of a line [inch]."""
+
+LEFT = 2.8
+"""Width of the names [inch]."""
+
+HEAD = 0.35
+"""Height above the first panel [inch]."""
+
+FOOT = 0.55
+"""Height of the labels below a panel [inch]."""
+
+
+RULE: dict[str, Any] = {"color": GRID, "linewidth": 0.6, "zorder": 0.5}
+
+
+@dataclass(frozen=True)
+class Listed:
+    """A panel with the estimates of one unit.
+
+    Attributes:
+        axes: The panel; a line is one high, the first one at zero.
+        unit: What people read.
+        estimates: The estimates of its lines.
+        values: Estimates in that unit, shape (n,).
+        sigmas: Standard deviations in that unit, shape (n,).
+    """
+
+    axes: Axes
+    unit: str
+    estimates: list[Estimate]
+    values: Floats
+    sigmas: Floats
+
+
+def lists(
+    estimates: Sequence[Estimate], weight: Callable[[Estimate], float]
+) -> tuple[Figure, list[Listed], str]:
+    """A figure with empty panels, and a remark if something is left out.
+
+    Args:
+        estimates: The estimates, in order.
+        weight: Where there are too many, those where this is largest are kept.
+    """
+    units: dict[str, list[Estimate]] = {}
+    for estimate in estimates:
+        units.setdefault(estimate.unit, []).append(estimate)
+    kept = {unit: _heaviest(own, weight) for unit, own in units.items()}
+    lines = sum(map(len, kept.values()))
+    figure = Figure(
+        figsize=(WIDTH, HEAD + LINE * (lines + len(kept)) + FOOT * len(kept))
+    )
+    found, top = [], HEAD
+    for unit, own in kept.items():
+        height = LINE * (len(own) + 1)
+        axes = panel(figure, LEFT, top, WIDTH - LEFT - 0.2, height)
+        axes.set_ylim(len(own) - 0.2, -0.8)
+        axes.set_yticks([])
+        for k, estimate in enumerate(own):
+            beside(axes, k, estimate.label)
+        axes.hlines(
+            range(len(own)), 0.0, 1.0, **RULE, transform=axes.get_yaxis_transform()
+        )
+        shown, factor = unit_of(unit)
+        values, sigmas = (
+            factor * np.array([getattr(estimate, name) for estimate in own])
+            for name in ("value", "sigma")
+        )
+        found.append(Listed(axes, shown, own, values, sigmas))
+        top += height + FOOT
+    dropped = len(estimates) - lines
+    return figure, found, f" {dropped} smaller ones are left out." if dropped else ""
+
+
+def _heaviest(
+    estimates: list[Estimate], weight: Callable[[Estimate], float]
+) -> list[Estimate]:
+    """The heaviest ones, in their own order."""
+    order = sorted(range(len(estimates)), key=lambda k: -weight(estimates[k]))
+    return [estimates[k] for k in sorted(order[:MOST])]
+
+
+def beside(
+    axes: Axes,
+    line: float,
+    label: str,
+    size: float = 8.5,
+    gap: float = 4.0,
+    color: str = INK,
+) -> None:
+    """A label at the left of a line; much faster than a tick.
+
+    Args:
+        axes: The axes.
+        line: Height of the line in the axes' own numbers.
+        label: The label.
+        size: Size of the font [pt].
+        gap: Distance from the axes [pt].
+        color: Its color.
+    """
+    axes.annotate(
+        label,
+        (0.0, line),
+        xycoords=axes.get_yaxis_transform(),
+        xytext=(-gap, 0.0),
+        textcoords="offset points",
+        ha="right",
+        va="center_baseline",
+        fontsize=size,
+        color=color,
+        annotation_clip=False,
+    )
+
+
+SURE = 2.0
+"""Standard deviations from zero beyond which a parameter is not zero."""
+
+SIGNS: dict[str, dict[str, Any]] = {
+    "differs from zero": marks(AFTER, "o", 5.0),
+    "may be zero": marks(MUTED, "s", 4.5, hollow=True),
+}
+
+
+def parameter_intervals(result: CalibrationResult) -> Drawn | None:
+    """Estimates of the robot with two standard deviations, one panel per unit."""
+    estimates = of_robot(result.parameters, result.groups, result.model.error)
+    if not estimates:
+        return None
+    figure, panels, remark = lists(estimates, _significance)
+    for listed in panels:
+        _intervals(listed)
+    key(figure, SIGNS, LEFT)
+    sure = sum(_significance(estimate) > SURE for estimate in estimates)
+    return Drawn(
+        "parameter-intervals",
+        "Estimated errors of the robot",
+        f"Values with two standard deviations to either side, from base to tip; {sure} "
+        f"of {len(estimates)} differ from zero. Intervals shorter than the mark do "
+        f"not show. The table of linear combinations has their formulae.{remark}",
+        figure,
+    )
+
+
+def _significance(estimate: Estimate) -> float:
+    """Distance from zero in standard deviations."""
+    if estimate.sigma == 0.0:
+        return math.inf if estimate.value else 0.0
+    return abs(estimate.value) / estimate.sigma
+
+
+def _intervals(listed: Listed) -> None:
+    axes, lines = listed.axes, np.arange(len(listed.values))
+    sure = np.array([_significance(e) > SURE for e in listed.estimates])
+    axes.axvline(0.0, color=INK, linewidth=0.8)
+    reach = SURE * listed.sigmas
+    low, high = listed.values - reach, listed.values + reach
+    for chosen, (label, sign) in zip((sure, ~sure), SIGNS.items(), strict=True):
+        if not chosen.any():
+            continue
+        axes.hlines(lines[chosen], low[chosen], high[chosen], color=sign["color"])
+        axes.plot(
+            *(listed.values[chosen], lines[chosen]),
+            **sign,
+            label=label,
+        )
+    ends = min(float(low.min()), 0.0), max(float(high.max()), 0.0)
+    room = 0.04 * (ends[1] - ends[0]) or 1.0
+    axes.set_xlim(ends[0] - room, ends[1] + room)
+    axes.locator_params(axis="x", nbins=6)
+    axes.set_xlabel(f"estimate [{listed.unit}]")

@@ -181,7 +181,7 @@ def appearing(
     they show, the more the larger the errors are.
 
     Args:
-        directions: What the fit moved, and what it left at nominal.
+        directions: Directions that the fit moved, and those held at nominal.
         J: Whitened Jacobian at its solution, shape (M, P).
         r: Whitened residual there, shape (M,).
         parameters: The parameters.
@@ -305,13 +305,7 @@ def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
 
     Directions enter from the best determined on; each lowers the residual that the
     next is judged by. Starting with few keeps a poor linearization from moving what
-    the data cannot hold.
-
-    Args:
-        s: Singular values, shape (m,), descending.
-        along: Residual along the left singular vectors, shape (m,).
-        square: Sum of squared residuals without any direction.
-        dof: Residual components minus the rank of the nuisances.
+    the data cannot hold. Residuals are given along the left singular vectors, (m,).
     """
     count = 0
     while count < min(len(s), dof - 1):

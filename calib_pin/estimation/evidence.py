@@ -1,4 +1,4 @@
-"""What decides how far a calibration can be trusted, as plain data.
+"""Facts that decide how far a calibration can be trusted, as plain data.
 
 The modules that find these facts stand on their own; the verdict, the report and the
 files read them from here.
@@ -15,7 +15,7 @@ import numpy as np
 from calib_pin.kinematics.spatial import Floats
 
 VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
-"""What a calibration can come to."""
+"""Verdicts on a calibration."""
 
 TRUSTED = ("good", "no-gain")
 """Those of a result that may be used: as it is, or to leave the robot as it is."""
@@ -25,7 +25,7 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with the data or the result, with the numbers that show it.
+    """A defect of the data or the result, with the numbers that show it.
 
     Attributes:
         code: What it is, a word for programs such as `known-distance`.
@@ -177,7 +177,7 @@ class FoundCurve:
 class TipAccuracy:
     """The error of the tip that the noise of the measurements leaves.
 
-    It is the standard deviation of the tool in the measuring frame by the covariance
+    It is the standard deviation of the tool in the measurement frame by the covariance
     of what was estimated; what stayed at nominal is not in it, nor what no parameter
     of the model describes.
 

@@ -248,13 +248,13 @@ def learned_correction(
         training_rows(problem, theta, directions), rng, progress=progress
     )
     if not (found.shift.any() or found(problem.data.q).any()):
-        # Nothing held on measurements that it had not seen.
+        # Nothing held on the validation measurements.
         return None
     return LearnedCorrection(found, directions @ found.shift)
 
 
 def training_rows(problem: Problem, theta: Floats, directions: Floats) -> TrainingRows:
-    """What a residual model learns from: residuals as functions of a correction.
+    """Residuals as functions of a correction, for a residual model to learn.
 
     Args:
         problem: The problem about the solution of a fit.
@@ -309,11 +309,6 @@ def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> Floats:
     """Directions of the error model that the fit could tell, in its scales, (P', k).
 
     Those of the robot and the frames; the instrument stays as it was fitted.
-
-    Args:
-        fitted: The fit.
-        problem: Its problem about the references that the directions are for.
-        theta: The solution about these, shape (P,).
     """
     parameters = problem.parameters
     _, J = problem.linearize(theta)

@@ -154,7 +154,7 @@ def posterior(
 def _held(
     problem: Problem, directions: Directions, size: float | None
 ) -> tuple[Floats, Floats]:
-    """What moves, shape (P, k), and the rows of a prior on it, shape (p, P).
+    """Moved directions, shape (P, k), and the rows of a prior on them, (p, P).
 
     Under a prior all errors of the robot move, those too that nominal geometry hides:
     away from it they show a little.
@@ -184,12 +184,9 @@ def _shared(
 
 
 def _by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
-    """What errors that repetitions have in common add to the covariance, (r, r).
+    """Covariance of errors that repetitions have in common, shape (r, r).
 
-    Args:
-        problem: The problem.
-        U: Orthonormal columns of its rows, shape (M, r).
-        shared: Variance of these errors of each quantity, shape (K,).
+    By orthonormal columns U of the rows, (M, r), and their variances, (K,).
     """
     size, rank = problem.components, U.shape[1]
     rows, label = repetitions(problem)

@@ -28,7 +28,7 @@ from calib_pin.setup import Setup
 def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
     """Error model, measurement model and data of a setup put together.
 
-    A measuring frame of its own exists for positions and poses. A ranger measures
+    A measurement frame exists for positions and poses. A laser distance sensor measures
     against a plane given in the base, which is known unless the setup frees it.
 
     Raises:

@@ -19,7 +19,7 @@ from calib_pin.parameterizations.linearization import PoseLinearization
 
 
 class Configured(Protocol):
-    """Where a model is asked; measurements are, too, beside what was measured."""
+    """Where a model is evaluated; measurements are, too, beside their values."""
 
     @property
     def q(self) -> Floats:

@@ -65,7 +65,7 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    # Mixed rows have only a part of the components each.
+    # Mixed measurements have only a part of the components each.
     least = min(
         q.columns.stop - q.columns.start for q in problem.measurement.quantities
     )
@@ -93,7 +93,8 @@ def structure_at(
     at = asked(problem, q, target)
     J = jacobian_at(problem, theta, at)
     found = structure(J[: len(J) - problem.priors], problem.parameters, len(q))
-    return replace(found, scaled=scale_observable(problem, theta, at, J)), J
+    scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
+    return replace(found, scaled=scaled), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
@@ -107,16 +108,6 @@ def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
     J = problem.jacobian(theta, at, sigma_at(problem, at.target))
     rows = J.reshape(-1, len(theta))
     return np.concatenate([rows, problem.further.jacobian(theta)])
-
-
-def scale_observable(
-    problem: Problem, theta: Floats, at: Configured, J: Floats
-) -> bool:
-    """Whether measurements and priors tell the size of the robot.
-
-    The arguments are as in `scale_deviation`.
-    """
-    return scale_deviation(problem, theta, at, J) < UNKNOWN
 
 
 def scale_deviation(
@@ -193,12 +184,7 @@ def growth(problem: Problem, theta: Floats) -> Floats:
 
 
 def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:
-    """Body twists of the tool as a point on it moves away from the base, (N, 6).
-
-    Args:
-        poses: The tool poses.
-        to_point: Poses of the point in the base link, shape (N, 4, 4).
-    """
+    """Body twists of the tool as a point on it, (N, 4, 4), leaves the base, (N, 6)."""
     twists = np.zeros((len(to_point), 6))
     R, p = poses.to_base[:, :3, :3], to_point[:, :3, 3]
     twists[:, :3] = np.einsum("nji,nj->ni", R, p)

@@ -10,7 +10,6 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass
 from functools import cached_property
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -24,22 +23,6 @@ from calib_pin.measurement_models.references import (
     slices,
 )
 from calib_pin.setup import DistanceSetup
-
-
-class RowBlock(Protocol):
-    """Whitened residual rows as a function of all parameters."""
-
-    def __len__(self) -> int:
-        """Number p of rows."""
-        ...
-
-    def residual(self, theta: Floats) -> Floats:
-        """The rows for one vector of parameters or for many, (..., P) -> (..., p)."""
-        ...
-
-    def jacobian(self, theta: Floats) -> Floats:
-        """Their derivative, (P,) -> (p, P)."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -94,13 +77,13 @@ class Priors:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Several blocks one behind the other.
+    """Whitened residual rows of several kinds, one behind the other.
 
     Attributes:
         blocks: The blocks, none of them empty.
     """
 
-    blocks: Sequence[RowBlock]
+    blocks: Sequence[KnownDistances | Expected | Priors]
 
     def __len__(self) -> int:
         """Number p of rows."""

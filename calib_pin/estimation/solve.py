@@ -127,7 +127,16 @@ class Solver:
         """
         start = nominal if previous is None else previous
         if self.name == "two-step":
-            return alternating_least_squares(problem, directions, start)
+            # Base, tool and instrument alternate with the robot until they agree.
+            scales = problem.parameters.scales[:, None]
+            result = alternation(
+                problem.linearize,
+                problem.cost,
+                start,
+                scales * directions.nuisances,
+                scales * directions.robot,
+            )
+            return Solution(result, "kernel" if problem.many else "pinocchio")
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -188,23 +197,8 @@ def descend(problem: Problem, directions: Directions, start: Floats) -> Solution
     return Solution(result, "kernel" if problem.many else "pinocchio")
 
 
-def alternating_least_squares(
-    problem: Problem, directions: Directions, start: Floats
-) -> Solution:
-    """Base, tool and instrument alternating with the robot, until they agree."""
-    scales = problem.parameters.scales[:, None]
-    result = alternation(
-        problem.linearize,
-        problem.cost,
-        start,
-        scales * directions.nuisances,
-        scales * directions.robot,
-    )
-    return Solution(result, "kernel" if problem.many else "pinocchio")
-
-
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
-    """Gauss-Newton from a start; very many rows begin with a sample of them.
+    """Gauss-Newton from a start; very many measurements begin with a sample of them.
 
     Args:
         problem: The problem.
@@ -263,12 +257,7 @@ def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) ->
     """An evolution has converged where next to nothing is left to gain.
 
     A population can meet anywhere, and a limit of generations can come at a minimum.
-
-    Args:
-        problem: What it minimized.
-        found: The evolution.
-        fun: Residual at its best member, shape (M,).
-        A: Jacobian by its directions there, shape (M, k).
+    Residual, (M,), and Jacobian by directions, (M, k), are those of its best member.
     """
     if found.status not in (Status.GENERATIONS, Status.CONVERGED):
         return found.status

@@ -1,4 +1,4 @@
-"""How well a fit knows where the tip is, over the workspace and by number of rows."""
+"""Predicted tool-point uncertainty, over the workspace and by measurements."""
 
 from __future__ import annotations
 
@@ -19,10 +19,10 @@ SAMPLES = 300
 """Configurations of the workspace."""
 
 ROWS = 400
-"""Rows among which the error is followed from few to many."""
+"""Measurements among which the error is followed from few to many."""
 
 COUNTS = 16
-"""Numbers of rows at which it is looked at."""
+"""Numbers of measurements at which it is looked at."""
 
 ROUNDING = 1e-7
 """Least singular value, of columns of unit length, with which they determine all: by
@@ -30,7 +30,7 @@ rounding it is up to 2e-8 where they do not."""
 
 
 LEVER = 1e-4
-"""What a radian weighs where frames are fitted to poses [m].
+"""Weight of a radian where frames are fitted to poses [m].
 
 So little that positions decide, and orientations only what positions leave open: where
 only positions were measured, orientations are known poorly or not at all.

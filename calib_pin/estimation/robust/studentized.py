@@ -121,7 +121,7 @@ class Studentized:
         )
 
     def limit(self, tail: float) -> Floats:
-        """What z^2 of each configuration exceeds with a probability, shape (G,)."""
+        """Quantile of z^2 of each configuration at a tail probability, shape (G,)."""
         return _quantiles(self.counts.sum(axis=1), tail)
 
 

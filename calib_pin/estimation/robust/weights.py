@@ -1,4 +1,4 @@
-"""Fits that measurements which are wrong cannot spoil.
+"""Fits that wrong measurements cannot corrupt.
 
 Every configuration has a weight, for all that is measured in one fails together. The
 weights minimize a truncated cost,
@@ -15,7 +15,7 @@ sequence of weighted least squares with the weights of Geman and McClure (equati
 from a cost that is nearly convex to one that redescends. What is graduated is the scale
 of z, their mu: it is estimated anew at every step, from the millimeters of the nominal
 robot down to the noise, and the first step starts from a registration by consensus.
-What comes out decides which configurations are accepted; the final fit is the ordinary
+The outcome decides which configurations are accepted; the final fit is the ordinary
 least squares of these, so all that is said of it holds, and the decision is repeated
 about it until it stands.
 """
@@ -60,7 +60,7 @@ class RobustOptions:
             others. Of one component in a hundred this is 5.3 deviations.
         stated_chance: The same where noise is all there is, as measurements state
             it.
-        spoiled: Root mean square by robust scale from which few carry much of
+        carried: Root mean square by robust scale from which few carry much of
             chi-square. With normal noise and forty configurations of one component
             it is above once in ten jobs; real robots, with tails, have up to 1.1.
         held: Scale, in stated deviations, up to which there is no more than noise.
@@ -68,7 +68,7 @@ class RobustOptions:
             sought.
         bent: Probability of a good configuration beyond where Huber's loss bends.
         breakdown: Share of configurations beyond which those set aside may as well
-            be the right ones. Medians hold up to one half; with four of ten spoiled
+            be the right ones. Medians hold up to one half; with four of ten wrong
             a few good ones may go as well.
         size: Expected errors of the robot while the solution is sought, in scales:
             it holds what measurements do not tell, and hardly anything else.
@@ -87,7 +87,7 @@ class RobustOptions:
 
     chance: float = 1e-5
     stated_chance: float = 0.01
-    spoiled: float = 1.2
+    carried: float = 1.2
     held: float = 1.3
     cut: float = 0.01
     bent: float = 0.1
@@ -166,10 +166,8 @@ def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
 
 
 def _plain(problem: Problem) -> Problem:
-    """The problem with all rows at full weight."""
-    return replace(
-        problem, data=replace(problem.data, weight=np.ones(len(problem.data)))
-    )
+    """The problem with all measurements at full weight."""
+    return _weighted(problem, np.ones(problem.data.configurations))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
@@ -182,12 +180,7 @@ def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
 
 
 def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
-    """The configurations whose residuals may be chance, shape (G,).
-
-    Args:
-        found: Residuals about a fit.
-        scale: Their scale by quantity, shape (Q,).
-    """
+    """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
     stated = bool((scale <= OPTIONS.held * found.least).all())
     tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
         len(found.squares), 1
@@ -205,7 +198,7 @@ def _scale(found: Studentized, accepted: NDArray[np.bool_]) -> Floats:
 
 
 def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
-    """Whether a least-squares fit may have been spoiled by some configurations.
+    """Whether a least-squares fit may have been corrupted by some configurations.
 
     A few stand out against the median, or carry the most of chi-square together, or so
     much is left that they may hide.
@@ -213,7 +206,7 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     every = np.ones(len(found.squares), bool)
     if (
         not _passed(found, scale).all()
-        or (found.scale(every) > OPTIONS.spoiled * scale).any()
+        or (found.scale(every) > OPTIONS.carried * scale).any()
     ):
         return True
     problem = fitted.problem
@@ -237,11 +230,7 @@ def _sought(
 ) -> tuple[Problem, Floats, Floats]:
     """The solution of a robust loss over the whole model, by consensus and steps.
 
-    Args:
-        problem: The problem, not registered.
-        loss: `huber` or a redescending one.
-        rank: Number of directions that the rows determine.
-        rng: Random generator of the consensus.
+    The measurements determine as many directions as the rank says.
 
     Returns:
         The problem about the consensus, with the scales that were found in its units
@@ -316,10 +305,7 @@ def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
 def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.bool_]:
     """The configurations that agree with a solution, judged without themselves, (G,).
 
-    Args:
-        problem: The problem with scales in its units.
-        theta: The solution, shape (P,).
-        weight: Weight of each configuration, shape (G,).
+    The problem has scales in its units, the weights are those of configurations, (G,).
     """
     parameters = problem.parameters
     basis = np.diag(parameters.scales)[:, parameters.free]
@@ -348,10 +334,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
 def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
     """The measurements of the configurations that do not fit, worst first.
 
-    Args:
-        fitted: The fit; the weights are in its data.
-        found: Residuals about it.
-        scale: Their scale by quantity, shape (Q,).
+    The weights are in the data of the fit; the scale is by quantity, shape (Q,).
     """
     problem = fitted.problem
     data = problem.data

@@ -20,7 +20,7 @@ TINY = 1e-300
 
 
 def chi_square_quantile(dof: float, tail: float) -> float:
-    """What chi-square exceeds with a given probability.
+    """The value that chi-square exceeds with a given probability.
 
     Args:
         dof: Degrees of freedom, positive, whole or not.

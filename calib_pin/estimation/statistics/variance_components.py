@@ -6,8 +6,8 @@ unit weight is estimated, so that position and orientation, pixels and millimete
 balanced by the data (Helmert, Foerstner; see `restricted_likelihood`). Known distances,
 priors and expected sizes keep the standard deviations that they have.
 
-Where configurations are repeated, the scatter of the repetitions is the pure error, and
-what a fit leaves between configurations beyond it is lack of fit (see `PureError`).
+Where configurations are repeated, the scatter of the repetitions is the pure error;
+residuals between configurations beyond it are lack of fit (see `PureError`).
 """
 
 from __future__ import annotations
@@ -175,11 +175,6 @@ def _tested(
 ) -> tuple[Variances, Floats]:
     """Estimate the variances of all quantities, and choose those to use.
 
-    Args:
-        groups: The quantities.
-        stated: Which have a stated variance, shape (K,).
-        start: First guesses of the variances, shape (K,).
-
     Returns:
         Estimates of all quantities relative to what is given, and the factors of the
         standard deviations to use, shape (K,): one where what is stated stands.
@@ -232,15 +227,10 @@ def _component(
     counts: Floats,
     pure: PureError | None,
 ) -> VarianceComponent:
-    """The noise of quantity k.
+    """The noise of quantity k, by variances of all relative to what is given.
 
-    Args:
-        problem: The problem.
-        k: Position of the quantity.
-        found: Estimated variances of all, relative to what is given.
-        factor: Factor of the standard deviation that is used.
-        counts: Measured values of each quantity, shape (K,).
-        pure: Pure error of its repetitions, None where there are too few.
+    The standard deviation is used with the factor; the counts are the measured values
+    of each quantity, shape (K,).
     """
     quantity = problem.measurement.quantities[k]
     given = problem.given_sigma[:, quantity.columns]

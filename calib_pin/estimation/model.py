@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Protocol, Self
+from typing import Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,38 +18,25 @@ from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 
-class Configured(Protocol):
-    """Where a model is evaluated; measurements are, too, beside their values."""
-
-    @property
-    def q(self) -> Floats:
-        """Joint positions, shape (N, n) [rad, m]."""
-        ...
-
-    @property
-    def target(self) -> Sequence[str]:
-        """Target that the instrument measures in each."""
-        ...
-
-    @property
-    def payload(self) -> Sequence[str]:
-        """Payload that the robot carries in each."""
-        ...
-
-    @property
-    def start(self) -> Floats:
-        """Where relative measurements start, NaN for others, (N, n) or (0, 0)."""
-        ...
-
-
 @dataclass(frozen=True)
 class Configurations:
-    """Configurations at which a model is asked; the attributes as in `Configured`."""
+    """Configurations at which a model is evaluated.
+
+    Attributes:
+        q: Joint positions, shape (N, n) [rad, m].
+        target: Target that the instrument measures in each.
+        payload: Payload that the robot carries in each.
+        start: Where relative measurements start, NaN for others, (N, n) or (0, 0).
+    """
 
     q: Floats
     target: tuple[str, ...]
     payload: tuple[str, ...]
     start: Floats
+
+
+Configured: TypeAlias = Configurations | Measurements
+"""Configurations, also those of measurements beside their values."""
 
 
 @dataclass(frozen=True)

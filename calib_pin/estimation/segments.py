@@ -113,12 +113,12 @@ class Segments:
 def _split(model: ErrorModel) -> Iterator[list[Factor]]:
     """Factors of `T(q, theta)` from base to tool, split at the joint motions."""
     chain = model.chain
-    at: list[list[Factor]] = [[] for _ in range(len(chain.joints) + 3)]
+    at: list[list[int]] = [[] for _ in range(len(model.chain.joints) + 3)]
     for k, screw in enumerate(model.screws):
         if screw.basis is None:
-            at[screw.frame].append((k, 1.0))
+            at[screw.frame].append(k)
     base, tip = chain.ends
-    factors: list[Factor] = [model.base, *at[0], base.inverse()]
+    factors: list[Factor] = [model.base, *_applied(at[0]), base.inverse()]
     for i in range(len(chain.joints)):
         placement, screws = chain.placements[i], at[i + 1]
         align = _to_axis(chain.axes[i])
@@ -127,9 +127,13 @@ def _split(model: ErrorModel) -> Iterator[list[Factor]]:
             inverted: list[Factor] = [(k, -1.0) for k in reversed(screws)]
             factors = [align.inverse(), *inverted, placement.inverse()]
         else:
-            yield [*factors, placement, *screws, align]
+            yield [*factors, placement, *_applied(screws), align]
             factors = [align.inverse()]
-    yield [*factors, tip, *at[-2], model.tool, *at[-1]]
+    yield [*factors, tip, *_applied(at[-2]), model.tool, *_applied(at[-1])]
+
+
+def _applied(screws: list[int]) -> list[Factor]:
+    return [(k, 1.0) for k in screws]
 
 
 def _to_axis(axis: Floats) -> pin.SE3:

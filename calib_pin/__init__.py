@@ -16,6 +16,8 @@ from __future__ import annotations
 from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
+from calib_pin.plugins import upper
+
 if TYPE_CHECKING:
     from calib_pin.calibration import calibrate
     from calib_pin.control.compensation import compensate
@@ -29,7 +31,7 @@ if TYPE_CHECKING:
     from calib_pin.kinematics.chain import Chain
     from calib_pin.observations import Measurements
     from calib_pin.planning.plan import plan
-    from calib_pin.report.page_file import report
+    from calib_pin.report.html import report
     from calib_pin.report.text import format_report
     from calib_pin.setup import Setup
     from calib_pin.simulation import draw_errors, simulate
@@ -85,13 +87,23 @@ _HOMES = {
     "read_measurements": "io.measurements",
     "read_result": "io.result_file",
     "read_setup": "io.setup",
-    "report": "report.page_file",
+    "report": "report.html",
     "robot_file": "io.urdf",
     "simulate": "simulation",
     "write_measurements": "io.measurements",
     "write_urdf": "io.results",
 }
 """Where each public name lives; imported when it is first used."""
+
+
+def _figures(result: CalibrationResult) -> dict[str, Any]:
+    """The method `CalibrationResult.figures`, whose room lies above that of results."""
+    from calib_pin.report.figures import figures_of
+
+    return figures_of(result)
+
+
+upper["figures"] = _figures
 
 
 def __getattr__(name: str) -> Any:

@@ -14,13 +14,12 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import among, targets_of
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, Measurements, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
@@ -154,25 +153,10 @@ def _result(
     selection: ModelSelection | None,
     urdf: UrdfResult | None,
 ) -> CalibrationResult:
-    """The result of a calibration, from its steps.
-
-    Args:
-        model: The fitted model.
-        training: The measurements that were fitted.
-        errors: Their errors.
-        held_out: The check on held-out measurements.
-        judgement: The judgement of the model.
-        seed: Seed of random configurations.
-        files: The measurement files.
-        selection: The model selection, if there was one.
-        urdf: The geometry alone, where the model is more than that.
-    """
+    """The result of a calibration, from its steps."""
     fitted = model.fit
     parameters, groups = estimates(fitted.problem.parameters, fitted.structure, fitted)
-    checked, held = None, None
-    if held_out.parts:
-        checked = ModelErrors.joined(held_out.parts)
-        held = _row_errors(model, held_out.measurements, checked)
+    checked = ModelErrors.joined(held_out.parts) if held_out.parts else None
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
@@ -188,15 +172,26 @@ def _result(
         validation=Validation(
             method=held_out.method,
             count=sum(len(part.before) for part in held_out.counted),
-            placed=checked.registered if checked else (),
+            located=checked.registered if checked else (),
             skipped=held_out.skipped,
         ),
-        solver=_solver_summary(fitted, seed),
+        solver=SolverSummary(
+            name=fitted.problem.setup.solver.name,
+            evaluator=fitted.solution.evaluator,
+            status=fitted.result.status.value,
+            iterations=fitted.result.nit,
+            evaluations=fitted.result.nfev,
+            history=()
+            if fitted.solution.evolution is None
+            else tuple(fitted.solution.evolution.best_history.tolist()),
+            at_bounds=tuple(names[k] for k in sorted(fitted.problem.held_at)),
+            seed=seed,
+        ),
         statistics=Statistics(
             chi2=chi2,
             dof=fitted.dof,
             sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
-            stated_sigma=training.stated,
+            stated_sigma=states_sigmas(training),
             noise=fitted.noise,
             outliers=fitted.robust.outliers,
             displaced=_displaced(model, seed),
@@ -208,31 +203,16 @@ def _result(
             workspace=judgement.workspace,
         ),
         covariance=NamedArray.of(fitted.covariance, names, names),
-        fitted=_row_errors(model, model.weighted(training), errors, leverages(fitted)),
-        held_out=held,
+        fitted=_measured(model, model.weighted(training), errors, leverages(fitted)),
+        held_out=None
+        if checked is None
+        else _measured(model, held_out.measurements, checked),
         files=files,
         model_selection=selection,
         urdf=urdf,
         rejected=model.rejected,
         distances=errors.distances + (checked.distances if checked else ()),
         findings=judgement.findings,
-    )
-
-
-def _solver_summary(fitted: Fit, seed: int) -> SolverSummary:
-    evolution = fitted.solution.evolution
-    history = () if evolution is None else evolution.best_history.tolist()
-    return SolverSummary(
-        name=fitted.problem.setup.solver.name,
-        evaluator=fitted.solution.evaluator,
-        status=fitted.result.status.value,
-        iterations=fitted.result.nit,
-        evaluations=fitted.result.nfev,
-        history=tuple(history),
-        at_bounds=tuple(
-            fitted.problem.parameters[k].name for k in sorted(fitted.problem.held_at)
-        ),
-        seed=seed,
     )
 
 
@@ -305,7 +285,7 @@ def _displaced(model: FittedModel, seed: int) -> float | None:
     return tip_drift(first, second, base=True, tool=True, seed=seed).position.rms
 
 
-def _row_errors(
+def _measured(
     model: FittedModel,
     measurements: Measurements,
     errors: ModelErrors,
@@ -313,11 +293,17 @@ def _row_errors(
 ) -> MeasurementErrors:
     """Errors with their measurements, in the order of their files."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
-    return MeasurementErrors.of(
-        model.problem,
-        model.theta,
-        measurements.rows(errors.positions),
-        errors.before,
-        errors.after,
-        leverage,
+    rows = measurements.rows(errors.positions)
+    error, of_robot = model.problem.error, model.problem.split(model.theta)[0]
+    T = error.poses(rows.q, of_robot, error.basis(rows.q, rows.payload))
+    to_base = (error.base * error.corrections(of_robot)[0]).inverse()
+    return MeasurementErrors(
+        rows=rows,
+        quantities=tuple(model.problem.measurement.quantities),
+        before=errors.before,
+        after=errors.after,
+        sigma=replace(model.problem, data=rows).sigma,
+        points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
+        to_base=np.asarray(to_base.rotation),
+        leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
     )

@@ -14,6 +14,10 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 
 Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+Targets = Sequence[str]
+"""The name of the target of each measurement."""
 
 PLUS = "+"
 """Stands between the names of models that are measured together."""
@@ -26,6 +30,10 @@ AT = "@"
 
 SAME = 1e-6
 """Largest difference of joint positions within one configuration [rad, m]."""
+
+ARRAYS = ("q", "values", "validate", "lines", "weight")
+WORDS = ("target", "payload", "files")
+"""Attributes of `Measurements` with one entry for each, beside sigma and start."""
 
 
 @dataclass(frozen=True)
@@ -70,8 +78,8 @@ class Measurements:
     target: tuple[str, ...] = ()
     payload: tuple[str, ...] = ()
     start: Floats = field(default_factory=lambda: np.zeros((0, 0)))
-    validate: NDArray[np.bool_] = field(default_factory=lambda: np.zeros(0, bool))
-    lines: NDArray[np.int64] = field(default_factory=lambda: np.zeros(0, np.int64))
+    validate: Booleans = field(default_factory=lambda: np.zeros(0, bool))
+    lines: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
     files: tuple[str, ...] = ()
     weight: Floats = field(default_factory=lambda: np.zeros(0))
 
@@ -79,9 +87,7 @@ class Measurements:
         """Fill the optional columns and check shapes and values."""
         count = len(self.q)
         defaults = {
-            "target": ("",) * count,
-            "payload": ("",) * count,
-            "files": ("",) * count,
+            **dict.fromkeys(WORDS, ("",) * count),
             "validate": np.zeros(count, bool),
             "lines": np.zeros(count, np.int64),
             "weight": np.ones(count),
@@ -119,26 +125,64 @@ class Measurements:
         """Names of the models."""
         return tuple(self.model.split(PLUS))
 
-    @property
-    def stated(self) -> bool:
-        """Whether the rows state all their standard deviations."""
-        return self.sigma is not None and not bool(np.isnan(self.sigma).any())
-
     def rows(self, index: NDArray[Any]) -> Measurements:
         """The rows picked by a boolean mask or an index array, in its order."""
         order = np.arange(len(self))[index]
+        arrays = {name: getattr(self, name)[order] for name in ARRAYS}
+        words: dict[str, Any] = {
+            name: tuple(map(getattr(self, name).__getitem__, order.tolist()))
+            for name in WORDS
+        }
         return replace(
             self,
-            q=self.q[order],
-            values=self.values[order],
+            **arrays,
+            **words,
             sigma=None if self.sigma is None else self.sigma[order],
-            target=tuple(map(self.target.__getitem__, order.tolist())),
-            payload=tuple(map(self.payload.__getitem__, order.tolist())),
             start=self.start[order] if self.start.size else self.start,
-            validate=self.validate[order],
-            lines=self.lines[order],
-            files=tuple(map(self.files.__getitem__, order.tolist())),
-            weight=self.weight[order],
+        )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Measurements]) -> Measurements:
+        """Join measurements of one chain and one model, or of the same side by side.
+
+        Those of different models are joined by `side_by_side.concatenate`.
+
+        Raises:
+            InputError: If joints or models differ, or only some of the measurements
+                have standard deviations.
+        """
+        first = parts[0]
+        for part in parts[1:]:
+            if part.joints != first.joints:
+                raise InputError("cannot join measurements of different joints")
+            if part.model != first.model:
+                raise InputError("cannot join measurements of different models")
+        parts = [part for part in parts if len(part)] or parts[:1]
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        for part in parts:
+            require_alike(part, (part.sigma is None) == (first.sigma is None))
+        sigmas = [part.sigma for part in parts if part.sigma is not None]
+        starts = [
+            part.start if part.start.size else np.full(part.q.shape, np.nan)
+            for part in parts
+        ]
+        started = any(part.start.size for part in parts)
+        arrays: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in ARRAYS
+        }
+        words: dict[str, Any] = {
+            name: tuple(chain.from_iterable(getattr(part, name) for part in parts))
+            for name in WORDS
+        }
+        return replace(
+            first,
+            **arrays,
+            **words,
+            sigma=np.concatenate(sigmas) if sigmas else None,
+            start=np.concatenate(starts) if started else first.start,
         )
 
     def sample(self, count: int) -> Measurements:
@@ -164,7 +208,7 @@ class Measurements:
         ]
         return self.rows(np.sort(np.concatenate(chosen)))
 
-    def groups(self) -> NDArray[np.int64]:
+    def groups(self) -> Indices:
         """Label rows that must stay together when data are split, shape (N,).
 
         Rows of one configuration are repetitions: with one of them fitted the others
@@ -173,7 +217,7 @@ class Measurements:
         return self._groups
 
     @cached_property
-    def _groups(self) -> NDArray[np.int64]:
+    def _groups(self) -> Indices:
         # A label is the number of rows in the groups before: to split a group leaves
         # all others as they are, and a row that stands alone is done with.
         label = np.zeros(len(self), np.int64)
@@ -187,7 +231,7 @@ class Measurements:
                 shared = _split_groups(label, shared, position)
         used = np.zeros(len(self) + 1, np.int64)
         used[label] = 1
-        result: NDArray[np.int64] = (np.cumsum(used) - 1)[label]
+        result: Indices = (np.cumsum(used) - 1)[label]
         result.setflags(write=False)
         return result
 
@@ -217,6 +261,11 @@ class Measurements:
         return InputError(f"{self.source(row)}: {reason}", **told)
 
 
+def states_sigmas(data: Measurements) -> bool:
+    """Whether the measurements state all their standard deviations."""
+    return data.sigma is not None and not bool(np.isnan(data.sigma).any())
+
+
 def trusted(data: Measurements) -> Measurements:
     """The measurements that have a weight; of a target that has none, all of them."""
     if data.weight.all():
@@ -231,43 +280,6 @@ def fitted_and_held_out(data: Measurements) -> tuple[Measurements, Measurements]
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)
-
-
-def stacked(parts: Sequence[Measurements]) -> Measurements:
-    """Join measurements of one chain and one model, or of the same ones side by side.
-
-    Raises:
-        InputError: If only some of them have standard deviations.
-    """
-    parts = [part for part in parts if len(part)] or parts[:1]
-    first = parts[0]
-    if len(parts) == 1:
-        return first
-    for part in parts:
-        require_alike(part, (part.sigma is None) == (first.sigma is None))
-    sigmas = [part.sigma for part in parts if part.sigma is not None]
-    started = any(part.start.size for part in parts)
-    return Measurements(
-        joints=first.joints,
-        q=np.concatenate([part.q for part in parts]),
-        model=first.model,
-        values=np.concatenate([part.values for part in parts]),
-        sigma=np.concatenate(sigmas) if sigmas else None,
-        target=tuple(chain.from_iterable(part.target for part in parts)),
-        payload=tuple(chain.from_iterable(part.payload for part in parts)),
-        start=np.concatenate(
-            [
-                part.start if part.start.size else np.full(part.q.shape, np.nan)
-                for part in parts
-            ]
-        )
-        if started
-        else first.start,
-        validate=np.concatenate([part.validate for part in parts]),
-        lines=np.concatenate([part.lines for part in parts]),
-        files=tuple(chain.from_iterable(part.files for part in parts)),
-        weight=np.concatenate([part.weight for part in parts]),
-    )
 
 
 def require_alike(part: Measurements, alike: bool) -> None:
@@ -295,9 +307,7 @@ def rows_by_part(target: Sequence[str]) -> dict[str, NDArray[np.intp]]:
     return {model: np.array(rows, np.intp) for model, rows in found.items()}
 
 
-def _split_groups(
-    label: NDArray[np.int64], shared: NDArray[np.int64], position: Floats
-) -> NDArray[np.int64]:
+def _split_groups(label: Indices, shared: Indices, position: Floats) -> Indices:
     """Split groups of rows at gaps between the positions of one joint.
 
     Args:

@@ -16,6 +16,9 @@ from calib_pin.errors import CalibPinError
 
 T = TypeVar("T")
 
+upper: dict[str, Callable[..., Any]] = {}
+"""Functions of upper rooms that lower ones call by name; the package sets them."""
+
 
 def members(
     group: str,

@@ -17,9 +17,8 @@ from calib_pin.estimation.configurations import (
 )
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Declaration, declared
-from calib_pin.measurement_models.rows import absent, assumed_sigma, contact_rows
-from calib_pin.observations import AT, PLUS, Measurements
+from calib_pin.measurement_models.mixed import absent, assumed_sigma, contact_rows
+from calib_pin.observations import AT, Measurements
 from calib_pin.parameters import ParameterSet
 
 LEG = 10
@@ -99,7 +98,7 @@ def simulate(
         raise OptionError("noise is out of range", value=noise, allowed="0 or more")
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
-    relative = problem.measurement.relative
+    relative = problem.measurement.declaration.relative
     if relative and len(problem.data.parts) > 1:
         raise OptionError(
             "relative distances are simulated by themselves",
@@ -242,13 +241,6 @@ def _require_observable(
     if not seen.all():
         raise InputError(
             f"configuration {int(np.argmin(seen)) + 1} cannot be measured "
-            f"({measurement.name}): {_unmeasurable(measurement.name)}"
+            f"({measurement.name}): {measurement.declaration.unmeasurable}"
         )
     return q
-
-
-def _unmeasurable(model: str) -> str:
-    """Why a configuration cannot be measured; of several models, by most of them."""
-    return (
-        declared(model).unmeasurable if PLUS not in model else Declaration.unmeasurable
-    )

@@ -35,8 +35,8 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.references import Frame
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
+from calib_pin.measurement_models.mount import Frame
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     AnchorSetup,
@@ -357,7 +357,7 @@ def measured(
         zero = np.zeros(len(problem.parameters))
         q, target = visited(problem, zero, rows, rng)
         start = None
-        if problem.measurement.relative:
+        if problem.measurement.declaration.relative:
             start = chain.random_configurations(rows, rng)
         exact = exact_problem(problem, zero, q, target, start)
         noise = 0.05 * rng.normal(size=exact.sigma.shape)

@@ -13,7 +13,7 @@ import pytest
 from calib_pin.errors import InputError
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.side_by_side import concatenate, targets_of
-from calib_pin.observations import Measurements, fitted_and_held_out
+from calib_pin.observations import Measurements, fitted_and_held_out, states_sigmas
 
 Q = np.arange(10.0).reshape(5, 2)
 VALUES = np.arange(15.0).reshape(5, 3)
@@ -49,7 +49,7 @@ def test_defaults() -> None:
     assert plain.target == plain.payload == plain.files == ("",) * 5
     assert plain.start.size == 0
     assert plain.parts == ("position",)
-    assert not plain.stated
+    assert not states_sigmas(plain)
     assert plain.validate.tolist() == [False] * 5
     assert plain.lines.tolist() == [0] * 5
     assert plain.source(3) == "row 3"
@@ -244,7 +244,7 @@ def test_concatenate() -> None:
         [data, replace(empty, sigma=None)],
         [replace(empty, sigma=None), data],
     ):
-        assert concatenate(pair).stated
+        assert states_sigmas(concatenate(pair))
     assert concatenate([empty, empty]).sigma is not None
 
 
@@ -286,7 +286,7 @@ def test_concatenate_models() -> None:
     ]
     nan, inf = np.nan, np.inf
     socket = [nan, nan, nan, inf, inf, inf]
-    assert data.sigma is not None and not data.stated
+    assert data.sigma is not None and not states_sigmas(data)
     np.testing.assert_array_equal(
         data.sigma,
         [
@@ -312,7 +312,7 @@ def test_concatenate_mixtures() -> None:
     two = rows_of("camera", 2)
     three = rows_of("plane-contact", 1)
     at_once = concatenate([one, two, three])
-    assert at_once.stated
+    assert states_sigmas(at_once)
     for parts in (
         [concatenate([one, two]), three],
         [one, concatenate([two, three])],

@@ -14,7 +14,7 @@ from contextlib import contextmanager
 __all__ = ["main"]
 
 INTERRUPTED = 130
-"""What the application returns after Ctrl-C."""
+"""Status of the application after Ctrl-C."""
 
 BLAS_THREADS = (
     "BLIS_NUM_THREADS",

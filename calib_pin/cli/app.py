@@ -37,9 +37,8 @@ COMMANDS: dict[Callable[..., int | None], str] = {
 def application(words: Sequence[str]) -> typer.Typer:
     """The application, as far as a command line needs it.
 
-    Args:
-        words: The command line. Where it begins with a command, the others are left
-            out: building all their options takes a while.
+    Where it begins with a command, the others are left out: building all their options
+    takes a while.
     """
     app = typer.Typer(
         name="calib-pin",

@@ -7,26 +7,13 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
     open_measurements,
     open_setup,
     require_distinct,
-)
-from calib_pin.cli.options import (
-    Base,
-    Force,
-    Model,
-    Parameters,
-    Quiet,
-    RobotName,
-    Seed,
-    SetupFile,
-    Tip,
-    fit_option,
-    number,
-    output_option,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (
@@ -46,7 +33,7 @@ from calib_pin.cli.results import (
 
 def calibrate(
     context: typer.Context,
-    robot: RobotName,
+    robot: options.RobotName,
     measurements: Annotated[
         list[Path],
         typer.Argument(
@@ -55,19 +42,19 @@ def calibrate(
     ],
     output: Annotated[
         Path | None,
-        output_option(
+        options.output(
             "-o --output DIR",
             "Folder for the results; without it they are only printed.",
         ),
     ] = None,
-    setup: SetupFile = None,
-    model: Model = None,
-    base: Base = None,
-    tip: Tip = None,
-    parameters: Parameters = None,
+    setup: options.SetupFile = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    parameters: options.Parameters = None,
     solver: Annotated[
         str | None,
-        fit_option(
+        options.fit(
             "--solver NAME",
             "gauss-newton (default), two-step (alternating: frames and "
             "instrument, then the robot), de (differential evolution), or hybrid: de, "
@@ -76,7 +63,7 @@ def calibrate(
     ] = None,
     loss: Annotated[
         str | None,
-        fit_option(
+        options.fit(
             "--loss NAME",
             "auto (default) sets outliers aside where there are any; gnc always "
             "searches for them; huber gives them less weight; squared weights all "
@@ -85,7 +72,7 @@ def calibrate(
     ] = None,
     learned: Annotated[
         str | None,
-        fit_option(
+        options.fit(
             "--learned NAME",
             "Learn the errors that no parameter describes: network or "
             "gaussian-process; with --model-ladder the only one that is tried.",
@@ -93,7 +80,7 @@ def calibrate(
     ] = None,
     model_ladder: Annotated[
         bool,
-        fit_option(
+        options.fit(
             "--model-ladder",
             "Select the model: try joint offsets, geometry, transmission, "
             "compliance and learned corrections on held-out measurements, and take "
@@ -102,23 +89,23 @@ def calibrate(
     ] = False,
     validation: Annotated[
         Path | None,
-        fit_option(
+        options.fit(
             "--validation FILE", "Check the fit on the measurements of this file."
         ),
     ] = None,
     holdout: Annotated[
         float | None,
-        fit_option(
+        options.fit(
             "--holdout PART",
             "Hold out this part of the measurements, such as 0.2, for the check.",
-            number(float, "--holdout", "a number between 0 and 1"),
+            options.number(float, "--holdout", "a number between 0 and 1"),
         ),
     ] = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
-    seed: Seed = 0,
-    force: Force = False,
-    quiet: Quiet = False,
+    seed: options.Seed = 0,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import check_outputs, require_distinct, require_file
-from calib_pin.cli.options import Force, Json, seed
 from calib_pin.cli.printing import say, say_written, show
 from calib_pin.cli.results import (
     FigureFormat,
@@ -31,12 +31,15 @@ def compare(
         ),
     ],
     seed: Annotated[
-        int, seed("Workspace", "Random seed of the configurations that are compared.")
+        int,
+        options.seed(
+            "Workspace", "Random seed of the configurations that are compared."
+        ),
     ] = 0,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
-    force: Force = False,
-    json: Json = False,
+    force: options.Force = False,
+    json: options.Json = False,
 ) -> int:
     """Print the difference between two calibrations, beyond their uncertainty.
 

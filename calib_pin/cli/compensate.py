@@ -9,19 +9,12 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     check_outputs,
     open_setup,
     require_file,
     require_joints_only,
-)
-from calib_pin.cli.options import (
-    Force,
-    Json,
-    Quiet,
-    SetupFile,
-    option,
-    output_option,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -39,7 +32,7 @@ if TYPE_CHECKING:
     from calib_pin.io.targets import Targets
     from calib_pin.validation.calibrated_model import CalibratedModel
 
-targets_option = partial(option, "Targets")
+targets_option = partial(options.option, "Targets")
 
 FRAMES = ("measuring", "base")
 POINTS = ("tool", "tip")
@@ -59,7 +52,7 @@ def compensate(
         ),
     ],
     output: Annotated[
-        Path, output_option("-o --output CSV", "File of joint commands to write.")
+        Path, options.output("-o --output CSV", "File of joint commands to write.")
     ],
     frame: Annotated[
         str | None,
@@ -89,10 +82,10 @@ def compensate(
         bool,
         targets_option("--position", "Reach positions only, with any orientation."),
     ] = False,
-    setup: SetupFile = None,
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
+    setup: options.SetupFile = None,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Find the joint commands that bring the real robot to targets.
 
@@ -108,6 +101,7 @@ def compensate(
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
     from calib_pin.io.json_text import encode
+    from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.staging import write_files
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
@@ -129,7 +123,10 @@ def compensate(
     model = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
     model = with_payload(model, payload, calibration)
-    check_outputs((output,), _read_along(calibration, model), force)
+    robot = model.chain.robot.file
+    read: list[str | Path] = [robot, calibration.parent / robot]
+    read += written_before(calibration)
+    check_outputs((output,), read, force)
     asked = read_target_file(
         targets,
         model.chain,
@@ -201,14 +198,6 @@ def compensate(
         cause = "discontinuity in joint space" if found.complete else "out of reach"
         notice(f"{cause}: {targets}, {line_list(missed)}")
     return 0 if good else 2
-
-
-def _read_along(calibration: Path, model: CalibratedModel) -> list[str | Path]:
-    """Files that a calibration refers to."""
-    from calib_pin.io.result_folder import written_before
-
-    robot = model.chain.robot.file
-    return [robot, calibration.parent / robot, *written_before(calibration)]
 
 
 def _run(

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     open_calibration,
     open_chain,
@@ -15,36 +16,27 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
 )
-from calib_pin.cli.options import (
-    Base,
-    Json,
-    Model,
-    RobotOrCalibration,
-    SetupFile,
-    Tip,
-    fit_option,
-)
 from calib_pin.cli.printing import progress_bar, show, stage
 
 
 def evaluate(
-    robot: RobotOrCalibration,
+    robot: options.RobotOrCalibration,
     measurements: Annotated[
         list[Path], typer.Argument(metavar="MEASUREMENTS...", help="CSV files.")
     ],
-    setup: SetupFile = None,
-    model: Model = None,
-    base: Base = None,
-    tip: Tip = None,
+    setup: options.SetupFile = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
     register: Annotated[
         bool,
-        fit_option(
+        options.fit(
             "--register",
             "Register the frames and the instrument of a calibration on these "
             "measurements.",
         ),
     ] = False,
-    json: Json = False,
+    json: options.Json = False,
 ) -> int:
     """Print the accuracy of a robot or a calibration on measurements.
 

@@ -54,19 +54,20 @@ def open_setup(
         if len(set(names)) != len(names):
             raise OptionError("a parameterization is named twice", value=parameters)
         setup = replace(setup, parameters=names)
-    if solver is not None:
-        require_known("solver", solver, SOLVERS)
-        setup = replace(setup, solver=replace(setup.solver, name=solver))
-    if loss is not None:
-        require_known("loss", loss, LOSSES)
-        setup = replace(setup, loss=loss)
-    if learned is not None:
-        require_known("residual model", learned, RESIDUAL_MODELS)
-        setup = replace(setup, learned=learned)
+    for kind, given, known in (
+        ("solver", solver, SOLVERS),
+        ("loss", loss, LOSSES),
+        ("residual model", learned, RESIDUAL_MODELS),
+    ):
+        if given is not None:
+            require_known(kind, given, known)
     if model is not None:
         check_model(model)
     return replace(
         setup,
+        solver=replace(setup.solver, name=solver or setup.solver.name),
+        loss=loss or setup.loss,
+        learned=learned or setup.learned,
         base=base or setup.base,
         tip=tip or setup.tip,
         model=model or setup.model,
@@ -112,11 +113,7 @@ def open_calibration(
 ) -> tuple[CalibratedModel, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
-    Args:
-        name: The `calibration.json`.
-        file: The setup file, if there is one.
-        setup: What it states, with the options on top.
-        doubted: Called with the reason if the calibration must not be trusted.
+    Why a calibration must not be trusted is told to `doubted`.
 
     Raises:
         InputError: If it cannot be used.
@@ -149,11 +146,7 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
 
 
 def require_file(path: str | Path, other: str = "") -> None:
-    """Refuse the folder of a calibration in its place.
-
-    Args:
-        path: What was given.
-        other: Another possible input, for the message.
+    """Refuse the folder of a calibration in its place, or in that of another input.
 
     Raises:
         OptionError: If it is such a folder.
@@ -174,13 +167,7 @@ def open_measurements(
 ) -> Measurements:
     """Measurement files, with a remark on columns that mean nothing.
 
-    Args:
-        files: The files.
-        chain: The chain.
-        setup: What is known of model and joints.
-        quiet: Whether the remark is left out.
-        sockets: Sockets whose places are known beside those of the setup.
-        bar: Shows how much is read.
+    The places of some sockets may be known beside those of the setup.
 
     Raises:
         InputError: If a file cannot be used.
@@ -231,11 +218,6 @@ def check_outputs(
     force: bool,
 ) -> None:
     """Complain about files that must not be written, before the work is done.
-
-    Args:
-        outputs: The files to write.
-        inputs: The files that are read; a robot may be one by name.
-        force: Whether existing outputs may be replaced.
 
     Raises:
         OptionError: If an output exists without `force`, is a folder or an input, or

@@ -7,6 +7,7 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     open_chain,
     open_measurements,
@@ -14,21 +15,11 @@ from calib_pin.cli.files import (
     require_distinct,
     require_model,
 )
-from calib_pin.cli.options import (
-    Base,
-    Json,
-    Model,
-    Parameters,
-    RobotName,
-    Seed,
-    SetupFile,
-    Tip,
-)
 from calib_pin.cli.printing import progress_bar, show
 
 
 def identify(
-    robot: RobotName,
+    robot: options.RobotName,
     measurements: Annotated[
         list[Path] | None,
         typer.Argument(
@@ -36,13 +27,13 @@ def identify(
             help="CSV files; without them identifiability is structural.",
         ),
     ] = None,
-    setup: SetupFile = None,
-    model: Model = None,
-    base: Base = None,
-    tip: Tip = None,
-    parameters: Parameters = None,
-    seed: Seed = 0,
-    json: Json = False,
+    setup: options.SetupFile = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    parameters: options.Parameters = None,
+    seed: options.Seed = 0,
+    json: options.Json = False,
 ) -> int:
     """Print which parameters are identifiable, and which only in combinations.
 

@@ -50,12 +50,7 @@ def option(
 ) -> Any:
     """An option under a heading of `--help`.
 
-    Args:
-        heading: The heading.
-        usage: Its names and the word for its value; without that, a switch.
-        meaning: Its help.
-        parser: Makes a value of what was written.
-        callback: Sees the value before the command does.
+    Its usage are its names and the word for its value; without that it is a switch.
     """
     words = usage.split()
     names = [word for word in words if word.startswith("-")]
@@ -69,7 +64,7 @@ def option(
     )
 
 
-robot_option, fit_option, output_option = (
+robot, fit, output = (
     partial(option, heading) for heading in ("Robot", "Fit", "Output")
 )
 
@@ -101,11 +96,11 @@ RobotOrCalibration = Annotated[
     ),
 ]
 SetupFile = Annotated[
-    Path | None, robot_option("--setup FILE", "Setup file (YAML); options override it.")
+    Path | None, robot("--setup FILE", "Setup file (YAML); options override it.")
 ]
 Model = Annotated[
     str | None,
-    robot_option(
+    robot(
         "--model NAME",
         "Measurement model, or several joined by +; by default inferred from the "
         "columns. 'list' prints all.",
@@ -114,15 +109,15 @@ Model = Annotated[
 ]
 Base = Annotated[
     str | None,
-    robot_option("--base LINK", "First link of the chain; by default the root."),
+    robot("--base LINK", "First link of the chain; by default the root."),
 ]
 Tip = Annotated[
     str | None,
-    robot_option("--tip LINK", "Last link of the chain; by default the only leaf."),
+    robot("--tip LINK", "Last link of the chain; by default the only leaf."),
 ]
 Parameters = Annotated[
     str | None,
-    robot_option(
+    robot(
         "--parameters P,...",
         "placement (default), link-transform, dh, dh-full, joint-offset{}; beyond "
         "geometry transmission, compliance{}; several may be combined.",
@@ -138,9 +133,9 @@ def seed(heading: str, meaning: str = "Random seed.") -> Any:
 
 
 Seed = Annotated[int, seed("Fit")]
-Force = Annotated[bool, output_option("--force", "Replace existing output.")]
-Quiet = Annotated[bool, output_option("--quiet", "Print nothing but errors.")]
-Json = Annotated[bool, output_option("--json", "Print JSON.")]
+Force = Annotated[bool, output("--force", "Replace existing output.")]
+Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
+Json = Annotated[bool, output("--json", "Print JSON.")]
 
 
 def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:
@@ -153,12 +148,6 @@ def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, f
     Raises:
         OptionError: If a word is not of this form, the limits cross, or the unit is
             none of a joint that is meant.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space6")
-        >>> parse_limits(["joint_1=-90:90 [deg]", "joint_2=0:0.35"], chain)["joint_2"]
-        (0.0, 0.35)
     """
     from calib_pin.io.columns import ANGLE, LENGTH, split_header
     from calib_pin.parameters import matching

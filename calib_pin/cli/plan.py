@@ -7,10 +7,11 @@ from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from functools import partial
 from pathlib import Path
-from typing import TYPE_CHECKING, Annotated
+from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
@@ -20,22 +21,6 @@ from calib_pin.cli.files import (
     require_folders,
     require_model,
 )
-from calib_pin.cli.options import (
-    Base,
-    Force,
-    Json,
-    Model,
-    Parameters,
-    Quiet,
-    RobotName,
-    SetupFile,
-    Tip,
-    number,
-    option,
-    output_option,
-    parse_limits,
-)
-from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -54,25 +39,20 @@ from calib_pin.cli.results import (
 )
 from calib_pin.errors import OptionError, require_known
 
-if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.kinematics.collision import Collisions
-    from calib_pin.setup import Setup
-
 plan_option, workspace_option = (
-    partial(option, heading) for heading in ("Plan", "Constraints")
+    partial(options.option, heading) for heading in ("Plan", "Constraints")
 )
 
-COUNT = number(int, "--count", "1 to 1000", 1, 1000)
+COUNT = options.number(int, "--count", "1 to 1000", 1, 1000)
 
 
 def plan(
     context: typer.Context,
-    robot: RobotName,
+    robot: options.RobotName,
     output: Annotated[
-        Path, output_option("-o --output CSV", "File of configurations to write.")
+        Path, options.output("-o --output CSV", "File of configurations to write.")
     ],
-    model: Model = None,
+    model: options.Model = None,
     count: Annotated[
         int | None, plan_option("--count N", "Number of configurations.", COUNT)
     ] = None,
@@ -107,7 +87,7 @@ def plan(
         plan_option(
             "--candidates N",
             "Quasi-random configurations to choose from.",
-            number(int, "--candidates", "1 to 100000", 1, 1e5),
+            options.number(int, "--candidates", "1 to 100000", 1, 1e5),
         ),
     ] = 1000,
     tests: Annotated[
@@ -117,7 +97,7 @@ def plan(
             "Configurations where the robot is to be accurate; by default everywhere.",
         ),
     ] = None,
-    seed: Annotated[int, seed_option("Plan")] = 0,
+    seed: Annotated[int, options.seed("Plan")] = 0,
     limits: Annotated[
         list[str] | None,
         workspace_option(
@@ -132,7 +112,7 @@ def plan(
             "--distance D",
             "Least distance between configurations, as the largest movement of "
             "a joint [rad, m].",
-            number(float, "--distance", "0 to 10", 0.0, 10.0),
+            options.number(float, "--distance", "0 to 10", 0.0, 10.0),
         ),
     ] = 0.0,
     srdf: Annotated[
@@ -154,21 +134,21 @@ def plan(
         workspace_option(
             "--clearance S",
             "Least distance from obstacles and between links [m]; default 0.01.",
-            number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
+            options.number(float, "--clearance", "0 to 1 m", 0.0, 1.0),
         ),
     ] = None,
     ignore_collisions: Annotated[
         bool, workspace_option("--ignore-collisions", "Check no collisions.")
     ] = False,
-    setup: SetupFile = None,
-    base: Base = None,
-    tip: Tip = None,
-    parameters: Parameters = None,
+    setup: options.SetupFile = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    parameters: options.Parameters = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
-    force: Force = False,
-    quiet: Quiet = False,
-    json: Json = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+    json: options.Json = False,
 ) -> int:
     """Choose optimal calibration configurations.
 
@@ -207,7 +187,7 @@ def plan(
             "--ignore-collisions contradicts --srdf, --package-dir and --clearance"
         )
     chain = open_chain(robot, stated)
-    narrower = parse_limits(limits or [], chain)
+    narrower = options.parse_limits(limits or [], chain)
     stated = replace(stated, limits={**stated.limits, **narrower})
     rows = None
     if to:
@@ -221,13 +201,18 @@ def plan(
     check_columns(chain, stated.joints, names)
     collisions = None
     if not ignore_collisions:
-        told = None if quiet else notice
-        collisions = _collisions(
-            chain, stated, srdf, package_dir or [], clearance, told
+        from calib_pin.io.collision import CLEARANCE, load_collisions
+
+        collisions = load_collisions(
+            chain,
+            stated.obstacles,
+            srdf=srdf,
+            package_dirs=package_dir or [],
+            clearance=CLEARANCE if clearance is None else clearance,
+            notice=None if quiet else notice,
+            file=stated.file,
         )
-    poses = None
-    if tests is not None:
-        poses = read_configurations(tests, chain, stated.joints)
+    poses = None if tests is None else read_configurations(tests, chain, stated.joints)
     with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
         found = run(
             chain,
@@ -273,7 +258,7 @@ def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:
     if to and add is None:
         raise OptionError("--to names measurements; say how many to add with --add N")
     if add:
-        added = number(int, "--add", "1 to 1000", 1, 1000)(add)
+        added = options.number(int, "--add", "1 to 1000", 1, 1000)(add)
         if count is not None and count != added:
             raise OptionError(
                 f"--add {added} and --count {count} contradict each other"
@@ -282,27 +267,6 @@ def _count(count: int | None, add: str | None, to: list[Path] | None) -> int:
     if count is None:
         raise OptionError("say how many configurations to plan with --count N")
     return count
-
-
-def _collisions(
-    chain: Chain,
-    setup: Setup,
-    srdf: Path | None,
-    package_dirs: list[Path],
-    clearance: float | None,
-    told: Callable[[str], None] | None,
-) -> Collisions | None:
-    from calib_pin.io.collision import CLEARANCE, load_collisions
-
-    return load_collisions(
-        chain,
-        setup.obstacles,
-        srdf=srdf,
-        package_dirs=package_dirs,
-        clearance=CLEARANCE if clearance is None else clearance,
-        notice=told,
-        file=setup.file,
-    )
 
 
 @contextmanager

@@ -68,7 +68,7 @@ def notice(message: str) -> None:
 
 
 def stage(bar: Bar | None, name: str) -> Progress | None:
-    """What is told the part of one stage that is done, 0 to 1; None without a bar."""
+    """The listener to the progress of one stage, 0 to 1; None without a bar."""
     if bar is None:
         return None
     bar(name, None)

@@ -7,8 +7,8 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import check_outputs
-from calib_pin.cli.options import Force, Quiet, output_option
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
 from calib_pin.cli.results import (
     FigureFormat,
@@ -29,15 +29,15 @@ def report(
     ],
     output: Annotated[
         Path | None,
-        output_option(
+        options.output(
             "-o --output PAGE",
             "The page; default report.html of the folder, which is replaced.",
         ),
     ] = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
-    force: Force = False,
-    quiet: Quiet = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
 ) -> int:
     """Write the page and the figures of a calibration again, from its files alone.
 

@@ -8,7 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, NamedTuple
 
 from calib_pin.cli.files import check_outputs, exists
-from calib_pin.cli.options import output_option
+from calib_pin.cli.options import output
 from calib_pin.cli.printing import Bar, notice
 from calib_pin.errors import OptionError, require_known
 
@@ -40,11 +40,7 @@ class ResultFiles(NamedTuple):
 
 
 def result_files(folder: Path, robot: str) -> ResultFiles:
-    """Where the results go.
-
-    Args:
-        folder: The folder.
-        robot: Name of the robot.
+    """Where the results of a robot of some name go.
 
     Raises:
         OptionError: If a file stands in the place of the folder.
@@ -70,13 +66,6 @@ def check_results(
 
     What an earlier run wrote there goes, and so must be no input either.
 
-    Args:
-        files: Where the results go.
-        pictures: Where the figures go.
-        robot: The robot.
-        inputs: The files that are read, that of the robot among them.
-        force: Whether existing results may be replaced.
-
     Raises:
         OptionError: See `cli.files.check_outputs`.
     """
@@ -100,14 +89,8 @@ def result_contents(
 ) -> dict[Path, bytes]:
     """All files of a result, of which the last one knows the hashes of the others.
 
-    Args:
-        result: The result; the corrected URDF is there if it can be trusted, and is
-            the nominal one where there is no gain.
-        files: Where its files go.
-        run: How it came about.
-        figures: What is drawn of it.
-        pictures: Figures that go into files of their own.
-        suggestions: Suggested measurements.
+    The corrected URDF is there if it can be trusted, and is the nominal one where
+    there is no gain.
     """
     from calib_pin.io.calibration_document import calibration_document, provenance
     from calib_pin.io.journal import inside, listed, sha256
@@ -155,12 +138,6 @@ def write_results(
 
     What is there of an earlier run and not written now would pass for a result of this
     one, so it is removed.
-
-    Args:
-        result: The result.
-        files: Where its files go.
-        contents: What `result_contents` gave.
-        force: Replace existing files.
     """
     from calib_pin.io.journal import listed
     from calib_pin.io.result_folder import written_before
@@ -193,21 +170,14 @@ def _format(word: str) -> str:
     return word
 
 
-Figures = Annotated[
-    Path | None, output_option("--figures DIR", "Folder for the figures.")
-]
+Figures = Annotated[Path | None, output("--figures DIR", "Folder for the figures.")]
 FigureFormat = Annotated[
-    str, output_option("--figure-format FORMAT", "png (default), pdf or svg.", _format)
+    str, output("--figure-format FORMAT", "png (default), pdf or svg.", _format)
 ]
 
 
 def figure_files(folder: Path | None, kind: str, of: str) -> list[Path]:
-    """The files that figures may be written to; none without a folder.
-
-    Args:
-        folder: The folder.
-        kind: One of `FORMATS`.
-        of: Their subject, `calibration`, `plan` or `comparison`.
+    """The files of the figures of some subject; none without a folder.
 
     Raises:
         OptionError: If there can be no such folder.
@@ -260,12 +230,7 @@ def _told(drawn: Iterator[Drawn], count: int, bar: Bar | None) -> list[Drawn]:
 
 
 def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path, bytes]:
-    """Figures as pictures.
-
-    Args:
-        drawn: The figures.
-        files: What `figure_files` gave; there are no pictures where that is empty.
-    """
+    """Figures as pictures, as far as `figure_files` gave files for them."""
     figures = {figure.name: figure for figure in drawn}
     return {
         path: figures[path.stem].picture(path.suffix[1:])
@@ -275,12 +240,7 @@ def figure_contents(drawn: Sequence[Drawn], files: Sequence[Path]) -> dict[Path,
 
 
 def told_figures(pictures: Collection[Path], files: Sequence[Path]) -> list[str]:
-    """Figures that were written, in words, and a note on those of an earlier run.
-
-    Args:
-        pictures: Those that were written.
-        files: What `figure_files` gave.
-    """
+    """Figures that were written, in words, and a note on those of an earlier run."""
     for path in files:
         if path not in pictures and exists(path):
             notice(f"{path} is not from this run, which has no such figure")

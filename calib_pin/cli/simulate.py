@@ -8,25 +8,13 @@ from typing import Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     check_outputs,
     open_chain,
     open_setup,
     require_model,
 )
-from calib_pin.cli.options import (
-    Base,
-    Force,
-    Parameters,
-    RobotName,
-    SetupFile,
-    Tip,
-    listed,
-    number,
-    option,
-    output_option,
-)
-from calib_pin.cli.options import seed as seed_option
 from calib_pin.cli.printing import (
     notice,
     progress_bar,
@@ -36,19 +24,21 @@ from calib_pin.cli.printing import (
 )
 from calib_pin.errors import OptionError
 
-study_option = partial(option, "Simulation")
+study_option = partial(options.option, "Simulation")
 
 
 def simulate(
     context: typer.Context,
-    robot: RobotName,
+    robot: options.RobotName,
     output: Annotated[
-        Path, output_option("-o --output CSV", "Measurement file to write.")
+        Path, options.output("-o --output CSV", "Measurement file to write.")
     ],
     model: Annotated[
         str | None,
         study_option(
-            "--model NAME", "Measurement model; 'list' prints all.", callback=listed
+            "--model NAME",
+            "Measurement model; 'list' prints all.",
+            callback=options.listed,
         ),
     ] = None,
     count: Annotated[
@@ -56,7 +46,7 @@ def simulate(
         study_option(
             "--count N",
             "Number of random configurations, or",
-            number(int, "--count", "1 to 1000000", 1, 1e6),
+            options.number(int, "--count", "1 to 1000000", 1, 1e6),
         ),
     ] = None,
     configurations: Annotated[
@@ -71,7 +61,7 @@ def simulate(
     ] = None,
     seed: Annotated[
         int,
-        seed_option("Simulation", "Random seed of errors, configurations and noise."),
+        options.seed("Simulation", "Random seed of errors, configurations and noise."),
     ] = 0,
     noise: Annotated[
         float | None,
@@ -79,7 +69,7 @@ def simulate(
             "--noise S",
             "Standard deviation of every component [m, rad]; by default that of "
             "the setup file, or 0.1 mm and 0.1 mrad.",
-            number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
+            options.number(float, "--noise", "0 to 1 m or rad", 0.0, 1.0),
         ),
     ] = None,
     repeats: Annotated[
@@ -87,7 +77,7 @@ def simulate(
         study_option(
             "--repeats K",
             "Readings per configuration.",
-            number(int, "--repeats", "1 to 1000000", 1, 1e6),
+            options.number(int, "--repeats", "1 to 1000000", 1, 1e6),
         ),
     ] = 1,
     average: Annotated[
@@ -98,13 +88,13 @@ def simulate(
     ] = False,
     truth: Annotated[
         Path | None,
-        output_option("--truth URDF", "Write the robot with its true errors."),
+        options.output("--truth URDF", "Write the robot with its true errors."),
     ] = None,
-    setup: SetupFile = None,
-    base: Base = None,
-    tip: Tip = None,
-    parameters: Parameters = None,
-    force: Force = False,
+    setup: options.SetupFile = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    parameters: options.Parameters = None,
+    force: options.Force = False,
 ) -> int:
     """Simulate measurements of a robot with true errors, given or drawn.
 

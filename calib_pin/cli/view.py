@@ -9,6 +9,7 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from calib_pin.cli import options
 from calib_pin.cli.files import (
     open_calibration,
     open_chain,
@@ -17,15 +18,6 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
     require_folders,
-)
-from calib_pin.cli.options import (
-    Base,
-    Model,
-    RobotOrCalibration,
-    SetupFile,
-    Tip,
-    number,
-    option,
 )
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
 from calib_pin.errors import OptionError
@@ -36,11 +28,11 @@ if TYPE_CHECKING:
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.viewer.scene import Rows, Scene
 
-window_option = partial(option, "Window")
+window_option = partial(options.option, "Window")
 
 
 def view(
-    robot: RobotOrCalibration,
+    robot: options.RobotOrCalibration,
     measurements: Annotated[
         list[Path] | None,
         typer.Argument(metavar="[MEASUREMENTS...]", help="CSV files."),
@@ -53,7 +45,7 @@ def view(
         window_option(
             "--port N",
             "Port on this machine; 0 for any free port.",
-            number(int, "--port", "0 to 65535", 0, 65535),
+            options.number(int, "--port", "0 to 65535", 0, 65535),
         ),
     ] = 8080,
     once: Annotated[
@@ -65,10 +57,10 @@ def view(
             "--package-dir DIR", "Folder of the packages of meshes; may be repeated."
         ),
     ] = None,
-    setup: SetupFile = None,
-    model: Model = None,
-    base: Base = None,
-    tip: Tip = None,
+    setup: options.SetupFile = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
 ) -> int:
     """Show a robot in the browser, with the errors of measurements and a plan.
 
@@ -97,11 +89,7 @@ def view(
 
 
 def _require_viser() -> None:
-    """Complain if the extra is missing.
-
-    Raises:
-        OptionError: If it is.
-    """
+    """Complain if the extra is missing."""
     from importlib.util import find_spec
 
     if find_spec("viser") is None:
@@ -118,16 +106,7 @@ def _open(
     file: Path | None,
     setup: Setup,
 ) -> Scene:
-    """The scene to draw.
-
-    Args:
-        name: The robot, or a calibration.
-        measurements: Files of measurements.
-        plan: File of configurations.
-        package_dirs: Folders of the packages of meshes.
-        file: The setup file.
-        setup: What it states, with the options on top.
-    """
+    """The scene to draw."""
     from calib_pin.io.measurements import read_configurations
     from calib_pin.io.urdf import load_robot
     from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_path

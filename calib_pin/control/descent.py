@@ -27,7 +27,7 @@ from calib_pin.control.joints import (
     Stacked,
     Task,
 )
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 
 
 @dataclass(frozen=True)
@@ -220,7 +220,7 @@ class _Descent:
         for whole in (system.e, system.pull, dq, y):
             whole *= part[:, None]
         self._hold(rows, system, dq, y)
-        left = rows.e - _times(system.J, dq)
+        left = rows.e - times(system.J, dq)
         rows.promised = 1.0 - (left**2).sum(axis=1) / np.maximum(squared, 1e-300)
         rows.frees = self._free(rows, system, dq, y)
         rows.held = system.held
@@ -310,11 +310,11 @@ class _System(Stacked):
         """Steps, shape (A, n), and multipliers of the pose, shape (A, m)."""
         J = np.where(self.held[:, None], 0.0, self.J)
         m, n = J.shape[1:]
-        e = self.e - _times(self.J, self.moves)
+        e = self.e - times(self.J, self.moves)
         if self.hessian is None:
             pull, Y = np.where(self.held, 0.0, self.pull), np.swapaxes(J, 1, 2)
         else:
-            pull = self.pull - _times(self.hessian, self.moves)
+            pull = self.pull - times(self.hessian, self.moves)
             pull = np.where(self.held, 0.0, pull)
             either = self.held[:, :, None] | self.held[:, None, :]
             H = np.where(either, 0.0, self.hessian)
@@ -324,13 +324,13 @@ class _System(Stacked):
             pull, Y = solved[:, :, 0], solved[:, :, 1:]
         S = J @ Y
         S[:, range(m), range(m)] += self.damping[:, None]
-        y = np.linalg.solve(S, (e - _times(J, pull))[:, :, None])[:, :, 0]
-        return self.moves + pull + _times(Y, y), y
+        y = np.linalg.solve(S, (e - times(J, pull))[:, :, None])[:, :, 0]
+        return self.moves + pull + times(Y, y), y
 
     def force(self, dq: Floats, y: Floats) -> Floats:
         """Force on each joint, shape (A, n); zero for those that are not held."""
-        resistance = dq if self.hessian is None else _times(self.hessian, dq)
-        return np.asarray(self.pull + _times(np.swapaxes(self.J, 1, 2), y) - resistance)
+        resistance = dq if self.hessian is None else times(self.hessian, dq)
+        return np.asarray(self.pull + times(np.swapaxes(self.J, 1, 2), y) - resistance)
 
     def curve(self, J: Floats, y: Floats, sliding: Booleans) -> None:
         """Add the second derivative of the pose, weighted by multipliers.
@@ -369,15 +369,10 @@ class _System(Stacked):
         pseudo_inverse = np.swapaxes(np.linalg.solve(S, J), 1, 2)
         size = 1.0 + np.linalg.norm(H, axis=(1, 2))
         weight = WEIGHT * size**2
-        self.pull[rows] += weight[:, None] * _times(pseudo_inverse, self.e[rows])
+        self.pull[rows] += weight[:, None] * times(pseudo_inverse, self.e[rows])
         H = H + weight[:, None, None] * (pseudo_inverse @ J)
         block = np.where(held[:, :, None] | held[:, None, :], 0.0, H)
         values, vectors = np.linalg.eigh(0.5 * (block + np.swapaxes(block, 1, 2)))
         # Uphill turns into downhill, and level ground into a gentle slope.
         change = (np.maximum(np.abs(values), LEAST) - values)[:, None]
         return np.asarray(H + (vectors * change) @ np.swapaxes(vectors, 1, 2))
-
-
-def _times(A: Floats, x: Floats) -> Floats:
-    """Matrices times vectors, shapes (N, m, n) and (N, n) to (N, m)."""
-    return np.asarray((A @ x[:, :, None])[:, :, 0])

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats, so3_log
+from calib_pin.kinematics.spatial import Floats, so3_log, times
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
 """Joint positions (N, n) to tool poses (N, 4, 4) and the tool's body twists by joint
@@ -190,8 +190,7 @@ class Task(Stacked):
         """Errors in the axes of the tool, (N, m), and body twists, (N, 6, n)."""
         T, J = self.evaluate(q)
         R_transposed = np.swapaxes(T[:, :3, :3], 1, 2)
-        way = self.targets[:, :3, 3] - T[:, :3, 3]
-        position = np.asarray((R_transposed @ way[:, :, None])[:, :, 0])
+        position = times(R_transposed, self.targets[:, :3, 3] - T[:, :3, 3])
         if not self.orientation:
             return position, J
         turn = so3_log(R_transposed @ self.targets[:, :3, :3])

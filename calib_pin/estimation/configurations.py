@@ -16,7 +16,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.model import Configurations, linearized_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows, relative_rows
+from calib_pin.measurement_models.mixed import contact_rows, relative_rows
 from calib_pin.observations import Measurements
 
 DRAWS = 50
@@ -55,7 +55,7 @@ def asked(
         start: Where relative measurements start, shape (K, n); default the
             configuration before each.
     """
-    if problem.measurement.relative and start is None:
+    if problem.measurement.declaration.relative and start is None:
         start = np.roll(q, 1, axis=0)
         start[~relative_rows(problem.measurement, target)] = np.nan
     return Configurations(
@@ -131,7 +131,7 @@ def observable_configurations(
                 still.append(i)
         left = np.array(still, np.int64)
     if len(left):
-        what = "brought into contact" if measurement.contact else "measured"
+        what = "brought into contact" if measurement.declaration.contact else "measured"
         raise InputError(
             f"only {count - len(left)} of {count} configurations that can be {what} "
             f"were found among {drawn} random ones within the joint limits "

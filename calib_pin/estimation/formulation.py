@@ -12,7 +12,7 @@ from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.references import Frame
+from calib_pin.measurement_models.mount import Frame
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import (
     NOTHING,
@@ -42,7 +42,7 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
             chain,
             setup.parameters,
             setup=setup,
-            estimate_base=model.external if base is None else base,
+            estimate_base=model.declaration.external if base is None else base,
             estimate_tool=model.sees_tool if tool is None else tool,
         )
     except OptionError as mistake:

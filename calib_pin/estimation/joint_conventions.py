@@ -215,7 +215,7 @@ def _misfit(chain: Chain, rows: Measurements, setup: Setup) -> float:
     problem = make_problem(chain, rows, setup)
     zero = np.zeros(len(problem.parameters))
     try:
-        if problem.measurement.external:
+        if problem.measurement.declaration.external:
             cost = registered(problem, zero).cost(zero)
         else:
             cost = register(problem, zero)[1].cost

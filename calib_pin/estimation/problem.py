@@ -15,8 +15,8 @@ from calib_pin.estimation.model import Model, ToolPoses, whitened_jacobian
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
-from calib_pin.measurement_models.rows import absent, assumed_sigma
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.mixed import absent, assumed_sigma
+from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 
@@ -116,7 +116,7 @@ def evaluator(
         parameters: Number of parameters P.
     """
     few = len(data) * model.components * parameters < MANY
-    if few or not model.error.geometric or model.measurement.relative:
+    if few or not model.error.geometric or model.measurement.declaration.relative:
         return RowByRow(model, data, sigma)
     from calib_pin.estimation.many_rows import ManyRows
 
@@ -211,7 +211,7 @@ class Problem(Model):
 
         Infinite for the components that one of mixed measurements does not have.
         """
-        if self.data.sigma is not None and self.data.stated:
+        if self.data.sigma is not None and states_sigmas(self.data):
             return self.data.sigma
         return _filled(self, self.data.sigma, len(self.data))
 

@@ -16,6 +16,7 @@ from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import states_sigmas
 from calib_pin.progress import Progress
 from calib_pin.solvers import (
     DifferentialEvolution,
@@ -264,7 +265,7 @@ def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) ->
     step = np.linalg.lstsq(A, fun, rcond=None)[0]
     promised = float(fun @ (A @ step)) / 2.0
     # Where the noise is stated, what lies far below it is nothing to gain either.
-    noise = 0.5 * problem.count if problem.data.stated else 0.0
+    noise = 0.5 * problem.count if states_sigmas(problem.data) else 0.0
     if promised <= NEGLIGIBLE * max(found.fun, noise):
         return Status.CONVERGED
     if found.status is Status.CONVERGED:

@@ -31,7 +31,8 @@ from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
+from calib_pin.observations import states_sigmas
 from calib_pin.solvers import LeastSquaresResult, Status
 
 SURPRISE = 10.0
@@ -55,7 +56,7 @@ def fit_in_stages(problem: Problem, before: LeastSquaresResult, solver: Solver) 
     stages.extend(EXPLAINED * before.cost)
     last = stages.last
     unit = last.sigma0
-    if len(problem.units) or (problem.data.stated and not np.isfinite(unit)):
+    if len(problem.units) or (states_sigmas(problem.data) and not np.isfinite(unit)):
         unit = 1.0
     evidence, result = _shrunk(problem, last, unit)
     found = [stage.solution for stage in reversed(stages.stages)]

@@ -17,7 +17,7 @@ from calib_pin.io.setup import setup_of
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
 from calib_pin.measurement_models.mixed import qualified
-from calib_pin.measurement_models.references import Frame
+from calib_pin.measurement_models.mount import Frame
 from calib_pin.observations import AT, PART, PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
 from calib_pin.parameterizations.error_model import ErrorModel

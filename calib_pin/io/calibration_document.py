@@ -19,7 +19,8 @@ from calib_pin.io.files import read_blocks
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models.references import Frame, ReferenceObject
+from calib_pin.measurement_models.mount import Frame
+from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -71,7 +72,7 @@ def calibration_document(
             **described.pop("measurements"),
             "training": len(result.fitted),
             "validation": result.validation.count,
-            "placed_by_validation": list(result.validation.placed),
+            "placed_by_validation": list(result.validation.located),
         },
         "rotation_to_base": result.fitted.to_base.tolist(),
         **described,

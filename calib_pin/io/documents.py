@@ -72,7 +72,7 @@ def evaluation_document(found: Evaluation) -> Json:
         "rows": found.rows,
         "registered": found.registered,
         "outside_trained_region": found.outside,
-        "placed": list(found.placed),
+        "placed": list(found.located),
         "verdict": {"status": found.verdict, "reason": found.reason},
         "errors": {
             name: {"unit": unit, **asdict(accuracy)}

@@ -299,14 +299,10 @@ class Chain:
         prepare: Callable[..., object],
         of_frame: Callable[..., Floats],
     ) -> tuple[Floats, Floats]:
-        """Tip poses in the base frame, and body twists of the tip.
+        """Tip poses in the base frame, and body twists of the tip, (N, 6, width).
 
-        Args:
-            q: Joint positions, shape (N, n) [rad, m].
-            placements: Joint placements in chain order; None for the nominal ones.
-            width: Number of columns.
-            prepare: Pinocchio's function for a configuration.
-            of_frame: Its local twists of a frame afterwards, shape (6, width).
+        Pinocchio's function `prepare` is called for each configuration, then
+        `of_frame`, which gives local twists of a frame, shape (6, width).
         """
         model, data, local = self._model, self._data, pin.LOCAL
         tip_id, base_id = self._tip_id, self._base_id

@@ -13,6 +13,11 @@ from numpy.typing import NDArray
 Floats = NDArray[np.float64]
 
 
+def times(A: Floats, x: Floats) -> Floats:
+    """Matrices times vectors, shapes (..., m, n) and (..., n) to (..., m)."""
+    return np.asarray((A @ x[..., None])[..., 0])
+
+
 def skew(vector: Floats) -> Floats:
     """Matrix of the cross product, shape (..., 3) -> (..., 3, 3)."""
     x, y, z = vector[..., 0], vector[..., 1], vector[..., 2]

@@ -1,7 +1,8 @@
-"""What a measurement model is."""
+"""The interface of measurement models, and what they share."""
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from typing import ClassVar, Protocol, Self, runtime_checkable
@@ -13,7 +14,7 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.references import ReferenceObject, slices
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.parameters import Parameter
 from calib_pin.setup import Setup
 
@@ -33,143 +34,148 @@ class Linearization:
     J_instrument: Floats
 
 
-class MeasurementModel(Protocol):
+class MeasurementModel(ABC):
     """How the tool pose becomes a measured value.
 
     A member is frozen; its parameters are those of its reference objects (a plane,
     say), deviations from references that these carry, and `register` returns it about
-    better references.
+    better references. Unless it says otherwise it can measure at every pose, has no
+    reference objects, nothing to be named, and noise adds to its values.
     """
+
+    @property
+    @abstractmethod
+    def declaration(self) -> Declaration:
+        """What users and other rooms may know of it."""
 
     @property
     def name(self) -> str:
         """Name as users write it."""
-        ...
+        return self.declaration.name
 
     @property
     def quantities(self) -> Sequence[Quantity]:
         """The quantities of the residual, in order."""
-        ...
-
-    @property
-    def external(self) -> bool:
-        """Whether values belong to a measurement frame, see `Declaration`."""
-        ...
+        return self.declaration.quantities
 
     @property
     def width(self) -> int:
         """Columns D of measured values."""
-        ...
-
-    @property
-    def contact(self) -> bool:
-        """Whether all measurements are contacts, see `Declaration`."""
-        ...
-
-    @property
-    def relative(self) -> bool:
-        """Whether some measurements have a start, see `Declaration`."""
-        ...
+        return len(self.declaration.values)
 
     @property
     def sees_tool(self) -> bool:
-        """Whether rows depend on the tool frame, and not on known offsets from it.
+        """Whether measurements depend on the tool frame, not on known offsets from it.
 
         Then the tool frame is unknown unless the setup says otherwise.
         """
-        ...
+        return True
 
     @property
     def missing(self) -> str:
         """What a study without measurements lacks; empty where nothing."""
-        ...
+        return ""
 
     @property
     def targets(self) -> Sequence[str]:
-        """Names of what rows can look at; empty where they need not say."""
-        ...
+        """Names of what measurements can look at; empty where they need not say."""
+        return ()
 
     @property
     def references(self) -> Sequence[ReferenceObject]:
-        """What rows refer to, in the order of the model's parameters."""
-        ...
+        """What measurements refer to, in the order of the model's parameters."""
+        return ()
 
-    def with_references(
-        self, references: Sequence[ReferenceObject]
-    ) -> MeasurementModel:
+    def with_references(self, references: Sequence[ReferenceObject]) -> Self:
         """The same model with its reference objects about other references."""
-        ...
-
-    def extended(self, T: Floats, data: Measurements) -> MeasurementModel:
-        """The model with sites for what measurements name and it does not know.
-
-        Only what was not there when it was fitted gets a site: the socket of rows
-        that were set aside, say, where the robot finds its ball on average.
-
-        Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
-            data: The rows.
-        """
-        ...
+        return self
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """The model's own parameters."""
-        ...
+        """The parameters of the reference objects."""
+        return tuple(p for reference in self.references for p in reference.parameters)
 
-    def rebased(self, instrument: Floats) -> MeasurementModel:
-        """The same model with its parameters moved into its references.
+    def rebased(self, instrument: Floats) -> Self:
+        """The same model with its parameters, shape (K,), moved into its references."""
+        parts = zip(self.references, slices(self.references), strict=True)
+        return self.with_references([o.rebased(instrument[part]) for o, part in parts])
+
+    def extended(self, T: Floats, data: Measurements) -> Self:
+        """The model with sites for what measurements name and it does not know.
+
+        Only what was not there when it was fitted gets a site: the socket of
+        measurements that were set aside, say, where the robot finds its ball on
+        average.
 
         Args:
-            instrument: Values of the model's parameters, shape (K,).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
+            data: The measurements.
         """
-        ...
+        return self
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    @abstractmethod
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Noise-free values in the layout of `Measurements.values`, shape (N, D).
 
         Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
             instrument: Values of the model's parameters, shape (K,).
-            target: Name of the target of each row.
+            target: Name of the target of each measurement.
         """
-        ...
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether the instrument can measure at each pose at all, shape (N,)."""
-        ...
+        return np.ones(len(T), bool)
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Values with noise of the residual components added, shape (N, d)."""
-        ...
+        """Values with noise of the residual components added; contacts have none."""
+        return values if self.declaration.contact else values + noise
 
     def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Signed residual, predicted minus measured, shape (N, d)."""
-        ...
+        return self.predict(T, instrument, data.target) - data.values
 
+    @abstractmethod
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
     ) -> Linearization:
         """Residual and its derivatives."""
-        ...
 
+    @abstractmethod
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
-    ) -> tuple[MeasurementModel, pin.SE3, pin.SE3]:
+    ) -> tuple[Self, pin.SE3, pin.SE3]:
         """Closed-form references from nominal tip poses; no first guess is needed.
 
         Args:
             F: Nominal tip poses in the base link, shape (N, 4, 4).
-            data: The rows to fit.
+            data: The measurements to fit.
             base: The base frame where it is known, or None to estimate it.
             tool: The tool frame where it is known, or None to estimate it.
 
         Returns:
             The model about its registered references, the base and the tool frame.
         """
-        ...
+
+
+class DeclaredModel(MeasurementModel):
+    """A member of the family, which its declaration introduces to all."""
+
+    declaration: ClassVar[Declaration]
+    """What users and other rooms may know of it."""
+
+    @classmethod
+    @abstractmethod
+    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> MeasurementModel:
+        """The model as a setup states it.
+
+        Args:
+            setup: What the user states.
+            targets: The targets that measurements name, each once.
+
+        Raises:
+            OptionError: If the setup lacks something, or states it wrongly.
+        """
 
 
 @dataclass(frozen=True)
@@ -206,19 +212,12 @@ class Batch:
 
     comparison: str
     rows: NDArray[np.intp]
-    point: NDArray[np.int64]
-    site: NDArray[np.int64]
+    point: Indices
+    site: Indices
     values: Floats
     weights: Floats
     geometry: Callable[[Floats], Geometry]
     inward: bool = False
-
-
-def tool_geometry(instrument: Floats) -> Geometry:
-    """The origin of the tool, compared with values alone."""
-    return Geometry(
-        np.zeros((len(instrument), 1, 3)), np.zeros((len(instrument), 1, 3))
-    )
 
 
 @runtime_checkable
@@ -253,13 +252,11 @@ class Curvature:
 class CurvedModel(Protocol):
     """A measurement model whose rows can be differentiated by the configuration."""
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives where the measured values are the predicted ones.
 
         Args:
-            T: Tool poses in the measuring frame, shape (N, 4, 4).
+            T: Tool poses in the measurement frame, shape (N, 4, 4).
             instrument: Values of the model's parameters, shape (K,).
             target: Name of the target of each row.
         """
@@ -272,115 +269,3 @@ def rotation_curvature(R: Floats) -> Floats:
     # R Exp(w) = R + R [w]x
     result[..., 3:] = np.einsum("naj,cjb->nabc", R, skew(np.eye(3)))
     return result
-
-
-class ReferenceParameters:
-    """What models share that have reference objects: parameters, and how these move."""
-
-    @property
-    def references(self) -> Sequence[ReferenceObject]:
-        """The reference objects; empty where there are none."""
-        return ()
-
-    def with_references(self, references: Sequence[ReferenceObject]) -> Self:
-        """The same model: there is nothing to replace."""
-        return self
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """The parameters of the reference objects."""
-        return tuple(p for reference in self.references for p in reference.parameters)
-
-    def rebased(self, instrument: Floats) -> Self:
-        """The same model with every reference object moved by its parameters."""
-        references = self.references
-        return self.with_references(
-            [
-                reference.rebased(instrument[part])
-                for reference, part in zip(references, slices(references), strict=True)
-            ]
-        )
-
-    def extended(self, T: Floats, data: Measurements) -> Self:
-        """The same model: measurements can name nothing new."""
-        return self
-
-
-class DeclaredModel(ReferenceParameters):
-    """What all models of one instrument share.
-
-    A member has a declaration, from which much of the interface follows. It can measure
-    at every pose, has nothing to be named, and noise adds to its values, unless it says
-    otherwise.
-    """
-
-    declaration: ClassVar[Declaration]
-    """What users and other rooms may know of it."""
-
-    @classmethod
-    def from_setup(cls, setup: Setup, targets: Sequence[str]) -> MeasurementModel:
-        """The model as a setup states it.
-
-        Args:
-            setup: What the user states.
-            targets: The targets that measurements name, each once.
-
-        Raises:
-            OptionError: If the setup lacks something, or states it wrongly.
-        """
-        raise NotImplementedError
-
-    @property
-    def name(self) -> str:
-        """Name as users write it."""
-        return self.declaration.name
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """The quantities of the residual, in order."""
-        return self.declaration.quantities
-
-    @property
-    def external(self) -> bool:
-        """Whether values belong to a measurement frame."""
-        return self.declaration.external
-
-    @property
-    def width(self) -> int:
-        """Columns D of measured values."""
-        return len(self.declaration.values)
-
-    @property
-    def contact(self) -> bool:
-        """Whether nothing is measured but that the residual is zero."""
-        return self.declaration.contact
-
-    @property
-    def relative(self) -> bool:
-        """Whether measurements have a start."""
-        return self.declaration.relative
-
-    @property
-    def sees_tool(self) -> bool:
-        """Whether measurements depend on the tool frame."""
-        return True
-
-    @property
-    def missing(self) -> str:
-        """What a study without measurements lacks; empty where nothing."""
-        return ""
-
-    @property
-    def targets(self) -> Sequence[str]:
-        """Names of what measurements can look at; empty where they need not say."""
-        return ()
-
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
-        """Whether the instrument can measure at each pose at all, shape (N,)."""
-        return np.ones(len(T), bool)
-
-    def disturb(self, values: Floats, noise: Floats) -> Floats:
-        """Values with noise added, shape (N, D); contacts have none."""
-        return values if self.contact else values + noise

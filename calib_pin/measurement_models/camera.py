@@ -1,11 +1,11 @@
 """Pixels of known points in the image of a camera (reprojection).
 
-The camera is the tool and looks at points of the measuring frame, that of a board, or
-it is the measuring frame and looks at points of the tool. Its frame is the optical one:
-z forward, x to the right of the image, y down. So where it stands, or where it sits on
-the robot, are the base and the tool frame of the error model.
+The camera is the tool and looks at points of the measurement frame, that of a board,
+or it is the measurement frame and looks at points of the tool. Its frame is the optical
+one: z forward, x to the right of the image, y down. So where it stands, or where it
+sits on the robot, are the base and the tool frame of the error model.
 
-A row is one point in one image; rows of one configuration are one image.
+A measurement is one point in one image; those of one configuration are one image.
 """
 
 from __future__ import annotations
@@ -15,7 +15,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, invert, skew
@@ -34,11 +33,13 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.intrinsics import INTRINSICS, Camera, Marker
 from calib_pin.measurement_models.named_points import xyz_or_none
 from calib_pin.measurement_models.pinhole import (
+    INTRINSICS,
     NEAR,
+    Camera,
     Image,
+    Marker,
     turning_radius,
 )
 from calib_pin.measurement_models.references import (
@@ -47,7 +48,7 @@ from calib_pin.measurement_models.references import (
     locate,
     slices,
 )
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.setup import PointSetup, Setup
 
 
@@ -139,13 +140,11 @@ class CameraModel(DeclaredModel):
         more = tuple(point for point in self.spare if point.name in named)
         return replace(self, points=(*self.points, *more)) if more else self
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Pixels (u, v), shape (N, 2) [px]; NaN behind the camera."""
         return self._look(T, instrument, self._index(target)).image.pixels
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Where the point is in front of the camera and within its image.
 
         Beyond the radius at which the distortion folds back there is no image. An
@@ -159,10 +158,6 @@ class CameraModel(DeclaredModel):
         pixels = image.pixels
         seen &= ((pixels >= 0.0) & (pixels <= edge)).all(axis=1)
         return np.asarray(seen)
-
-    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
-        """Predicted minus measured pixel, shape (N, 2) [px]."""
-        return self.predict(T, instrument, data.target) - data.values
 
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
@@ -219,9 +214,7 @@ class CameraModel(DeclaredModel):
             Batch("pixel", rows, point, camera, data.values, weights, geometry, hand)
         ]
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives: the point moves in the image, and its motion turns.
 
         With `dX = M (v, w)` of the point in the camera the rows are `g M`, and change
@@ -293,7 +286,7 @@ class CameraModel(DeclaredModel):
         self,
         F: Floats,
         data: Measurements,
-        index: NDArray[np.int64],
+        index: Indices,
         base: pin.SE3 | None,
         tool: pin.SE3 | None,
     ) -> tuple[pin.SE3, pin.SE3]:
@@ -319,18 +312,16 @@ class CameraModel(DeclaredModel):
         return base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
 
     @property
-    def _columns(self) -> NDArray[np.int64]:
+    def _columns(self) -> Indices:
         """First column of each point among the own parameters, -1 for a known one."""
         parts = slices(self.references)[1:]
         return np.array([p.start if p.stop > p.start else -1 for p in parts], np.int64)
 
-    def _index(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> NDArray[np.int64]:
+    def _index(self, target: Targets, data: Measurements | None = None) -> Indices:
         """Position of each row's point; data tell where a wrong name stands."""
         return locate(target, self.points, "target", data)
 
-    def _look(self, T: Floats, instrument: Floats, index: NDArray[np.int64]) -> _View:
+    def _look(self, T: Floats, instrument: Floats, index: Indices) -> _View:
         camera, *parts = slices(self.references)
         sites = np.array(
             [

@@ -7,6 +7,12 @@ from all rows at once, as if the robot had moved the points before one camera. T
 first needs images of several points and can do with robot poses that are much alike;
 the second is several times as exact where boards look small, and is content with one
 point in every image.
+
+A ray is (x, y): what a camera sees at (x, y, 1), up to scale, with the distortion of
+its lens undone. All that is unknown stands in a matrix P with `(x, y, 1) ~ P f` for
+features f of the points, which follows from linear equations (direct linear
+transformation; Hartley and Zisserman, "Multiple View Geometry", 4.1 and 7.1). Nothing
+needs a first guess, and nothing is refined.
 """
 
 from __future__ import annotations
@@ -15,12 +21,12 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
-from numpy.typing import NDArray
 
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.camera_pose import carried_points, pose_of_points
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.kinematics.spatial import Floats, nearest_rotation
 from calib_pin.measurement_models.pinhole import NEAR
 from calib_pin.measurement_models.registration import fit_pose, register_poses
+from calib_pin.observations import Indices
 
 IMAGES = 50
 """Images that a start is made from; more do not help it."""
@@ -30,6 +36,15 @@ ROWS = 2_000
 
 FEW = 3
 """Images below which the poses of a board do not tell both ends."""
+
+FLAT = 0.1
+"""Part of the extent of a set of points below which it may count as a plane."""
+
+THIN = 1e-3
+"""Part of the extent of a set of points that tells nothing of this direction."""
+
+DEGENERATE = 1e-9
+"""Part of the largest singular value that is rounding."""
 
 
 @dataclass(frozen=True)
@@ -46,9 +61,9 @@ class Rays:
 
     F: Floats
     points: Floats
-    index: NDArray[np.int64]
+    index: Indices
     rays: Floats
-    image: NDArray[np.int64]
+    image: Indices
 
     def ends(
         self, outer: Floats | None, inner: Floats | None, guess: tuple[bool, bool]
@@ -138,3 +153,181 @@ class Rays:
         error = np.linalg.norm(X[:, :2] / depth[:, None] - self.rays, axis=1)
         # Unlike a mean this does not ask what a wrong row says.
         return float(np.median(np.where(front, error, np.inf)))
+
+
+@serial_blas
+def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
+    """The frame of points as the camera sees it, from four rays or more.
+
+    Points about a plane give a homography, six and more that are not on one the camera
+    matrix; where both are possible the pose with the smaller error is taken.
+
+    Args:
+        points: Points in a frame of their own, shape (N, 3) [m].
+        rays: What the camera sees of them, shape (N, 2).
+
+    Returns:
+        The pose (R, t) of their frame in the camera, shape (4, 4), or None where they
+        are too few, lie on a line, or cannot all be in front of the camera.
+
+    Example:
+        >>> board = np.array([[0, 0, 0], [1, 0, 0], [0, 1, 0], [1, 1, 0.0]])
+        >>> pose = pose_of_points(board, board[:, :2] / 2.0)
+        >>> np.allclose(pose[:3, 3], [0, 0, 2])
+        True
+    """
+    center, axes, extent = _extent(points)
+    if len(points) < 4 or extent[1] <= THIN * extent[0]:
+        return None
+    local = (points - center) @ axes.T
+    found: list[tuple[float, Floats]] = []
+    if extent[2] < FLAT * extent[0]:
+        found += _placed(_plane_rotation(local, rays), local, rays)
+    if extent[2] > THIN * extent[0] and len(points) >= 6:
+        found += _placed(_space_rotation(local, rays), local, rays)
+    if not found:
+        return None
+    _, pose = min(found, key=lambda candidate: candidate[0])
+    pose[:3, :3] = pose[:3, :3] @ axes
+    pose[:3, 3] -= pose[:3, :3] @ center
+    return pose
+
+
+def carried_points(
+    F: Floats,
+    label: Indices,
+    rays: Floats,
+    points: Floats,
+    camera: Floats | None = None,
+) -> Floats | None:
+    """Points that a chain carries before a camera, in the tip of the chain.
+
+    The camera sees `X_i = R (R_i c_l(i) + p_i) + t` with an unknown R, t and points c.
+    With c = A h, h what is known of the points, this is linear in the products of R and
+    A and in R, t: as many unknowns for many points as for a few, and one ray for each
+    configuration is enough, if there are many. R is taken from them; t and A then
+    follow from linear equations as well.
+
+    Args:
+        F: Tip poses (R_i, p_i), shape (N, 4, 4).
+        label: Which of the points each row sees, shape (N,).
+        rays: What the camera sees, shape (N, 2).
+        points: The points in a frame of their own, shape (J, 3) [m].
+        camera: The pose (R, t) of the chain in the camera where it is known, (4, 4).
+
+    Returns:
+        The points c, shape (J, 3) [m], or None where the rows do not determine them.
+    """
+    center, axes, extent = _extent(points)
+    thick = axes[(extent > THIN * extent[0]) & (extent > 0.0)]
+    # In units of their size, so that all columns have about the same length.
+    spread = (points - center) @ thick.T / (extent[0] or 1.0)
+    h = np.column_stack([spread, np.ones(len(points))])
+    turned = F[:, :3, :3, None] * h[label][:, None, None, :]
+    if camera is None:
+        known = np.column_stack([F[:, :3, 3], np.ones(len(F))])
+        P = _projection(rays, np.column_stack([turned.reshape(len(F), -1), known]))
+        # Two axes make a rotation: tips that stay in a plane are enough.
+        if P is None or np.linalg.matrix_rank(P[:, -4:-1], rtol=1e-6) < 2:
+            return None
+        R = nearest_rotation(P[:, -4:-1])
+    else:
+        R = camera[:3, :3]
+    sight = _sight(rays)
+    rows = np.einsum("nab,bc,ncdl->nadl", sight, R, turned).reshape(2 * len(F), -1)
+    right = -(sight @ (R @ F[:, :3, 3, None])).reshape(-1)
+    if camera is None:
+        rows = np.column_stack([rows, sight.reshape(-1, 3)])
+    else:
+        right -= sight.reshape(-1, 3) @ camera[:3, 3]
+    if len(rows) < rows.shape[1]:
+        return None
+    found = np.linalg.lstsq(rows, right, rcond=DEGENERATE)[0]
+    return np.asarray(h @ found[: 3 * h.shape[1]].reshape(3, -1).T)
+
+
+def _extent(points: Floats) -> tuple[Floats, Floats, Floats]:
+    """Center (3,), principal axes as rows of a rotation (3, 3), extent along each."""
+    center = points.mean(axis=0)
+    # Rows of zeros give three axes however few the points are.
+    padded = np.vstack([points - center, np.zeros((3, 3))])
+    _, values, axes = np.linalg.svd(padded, full_matrices=False)
+    axes[2] *= np.sign(np.linalg.det(axes))
+    return center, axes, values / np.sqrt(len(points))
+
+
+def _projection(rays: Floats, features: Floats) -> Floats | None:
+    """Matrix P, shape (3, m), of least algebraic error of `(x, y, 1) ~ P f`.
+
+    Features become orthonormal and rays centered before (Hartley's normalization,
+    for any number of features); what features do not show is zero in P. The sign is
+    that with most of the third components positive.
+
+    Args:
+        rays: Shape (N, 2).
+        features: Shape (N, m).
+
+    Returns:
+        P, or None where it is not determined.
+    """
+    U, s, Vt = np.linalg.svd(features, full_matrices=False)
+    kept = s > DEGENERATE * s[0]
+    U = U[:, kept] * np.sqrt(len(U))
+    center = rays.mean(axis=0)
+    size = float(np.sqrt(np.mean((rays - center) ** 2))) or 1.0
+    x, y = (rays - center).T[:, :, None] / size
+    zero = np.zeros_like(U)
+    A = np.block([[U, zero, -x * U], [zero, U, -y * U]])
+    if len(A) < A.shape[1] - 1:
+        return None
+    # A row of zeros where there is just one too few, for a square factor.
+    A = np.vstack([A, np.zeros((1, A.shape[1]))])
+    _, values, directions = np.linalg.svd(np.linalg.qr(A, mode="r"))
+    if values[-2] <= DEGENERATE * values[0]:
+        return None
+    P = directions[-1].reshape(3, -1) @ (Vt[kept] / s[kept, None])
+    P[:2] = size * P[:2] + center[:, None] * P[2]
+    return np.asarray(P * np.sign(np.sum(np.sign(features @ P[2])) or 1.0))
+
+
+def _plane_rotation(local: Floats, rays: Floats) -> Floats | None:
+    """Rotation of points about their plane z = 0, from its homography."""
+    P = _projection(rays, np.column_stack([local[:, :2], np.ones(len(local))]))
+    if P is None:
+        return None
+    first, second = P[:, 0], P[:, 1]
+    third = np.cross(first, second) / np.sqrt(
+        np.linalg.norm(first) * np.linalg.norm(second)
+    )
+    return nearest_rotation(np.column_stack([first, second, third]))
+
+
+def _space_rotation(local: Floats, rays: Floats) -> Floats | None:
+    """Rotation of points that fill space, from the camera matrix."""
+    P = _projection(rays, np.column_stack([local, np.ones(len(local))]))
+    return None if P is None else nearest_rotation(P[:, :3])
+
+
+def _placed(
+    R: Floats | None, local: Floats, rays: Floats
+) -> list[tuple[float, Floats]]:
+    """Error of the rays and pose with a rotation, where points are in front."""
+    if R is None:
+        return []
+    turned, sight = local @ R.T, _sight(rays)
+    right = -(sight @ turned[:, :, None]).reshape(-1)
+    t = np.linalg.lstsq(sight.reshape(-1, 3), right, rcond=None)[0]
+    seen = turned + t
+    if (seen[:, 2] <= 0.0).any():
+        return []
+    pose = np.eye(4)
+    pose[:3, :3], pose[:3, 3] = R, t
+    return [(float(np.sum((seen[:, :2] / seen[:, 2:] - rays) ** 2)), pose)]
+
+
+def _sight(rays: Floats) -> Floats:
+    """Matrices S with `S X = 0` for every point X on a ray, shape (N, 2, 3)."""
+    result = np.zeros((len(rays), 2, 3))
+    result[:, 0, 0] = result[:, 1, 1] = 1.0
+    result[:, :, 2] = -rays
+    return result

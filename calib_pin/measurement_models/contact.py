@@ -4,33 +4,91 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from typing import Self
 
 import numpy as np
-from numpy.typing import NDArray
+import pinocchio as pin
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact_registration import (
-    Reached,
     register_distances,
     register_touched_plane,
 )
 from calib_pin.measurement_models.declaration import Declaration, Naming, Quantity
 from calib_pin.measurement_models.named_points import (
     given_names,
+    located_tool,
+    tip_points,
     xyz_or_none,
 )
-from calib_pin.measurement_models.planes import Plane, turned_planes
-from calib_pin.measurement_models.references import Anchor, ReferenceObject, Sphere
-from calib_pin.measurement_models.registered_sites import SiteModel
+from calib_pin.measurement_models.references import (
+    Anchor,
+    Plane,
+    ReferenceObject,
+    Sphere,
+    turned_planes,
+)
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
+    PointModel,
 )
-from calib_pin.observations import Measurements
+from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 
 GAP = (Quantity("contact", "m", slice(0, 1), 1e-4),)
+
+
+@dataclass(frozen=True)
+class SiteModel(PointModel):
+    """A point of the tool against places that are registered from rows of theirs."""
+
+    def fit_site(
+        self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
+    ) -> tuple[Floats, ReferenceObject]:
+        """The point in the tip frame and its site in closed form.
+
+        Args:
+            F: Tip poses in the measurement frame, shape (N, 4, 4).
+            data: The measurements of one point at one site.
+            point: The point in the tip frame where it is known, shape (3,) [m].
+            site: The site, not located yet.
+        """
+        raise NotImplementedError
+
+    def register(
+        self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
+    ) -> tuple[Self, pin.SE3, pin.SE3]:
+        """Unknown points by all their places, then unknown places by all rows.
+
+        A base that is not given stays where the URDF puts it.
+        """
+        base = base or pin.SE3.Identity()
+        label, site = self.names(data.target, data)
+        F = base.homogeneous @ F
+        tip = tip_points(self.points, tool)
+        for k in np.unique(label[np.isnan(tip[label, 0])]):
+            found, sizes = [], []
+            for s in np.unique(site[label == k]):
+                rows = (label == k) & (site == s)
+                part = data.rows(rows)
+                found.append(self.fit_site(F[rows], part, None, self.sites[s])[0])
+                sizes.append(rows.sum())
+            # The place with most rows: a poor one would spoil an average.
+            tip[k] = found[int(np.argmax(sizes))]
+        points, tool = located_tool(tip, self.points, tool)
+        at = tip_points(points, tool)[label]
+        # With the points in place, every row tells of its place.
+        moved = F.copy()
+        moved[:, :3, 3] += np.einsum("nij,nj->ni", F[:, :3, :3], at)
+        sites = list(self.sites)
+        for s, reference in enumerate(sites):
+            rows = site == s
+            if not reference.located and rows.any():
+                part = data.rows(rows)
+                _, sites[s] = self.fit_site(moved[rows], part, np.zeros(3), reference)
+        return replace(self, points=points, sites=tuple(sites)), base, tool
 
 
 @dataclass(frozen=True)
@@ -46,15 +104,14 @@ class PlaneContact(SiteModel):
         naming=Naming("plane", "all or none"),
     )
     comparison = "height"
+    unknown = staticmethod(Plane)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
         """The planes."""
         return planes_of_setup(setup, names)
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The height, with the plane turned by (u, v) and shifted by f."""
         n, f, by_turn = self._planes(site, values)
         height = np.einsum("ni,ni->n", n, p) + f
@@ -68,33 +125,22 @@ class PlaneContact(SiteModel):
         planes = [plane for plane in self.sites if isinstance(plane, Plane)]
         return turned_planes(planes, values)
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """A plane is flat; what it turns about is as far as the point."""
         _, _, by_turn = self._planes(site, values)
         by_plane = np.zeros((len(p), 1, 3, 3))
         by_plane[:, 0, :2] = np.swapaxes(by_turn, 1, 2)
         return PointCurvature(np.zeros((len(p), 1, 3, 3)), by_plane)
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
+    ) -> tuple[Floats, Plane]:
         """The plane through the points."""
-        return register_touched_plane(F, point)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The plane with normal and offset."""
         assert isinstance(site, Plane)
-        return replace(site, normal=reached.site, offset=reached.size)
+        reached = register_touched_plane(F, point)
+        return reached.point, replace(site, normal=reached.site, offset=reached.size)
 
-    def new(self, name: str) -> Plane:
-        """A plane that nobody has given."""
-        return Plane(name)
-
-    def _planes(
-        self, site: NDArray[np.int64], values: Floats
-    ) -> tuple[Floats, Floats, Floats]:
+    def _planes(self, site: Indices, values: Floats) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,), derivative (N, 3, 2) of each row's plane."""
         # Rows of one plane share its parameters.
         first = {int(k): int(np.argmax(site == k)) for k in np.unique(site)}
@@ -125,6 +171,7 @@ class SphereContact(SiteModel):
         yardstick="the radius of the sphere",
     )
     comparison = "distance"
+    unknown = staticmethod(Sphere)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Sphere, ...]:
@@ -138,9 +185,7 @@ class SphereContact(SiteModel):
             spheres.append(Sphere(name, xyz, stated.radius, stated.estimate, free))
         return tuple(spheres) or tuple(map(Sphere, given_names(names, "sphere")))
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The height."""
         e, distance = rays(p, self.sites, site, values)
         height = distance - self._radii[site] - values[:, 3]
@@ -157,31 +202,20 @@ class SphereContact(SiteModel):
         spheres = [s for s in self.sites if isinstance(s, Sphere)]
         return np.array([sphere.radius for sphere in spheres], float)
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the point is far from the center."""
         e, distance = rays(p, self.sites, site, values)
         return round_bend(e, distance)
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
-        """The sphere through the points."""
+    ) -> tuple[Floats, Sphere]:
+        """The sphere through the points, with its radius where that was unknown."""
         assert isinstance(site, Sphere)
-        if site.radius is None:
-            return register_distances(F, None, point)
-        return register_distances(F, np.full(len(F), site.radius), point)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The sphere with its center, and the radius where it was unknown."""
-        assert isinstance(site, Sphere)
+        known = None if site.radius is None else np.full(len(F), site.radius)
+        reached = register_distances(F, known, point)
         radius = reached.size if site.radius is None else site.radius
-        return replace(site, xyz=reached.site, radius=radius)
-
-    def new(self, name: str) -> Sphere:
-        """A sphere that nobody has given."""
-        return Sphere(name)
+        return reached.point, replace(site, xyz=reached.site, radius=radius)
 
 
 def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
@@ -206,12 +240,12 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
 
 
 def rays(
-    p: Floats, sites: Sequence[ReferenceObject], site: NDArray[np.int64], values: Floats
+    p: Floats, sites: Sequence[ReferenceObject], site: Indices, values: Floats
 ) -> tuple[Floats, Floats]:
     """Directions and lengths from the centers of spheres or anchors to points.
 
     Args:
-        p: Points in the measuring frame, shape (N, 3) [m].
+        p: Points in the measurement frame, shape (N, 3) [m].
         sites: The spheres or anchors.
         site: Position of each row's, shape (N,).
         values: Its parameters, the coordinates first, shape (N, k).

@@ -10,20 +10,20 @@ from collections.abc import Callable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.registration import register_plane
+from calib_pin.observations import Indices
 
 
 @serial_blas
 def register_sockets(
     F: Floats,
     tool: Floats,
-    label: NDArray[np.int64],
+    label: Indices,
     sockets: Floats,
-    socket: NDArray[np.int64],
+    socket: Indices,
 ) -> tuple[Floats, Floats]:
     """Fit `R_i t_l(i) + p_i = c_s(i)`: points of a tool that rest in sockets.
 

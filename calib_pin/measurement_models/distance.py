@@ -7,12 +7,16 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.contact import directions, rays, round_bend, rounds
+from calib_pin.measurement_models.contact import (
+    SiteModel,
+    directions,
+    rays,
+    round_bend,
+    rounds,
+)
 from calib_pin.measurement_models.contact_registration import (
-    Reached,
     register_distances,
     register_relative_distances,
 )
@@ -29,13 +33,12 @@ from calib_pin.measurement_models.named_points import (
     xyz_or_none,
 )
 from calib_pin.measurement_models.references import Anchor, ReferenceObject
-from calib_pin.measurement_models.registered_sites import SiteModel
 from calib_pin.measurement_models.tool_point import (
     PointCurvature,
     PointMeasurement,
     PointModel,
 )
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, Indices, Measurements
 from calib_pin.setup import Setup
 
 QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
@@ -54,6 +57,7 @@ class PointDistance(SiteModel):
         yardstick=INSTRUMENT,
     )
     comparison = "distance"
+    unknown = staticmethod(Anchor)
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
@@ -64,9 +68,7 @@ class PointDistance(SiteModel):
             for name, a in stated
         ) or tuple(map(Anchor, given_names(names, "anchor")))
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The reading."""
         e, distance = rays(p, self.sites, site, values)
         bias = self._biases[site]
@@ -82,28 +84,18 @@ class PointDistance(SiteModel):
     def _biases(self) -> Floats:
         return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the point is far from the anchor."""
         return round_bend(*rays(p, self.sites, site, values))
 
-    def reached(
+    def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
-    ) -> Reached:
-        """The anchor at these distances from the points."""
+    ) -> tuple[Floats, Anchor]:
+        """The anchor at these distances from the points, with an unknown bias."""
         assert isinstance(site, Anchor)
         bias = None if site.estimate_bias else site.bias
-        return register_distances(F, data.values[:, 0], point, bias)
-
-    def found(self, site: ReferenceObject, reached: Reached) -> ReferenceObject:
-        """The anchor with its place, and the bias where it was unknown."""
-        assert isinstance(site, Anchor)
-        return replace(site, xyz=reached.site, bias=reached.size)
-
-    def new(self, name: str) -> Anchor:
-        """An anchor that nobody has given."""
-        return Anchor(name)
+        reached = register_distances(F, data.values[:, 0], point, bias)
+        return reached.point, replace(site, xyz=reached.site, bias=reached.size)
 
 
 @dataclass(frozen=True)
@@ -131,9 +123,7 @@ class RelativeDistance(PointModel):
         """Points, each before the name of a start that is yet to come."""
         return tuple(f"{name}{AT}" if name else "" for name in super().targets)
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The length of the way."""
         e, distance = directions(p)
         return PointMeasurement(distance[:, None], e[:, None], np.zeros((len(p), 1, 0)))
@@ -142,9 +132,7 @@ class RelativeDistance(PointModel):
         """The start, from which on the kernel counts."""
         return np.zeros((len(values), 1, 4))
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """As round as the way is long."""
         across = round_bend(*directions(p)).by_point
         return PointCurvature(across, np.zeros((len(p), 1, 0, 3)))

@@ -4,10 +4,10 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import partial
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.contact_registration import register_sockets
@@ -25,7 +25,7 @@ from calib_pin.measurement_models.tool_point import (
     PointMeasurement,
     PointModel,
 )
-from calib_pin.observations import Measurements
+from calib_pin.observations import Indices, Measurements
 from calib_pin.setup import Setup
 
 
@@ -47,15 +47,14 @@ class FixedPoint(PointModel):
         naming=Naming("socket", "every", configurations=2),
     )
     comparison = "position"
+    unknown = staticmethod(partial(Point, kind="socket"))
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Point, ...]:
         """The sockets."""
         return named_points(setup.sockets, given_names(names, "socket"), "socket")
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """From the socket to the ball."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
         centers = self._centers[site] + values
@@ -65,9 +64,7 @@ class FixedPoint(PointModel):
         """Centers of the sockets."""
         return self._centers + values.reshape(len(values), -1, 3)
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """Nothing bends."""
         flat = np.zeros((len(p), 3, 3, 3))
         return PointCurvature(flat, flat)
@@ -76,10 +73,6 @@ class FixedPoint(PointModel):
     def _centers(self) -> Floats:
         sockets = [s for s in self.sites if isinstance(s, Point)]
         return np.array([socket.xyz for socket in sockets])
-
-    def new(self, name: str) -> Point:
-        """A socket that nobody has given."""
-        return Point(name, "socket")
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

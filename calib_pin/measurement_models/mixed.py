@@ -4,14 +4,14 @@ A row belongs to one of the models, its part; its target is qualified by the nam
 that, as in `fixed-point:front/0`. The residual has the components of all parts; those
 of the others are zero in a row, and their standard deviation is infinite.
 
-All parts share the measuring frame and the tool, and references of the same kind and
+All parts share the measurement frame and the tool, and references of the same kind and
 name are the same: the ball that a tracker sees is the one that rests in a socket. Only
 a camera, which is a frame of its own, has its own stand and its own place on the tool.
 """
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
@@ -23,21 +23,26 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.base import (
     Batch,
     BatchedModel,
-    DeclaredModel,
     Linearization,
     MeasurementModel,
-    ReferenceParameters,
 )
-from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.measurement_models.declaration import Declaration, Quantity
 from calib_pin.measurement_models.mount import Mounted
 from calib_pin.measurement_models.references import ReferenceObject, slices
 from calib_pin.measurement_models.side_by_side import by_part
-from calib_pin.observations import PART, PLUS, Measurements, rows_by_part
+from calib_pin.observations import (
+    PART,
+    PLUS,
+    Booleans,
+    Measurements,
+    Targets,
+    rows_by_part,
+)
 
 
 @dataclass(frozen=True)
-class _SideBySide(ReferenceParameters):
-    """Values and residuals of several models side by side, and what they share.
+class Mixed(MeasurementModel):
+    """Values and residuals of several models side by side, told apart by targets.
 
     Attributes:
         parts: The models by name.
@@ -45,50 +50,60 @@ class _SideBySide(ReferenceParameters):
 
     parts: Mapping[str, MeasurementModel]
 
-    @property
-    def name(self) -> str:
-        """Names of the parts with a plus between them."""
-        return PLUS.join(self.parts)
+    @staticmethod
+    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
+        """Mix models; one that follows nothing (a camera) gets frames of its own.
+
+        What several of them name has the parameters of all of them: a point that is
+        known to a camera and estimated by a tracker is estimated.
+        """
+        mixed = Mixed(
+            {
+                name: Mounted.of(model)
+                if model.declaration.external and not model.declaration.tracks
+                else model
+                for name, model in parts.items()
+            }
+        )
+        return mixed.with_references(mixed.references)
 
     @cached_property
-    def quantities(self) -> Sequence[Quantity]:
-        """Those of all parts; what two of them have is named with the part."""
-        names = [q.name for part in self.parts.values() for q in part.quantities]
-        result = []
-        for name, part in self.parts.items():
-            columns = self._layout[name][1]
-            for quantity in part.quantities:
-                shared = names.count(quantity.name) > 1
-                start, stop = quantity.columns.start, quantity.columns.stop
-                result.append(
-                    replace(
-                        quantity,
-                        name=f"{quantity.name} ({name})" if shared else quantity.name,
-                        noise=quantity.name,
-                        columns=slice(columns.start + start, columns.start + stop),
-                    )
-                )
-        return tuple(result)
+    def declaration(self) -> Declaration:
+        """That of all parts together.
 
-    @property
-    def external(self) -> bool:
-        """Whether some part has one of its own, which is then that of all."""
-        return any(part.external for part in self.parts.values())
+        Quantities that two of them have are named with the part. A base frame is
+        external, and measurements have a start, where those of some part do.
+        """
+        stated = [part.declaration for part in self.parts.values()]
+        names = [q.name for one in stated for q in one.quantities]
+        quantities: list[Quantity] = []
+        for one in stated:
+            first = quantities[-1].columns.stop if quantities else 0
+            quantities += [
+                replace(
+                    q,
+                    name=f"{q.name} ({one.name})"
+                    if names.count(q.name) > 1
+                    else q.name,
+                    noise=q.name,
+                    columns=slice(first + q.columns.start, first + q.columns.stop),
+                )
+                for q in one.quantities
+            ]
+        return Declaration(
+            name=PLUS.join(self.parts),
+            help="",
+            components=tuple(name for one in stated for name in one.components),
+            quantities=tuple(quantities),
+            contact=all(one.contact for one in stated),
+            relative=any(one.relative for one in stated),
+            external=any(one.external for one in stated),
+        )
 
     @property
     def width(self) -> int:
         """Columns of all parts."""
         return sum(part.width for part in self.parts.values())
-
-    @property
-    def contact(self) -> bool:
-        """Whether all parts are contacts."""
-        return all(part.contact for part in self.parts.values())
-
-    @property
-    def relative(self) -> bool:
-        """Whether some part has relative poses."""
-        return any(part.relative for part in self.parts.values())
 
     @property
     def sees_tool(self) -> bool:
@@ -108,41 +123,6 @@ class _SideBySide(ReferenceParameters):
             for name, part in self.parts.items()
             for target in part.targets or ("",)
         )
-
-    @cached_property
-    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
-        """Columns of the values and components of the residual of every part."""
-        result, a, b = {}, 0, 0
-        for name, part in self.parts.items():
-            c, d = a + part.width, b + part.quantities[-1].columns.stop
-            result[name] = slice(a, c), slice(b, d)
-            a, b = c, d
-        return result
-
-    @property
-    def _components(self) -> int:
-        """Components of the residual."""
-        return int(self.quantities[-1].columns.stop)
-
-
-@dataclass(frozen=True)
-class Mixed(_SideBySide):
-    """Parts with their rows told apart by their targets."""
-
-    @staticmethod
-    def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
-        """Mix models; one that follows nothing (a camera) gets frames of its own.
-
-        What several of them name has the parameters of all of them: a point that is
-        known to a camera and estimated by a tracker is estimated.
-        """
-        mixed = Mixed(
-            {
-                name: Mounted.of(model) if _apart(model) else model
-                for name, model in parts.items()
-            }
-        )
-        return mixed.with_references(mixed.references)
 
     @property
     def references(self) -> Sequence[ReferenceObject]:
@@ -168,12 +148,12 @@ class Mixed(_SideBySide):
     def extended(self, T: Floats, data: Measurements) -> Mixed:
         """Every part extended by its rows, with what the parts before have located."""
         mixed = self
-        for name, (rows, instrument) in by_part(data).items():
-            part = mixed.parts[name].extended(T[rows], instrument)
+        for name, (rows, seen) in by_part(data).items():
+            part = mixed.parts[name].extended(T[rows], seen)
             mixed = Mixed({**mixed.parts, name: part})
         return mixed
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Values of all parts side by side, shape (N, D)."""
         result = np.zeros((len(T), self.width))
         for name, rows, names in self._split(target):
@@ -183,9 +163,7 @@ class Mixed(_SideBySide):
             )
         return result
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether each row's part can measure there."""
         result = np.ones(len(T), bool)
         for name, rows, names in self._split(target):
@@ -248,7 +226,7 @@ class Mixed(_SideBySide):
     ) -> tuple[Mixed, pin.SE3, pin.SE3]:
         """Part by part: each takes over what those before it have placed.
 
-        What has a measuring frame of its own comes first, since places stand in it.
+        What has a measurement frame of its own comes first, since places stand in it.
         """
         mixed = self
 
@@ -256,13 +234,13 @@ class Mixed(_SideBySide):
             part = self.parts[name]
             # Points are placed about a tool that others may tell more of.
             mounted = isinstance(part, Mounted)
-            return mounted, not part.external, not part.sees_tool
+            return mounted, not part.declaration.external, not part.sees_tool
 
         for name in sorted(by_part(data), key=turn):
-            (rows, instrument), part = by_part(data)[name], mixed.parts[name]
-            found, new_base, new_tool = part.register(F[rows], instrument, base, tool)
+            (rows, seen), part = by_part(data)[name], mixed.parts[name]
+            found, new_base, new_tool = part.register(F[rows], seen, base, tool)
             # A part that sees no base or tool frame has nothing to say of it.
-            if part.external or not self.external:
+            if part.declaration.external or not self.declaration.external:
                 base = base or new_base
             if part.sees_tool:
                 tool = tool or new_tool
@@ -272,12 +250,27 @@ class Mixed(_SideBySide):
             )
         return mixed, base or pin.SE3.Identity(), tool or pin.SE3.Identity()
 
-    def unstated(self, target: Sequence[str]) -> Floats:
+    def unstated(self, target: Targets) -> Floats:
         """Standard deviations of rows that state none, shape (N, d)."""
         result = np.full((len(target), self._components), np.inf)
         for name, rows in rows_by_part(target).items():
             result[rows, self._layout[name][1]] = np.nan
         return result
+
+    @cached_property
+    def _layout(self) -> Mapping[str, tuple[slice, slice]]:
+        """Columns of the values and components of the residual of every part."""
+        result, a, b = {}, 0, 0
+        for name, part in self.parts.items():
+            c, d = a + part.width, b + part.quantities[-1].columns.stop
+            result[name] = slice(a, c), slice(b, d)
+            a, b = c, d
+        return result
+
+    @property
+    def _components(self) -> int:
+        """Components of the residual."""
+        return int(self.quantities[-1].columns.stop)
 
     @cached_property
     def _instrument(self) -> Mapping[str, NDArray[np.intp]]:
@@ -297,12 +290,62 @@ class Mixed(_SideBySide):
         }
 
     def _split(
-        self, target: Sequence[str]
+        self, target: Targets
     ) -> Iterator[tuple[str, NDArray[np.intp], tuple[str, ...]]]:
         """Name, rows and plain targets of every part that has rows."""
         for name, rows in rows_by_part(target).items():
             start = len(name) + 1
             yield name, rows, tuple(target[k][start:] for k in rows.tolist())
+
+
+def assumed_sigma(measurement: MeasurementModel, noise: Mapping[str, float]) -> Floats:
+    """Standard deviation of the residual components where rows state none, (d,)."""
+    return np.concatenate(
+        [
+            np.full(
+                quantity.columns.stop - quantity.columns.start,
+                noise.get(quantity.noise or quantity.name, quantity.sigma),
+            )
+            for quantity in measurement.quantities
+        ]
+    )
+
+
+def absent(measurement: MeasurementModel, target: Targets) -> Floats | None:
+    """Standard deviations of mixed rows that state none, see `Measurements.sigma`."""
+    if not isinstance(measurement, Mixed):
+        return None
+    return measurement.unstated(target)
+
+
+def relative_rows(measurement: MeasurementModel, target: Targets) -> Booleans:
+    """The rows that are measured relative to a start, shape (N,)."""
+    return _rows_where(measurement, target, lambda part: part.declaration.relative)
+
+
+def contact_rows(measurement: MeasurementModel, target: Targets) -> Booleans:
+    """The rows at which the tool touches something, shape (N,)."""
+    return _rows_where(measurement, target, lambda part: part.declaration.contact)
+
+
+def _rows_where(
+    measurement: MeasurementModel,
+    target: Targets,
+    holds: Callable[[MeasurementModel], bool],
+) -> Booleans:
+    """The rows of whose measurement model something holds, shape (N,).
+
+    Args:
+        measurement: The measurement model.
+        target: Target of each row.
+        holds: Whether it does of a model, a part of a mixed one.
+    """
+    if not isinstance(measurement, Mixed):
+        return np.full(len(target), holds(measurement))
+    result = np.zeros(len(target), bool)
+    for name, rows in rows_by_part(target).items():
+        result[rows] = holds(measurement.parts[name])
+    return result
 
 
 def qualified(
@@ -319,13 +362,6 @@ def qualified(
         part, _, plain = target.partition(PART)
         found[part][plain] = None
     return {name: tuple(plain) for name, plain in found.items()}
-
-
-def _apart(model: MeasurementModel) -> bool:
-    """Whether an instrument is a frame of its own, where others share one."""
-    if not isinstance(model, DeclaredModel):
-        return False
-    return model.declaration.external and not model.declaration.tracks
 
 
 def _within(

@@ -2,12 +2,11 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models.base import (
@@ -16,43 +15,116 @@ from calib_pin.measurement_models.base import (
     Geometry,
     Linearization,
     MeasurementModel,
-    ReferenceParameters,
 )
-from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.references import Frame, ReferenceObject
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models.declaration import Declaration
+from calib_pin.measurement_models.references import (
+    ReferenceObject,
+    triple,
+)
+from calib_pin.observations import Booleans, Measurements, Targets
+from calib_pin.setup import FrameSetup
 
 
 @dataclass(frozen=True)
-class _Wrapper(ReferenceParameters):
-    """A model with another inside, whose name, numbers and targets are its own."""
+class Frame(ReferenceObject):
+    """A frame of an instrument that is one among others.
+
+    Attributes:
+        name: Name of the instrument.
+        kind: `base` for where it stands, `tool` for its place on the tool.
+        pose: Reference; None until it is registered.
+        estimate: Whether it is estimated.
+    """
+
+    name: str
+    kind: str
+    pose: pin.SE3 | None = None
+    estimate: bool = True
+
+    @property
+    def section(self) -> str:
+        """`<kind> frames`; a setup file does not state it."""
+        return f"{self.kind} frames"
+
+    @property
+    def located(self) -> bool:
+        """Whether it is registered."""
+        return self.pose is not None
+
+    @property
+    def outer(self) -> bool:
+        """Whether it is where the instrument stands."""
+        return self.kind == "base"
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Screws x..rz in their order, as those of the two frames of the robot."""
+        names = ("x", "y", "z", "rx", "ry", "rz")
+        units = ("m",) * 3 + ("rad",) * 3
+        return ((c, u, self.estimate) for c, u in zip(names, units, strict=True))
+
+    def rebased(self, values: Floats) -> Frame:
+        """Moved by the screws."""
+        assert self.pose is not None
+        pose = self.pose
+        for k in np.flatnonzero(values):
+            pose = pose * pin.exp6(np.eye(6)[k] * values[k])
+        return replace(self, pose=pose)
+
+    def moved(self, values: Floats) -> Floats:
+        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
+        from calib_pin.compiled import link_kernels
+
+        assert self.pose is not None
+        reference = self.pose.homogeneous[:3].reshape(1, 12)
+        result, first = np.empty((len(values), 1, 12)), np.zeros(6, np.int64)
+        screws = first, np.arange(6), np.eye(6)
+        link_kernels.links(reference, *screws, np.ascontiguousarray(values), result)
+        return result[:, 0]
+
+    def twists(self, values: Floats) -> Floats:
+        """Body twists of the frame by its parameters, shape (6, 6)."""
+        result, behind = np.eye(6), pin.SE3.Identity()
+        for k in reversed(range(6)):
+            result[:, k] = behind.toActionMatrixInverse()[:, k]
+            behind = pin.exp6(np.eye(6)[k] * values[k]) * behind
+        return result
+
+    def stated(self) -> FrameSetup:
+        """Its pose."""
+        assert self.pose is not None
+        roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
+        xyz = triple(self.pose.translation)
+        return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
+
+
+@dataclass(frozen=True)
+class Mounted(MeasurementModel):
+    """A model that sees the poses `D T E` where others see T.
+
+    It stands in the measurement frame of the others, and has a tool frame of its own.
+
+    Attributes:
+        model: The model.
+        stand: Pose D of the measurement frame in that of the model.
+        mount: Pose E of the model's tool frame in the tool frame.
+    """
 
     model: MeasurementModel
+    stand: Frame
+    mount: Frame
+
+    sees_tool = False
+
+    @staticmethod
+    def of(model: MeasurementModel) -> Mounted:
+        """A model with unknown frames of its own, named after it."""
+        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
 
     @property
-    def name(self) -> str:
-        """That of the model."""
-        return self.model.name
-
-    @property
-    def quantities(self) -> Sequence[Quantity]:
-        """Those of the model."""
-        return self.model.quantities
-
-    @property
-    def width(self) -> int:
-        """That of the model."""
-        return self.model.width
-
-    @property
-    def contact(self) -> bool:
-        """That of the model."""
-        return self.model.contact
-
-    @property
-    def relative(self) -> bool:
-        """That of the model."""
-        return self.model.relative
+    def declaration(self) -> Declaration:
+        """That of the model, which is no longer external."""
+        return replace(self.model.declaration, external=False)
 
     @property
     def missing(self) -> str:
@@ -68,35 +140,6 @@ class _Wrapper(ReferenceParameters):
         """As the model does."""
         return self.model.disturb(values, noise)
 
-
-@dataclass(frozen=True)
-class Mounted(_Wrapper):
-    """A model that sees the poses `D T E` where others see T.
-
-    Attributes:
-        model: The model.
-        stand: Pose D of the measuring frame in that of the model.
-        mount: Pose E of the model's tool frame in the tool frame.
-    """
-
-    stand: Frame
-    mount: Frame
-
-    @staticmethod
-    def of(model: MeasurementModel) -> Mounted:
-        """A model with unknown frames of its own, named after it."""
-        return Mounted(model, Frame(model.name, "base"), Frame(model.name, "tool"))
-
-    @property
-    def external(self) -> bool:
-        """False: it stands in the measurement frame of the others."""
-        return False
-
-    @property
-    def sees_tool(self) -> bool:
-        """False: the model has a tool frame of its own."""
-        return False
-
     @property
     def references(self) -> Sequence[ReferenceObject]:
         """Those of the model, the stand and the mount."""
@@ -108,14 +151,12 @@ class Mounted(_Wrapper):
         assert isinstance(stand, Frame) and isinstance(mount, Frame)
         return Mounted(self.model.with_references(inner), stand, mount)
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Values of the model at its own poses."""
         inner, D, E = self._split(instrument)
         return self.model.predict(D @ T @ E, inner, target)
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Whether the model can measure at its own poses."""
         inner, D, E = self._split(instrument)
         return self.model.observable(D @ T @ E, inner, target)

@@ -7,7 +7,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
@@ -25,10 +24,14 @@ from calib_pin.measurement_models.declaration import (
     Naming,
     Quantity,
 )
-from calib_pin.measurement_models.planes import Plane, turned_planes
-from calib_pin.measurement_models.references import ReferenceObject, locate
+from calib_pin.measurement_models.references import (
+    Plane,
+    ReferenceObject,
+    locate,
+    turned_planes,
+)
 from calib_pin.measurement_models.registration import register_plane
-from calib_pin.observations import Measurements
+from calib_pin.observations import Booleans, Indices, Measurements, Targets
 from calib_pin.setup import RangerSetup, Setup
 
 GRAZING = 1e-3
@@ -91,24 +94,18 @@ class PlaneDistance(DeclaredModel):
         planes = tuple(plane for plane in references if isinstance(plane, Plane))
         return replace(self, planes=planes)
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Distances along the beam, shape (N, 1) [m]; negative behind the tool."""
         normal, offset, _ = self._rows(instrument, target)
         return self._distance(T, normal, offset)[:, None]
 
-    def observable(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> NDArray[np.bool_]:
+    def observable(self, T: Floats, instrument: Floats, target: Targets) -> Booleans:
         """Where the beam meets the plane in front, within range and not too flat."""
         normal, offset, _ = self._rows(instrument, target)
         cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
         h = self._distance(T, normal, offset)
         steep = cosine > np.cos(self.incidence)
         return np.asarray((h > self.near) & (h < self.reach) & steep)
-
-    def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
-        """Predicted minus measured distance, shape (N, 1) [m]."""
-        return self.predict(T, instrument, data.target) - data.values
 
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
@@ -140,9 +137,7 @@ class PlaneDistance(DeclaredModel):
         J_instrument[row, 0, 3 * index + 2] = -slope
         return Linearization(h[:, None] - data.values, J_pose, J_instrument)
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives of the distance.
 
         With `m = R^T n / c` the rows are `(-m, h m x e_z)` and `-(p + h b) / c`, and a
@@ -204,38 +199,29 @@ class PlaneDistance(DeclaredModel):
         T = base.homogeneous @ F @ tool.homogeneous
         hits = T[:, :3, 3] + data.values * T[:, :3, 2]
         index = self._index(data.target, data)
-        planes = tuple(
-            replace(plane, normal=normal, offset=offset)
-            for plane, (normal, offset) in (
-                (
-                    plane,
-                    register_plane(hits[index == k])
-                    if plane.normal is None
-                    else (plane.normal, plane.offset),
-                )
-                for k, plane in enumerate(self.planes)
-            )
-        )
+        planes = list(self.planes)
+        for k, plane in enumerate(planes):
+            if plane.normal is None:
+                normal, offset = register_plane(hits[index == k])
+                planes[k] = replace(plane, normal=normal, offset=offset)
         # Rows may reach farther than the setup says or a simulation would.
         farthest = float(np.abs(data.values).max())
         reach = self.reach if farthest <= self.reach else 1.5 * farthest
-        registered = replace(self, planes=planes, reach=reach)
-        normal, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
-        cosine = np.abs(np.einsum("ni,ni->n", normal, T[:, :3, 2]))
+        registered = replace(self, planes=tuple(planes), reach=reach)
+        normals, _, _ = registered._rows(np.zeros(3 * len(planes)), data.target)
+        cosine = np.abs(np.einsum("ni,ni->n", normals, T[:, :3, 2]))
         if (cosine < GRAZING).any():
             row = int(np.argmin(cosine))
             name = planes[index[row]].name
             raise data.error(row, f"the beam is parallel to the plane '{name}'")
         return registered, base, tool
 
-    def _index(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> NDArray[np.int64]:
+    def _index(self, target: Targets, data: Measurements | None = None) -> Indices:
         """Position of each row's plane; data tell where a wrong name stands."""
         return locate(target, self.planes, "plane", data)
 
     def _rows(
-        self, instrument: Floats, target: Sequence[str]
+        self, instrument: Floats, target: Targets
     ) -> tuple[Floats, Floats, Floats]:
         """Normal (N, 3), offset (N,) and derivative (N, 3, 2) of each row's plane."""
         turned = [

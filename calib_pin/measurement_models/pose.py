@@ -20,9 +20,9 @@ from calib_pin.measurement_models.base import (
     Batch,
     Curvature,
     DeclaredModel,
+    Geometry,
     Linearization,
     rotation_curvature,
-    tool_geometry,
 )
 from calib_pin.measurement_models.declaration import (
     INSTRUMENT,
@@ -31,13 +31,13 @@ from calib_pin.measurement_models.declaration import (
     Quantity,
 )
 from calib_pin.measurement_models.registration import register_poses
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Targets
 from calib_pin.setup import Setup
 
 
 @dataclass(frozen=True)
 class Pose(DeclaredModel):
-    """Position residual in the measuring frame [m], rotation vector in the tool [rad].
+    """Position in the measurement frame [m] and rotation vector in the tool [rad].
 
     `residual = (p(T) - y, log(R_y^T R))`; values are x y z and qx qy qz qw.
     """
@@ -62,7 +62,7 @@ class Pose(DeclaredModel):
         """The model: it needs nothing of a setup."""
         return cls()
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Position and unit quaternion of the tool, shape (N, 7)."""
         return np.column_stack([T[:, :3, 3], to_quaternion(T[:, :3, :3])])
 
@@ -87,9 +87,7 @@ class Pose(DeclaredModel):
         J_pose[:, 3:, 3:] = so3_log_derivative(residual[:, 3:])
         return Linearization(residual, J_pose, np.zeros((len(T), 6, 0)))
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """The position's rows turn with the tool; those of the rotation stay."""
         J_pose = np.zeros((len(T), 6, 6, 6))
         J_pose[:, :3, :3] = rotation_curvature(T[:, :3, :3])
@@ -101,7 +99,12 @@ class Pose(DeclaredModel):
         R_y = from_quaternion(data.values[:, 3:]).reshape(-1, 9)
         values = np.concatenate([data.values[:, :3], R_y], axis=1)
         alone = np.zeros_like(rows)
-        return [Batch("pose", rows, alone, alone, values, weights, tool_geometry)]
+
+        def geometry(instrument: Floats) -> Geometry:
+            origin = np.zeros((len(instrument), 1, 3))
+            return Geometry(origin, origin)
+
+        return [Batch("pose", rows, alone, alone, values, weights, geometry)]
 
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None

@@ -6,7 +6,6 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import (
@@ -26,12 +25,12 @@ from calib_pin.measurement_models.tool_point import (
     PointMeasurement,
     PointModel,
 )
-from calib_pin.observations import Measurements
+from calib_pin.observations import Indices, Measurements
 
 
 @dataclass(frozen=True)
 class Position(PointModel):
-    """`residual = p - y`, a point of the tool in the measuring frame [m].
+    """`residual = p - y`, a point of the tool in the measurement frame [m].
 
     Points have no orientation: of the tool's origin alone `tool.frame.rx|ry|rz` are
     unidentifiable. With several named points nothing but positions is measured, and
@@ -52,9 +51,7 @@ class Position(PointModel):
     comparison = "position"
     alone = True
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """The point itself."""
         identity = np.broadcast_to(np.eye(3), (len(p), 3, 3))
         return PointMeasurement(p, identity, np.zeros((len(p), 3, 0)))
@@ -63,9 +60,7 @@ class Position(PointModel):
         """Nothing: values alone."""
         return np.zeros((len(values), 1, 3))
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """Nothing bends."""
         return PointCurvature(np.zeros((len(p), 3, 3, 3)), np.zeros((len(p), 3, 0, 3)))
 

@@ -8,19 +8,18 @@ measurement model is only the formula that relates a tool pose to some of them.
 
 from __future__ import annotations
 
+from abc import ABC, abstractmethod
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
+from functools import cached_property, partial
 from itertools import pairwise
-from typing import Protocol, Self
+from typing import Self
 
 import numpy as np
-import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.observations import Indices, Measurements
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
     AnchorSetup,
@@ -40,61 +39,57 @@ Stated = PointSetup | PlaneSetup | SphereSetup | AnchorSetup | CameraSetup | Fra
 """A reference as a setup file would state it."""
 
 
-class ReferenceObject(Protocol):
-    """Something with a name that rows refer to."""
+class ReferenceObject(ABC):
+    """Something with a name that measurements refer to."""
 
-    @property
-    def name(self) -> str:
-        """Name that rows give."""
-        ...
+    name: str
+    """Name that measurements give."""
+
+    kind: str
+    """Its kind, as in the names of its parameters."""
 
     @property
     def section(self) -> str:
         """Where it stands in a setup file, such as `planes`."""
-        ...
+        return f"{self.kind}s"
 
     @property
+    @abstractmethod
     def located(self) -> bool:
-        """Whether it has a reference."""
-        ...
+        """Whether its reference is given or registered."""
+
+    @property
+    def outer(self) -> bool:
+        """Whether it stands where the base does and not on the tool."""
+        return True
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Name and unit of each parameter, and whether it is estimated."""
+        return ()
 
     @property
     def parameters(self) -> Sequence[Parameter]:
-        """Its parameters, deviations from the reference."""
-        ...
+        """Deviations from the reference, `<name>.<kind>.<component>`."""
+        return tuple(
+            Parameter(
+                f"{self.name}.{self.kind}.{name}", unit, METER, True, self.outer, free
+            )
+            for name, unit, free in self.components
+        )
 
+    @abstractmethod
     def rebased(self, values: Floats) -> Self:
-        """The same about moved references; shape (K,)."""
-        ...
+        """The same with its parameters, shape (K,), moved into the reference."""
 
+    @abstractmethod
     def stated(self) -> Stated:
         """Its reference as a setup file would state it."""
-        ...
-
-
-def nuisances(
-    owner: str,
-    kind: str,
-    components: Iterable[tuple[str, str, bool]],
-    outer: bool = True,
-) -> tuple[Parameter, ...]:
-    """Parameters `<owner>.<kind>.<component>` of a reference object.
-
-    Args:
-        owner: Name of the object.
-        kind: Kind of the object.
-        components: Name, unit, and whether it is estimated.
-        outer: Whether it stands where the base does and not on the tool.
-    """
-    return tuple(
-        Parameter(f"{owner}.{kind}.{name}", unit, METER, True, outer, free)
-        for name, unit, free in components
-    )
 
 
 @dataclass(frozen=True)
-class Point:
-    """A point: of the tool in the tool frame, or of a socket in the measuring frame.
+class Point(ReferenceObject):
+    """A point: of the tool in the tool frame, or of a socket in the measurement frame.
 
     Attributes:
         name: Name that rows give.
@@ -109,21 +104,19 @@ class Point:
     estimate: bool = True
 
     @property
-    def section(self) -> str:
-        """`targets` or `sockets`."""
-        return f"{self.kind}s"
-
-    @property
     def located(self) -> bool:
         """Whether its place is given or registered."""
         return self.xyz is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.<kind>.x|y|z`."""
-        free = self.estimate
-        components = ((c, "m", free) for c in "xyz")
-        return nuisances(self.name, self.kind, components, self.kind != "target")
+    def outer(self) -> bool:
+        """Whether it is no point of the tool."""
+        return self.kind != "target"
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its coordinates x, y, z."""
+        return ((c, "m", self.estimate) for c in "xyz")
 
     def at(self, values: Floats) -> Floats:
         """Its place, shape (3,) [m]."""
@@ -140,8 +133,88 @@ class Point:
 
 
 @dataclass(frozen=True)
-class Sphere:
-    """A sphere in the measuring frame.
+class Plane(ReferenceObject):
+    """Reference of a plane `n . p + f = 0` in the measurement frame.
+
+    Attributes:
+        name: Name that rows give as their target.
+        normal: Unit normal n, shape (3,); None until it is registered.
+        offset: Offset f [m].
+        estimate: Whether the plane is estimated.
+    """
+
+    name: str
+    normal: Floats | None = None
+    offset: float = 0.0
+    estimate: bool = True
+
+    kind = "plane"
+
+    @property
+    def located(self) -> bool:
+        """Whether it is given or registered."""
+        return self.normal is not None
+
+    @property
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its turns u and v about the tangents, and a shift f."""
+        units = (("u", "rad"), ("v", "rad"), ("f", "m"))
+        return ((name, unit, self.estimate) for name, unit in units)
+
+    @cached_property
+    def tangents(self) -> Floats:
+        """Two unit tangents, rows of a (2, 3) array; a fixed choice per normal."""
+        assert self.normal is not None
+        # Of components that are equal but for rounding, the first.
+        helper = np.eye(3)[np.argmin(np.round(np.abs(self.normal), 9))]
+        first = np.cross(self.normal, helper)
+        first /= np.linalg.norm(first)
+        return np.array([first, np.cross(self.normal, first)])
+
+    def turned(self, values: Floats) -> tuple[Floats, float, Floats]:
+        """Normal and offset at parameters (u, v, f), and the normal's derivative.
+
+        The normal turns about its two tangents, `n = Exp(u t_1) Exp(v t_2) n_0`.
+
+        Returns:
+            Normal (3,), offset [m], and the normal's derivative by u and v, (3, 2).
+        """
+        assert self.normal is not None
+        t_1, t_2 = self.tangents
+        first, second = so3_exp(values[0] * t_1), so3_exp(values[1] * t_2)
+        halfway = second @ self.normal
+        normal = first @ halfway
+        by_u = np.cross(t_1, normal)
+        by_v = first @ np.cross(t_2, halfway)
+        return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
+
+    def turned_many(self, values: Floats) -> Floats:
+        """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
+        assert self.normal is not None
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        # Element by element: a product of matrices may round by the place of a row.
+        t_1, t_2 = self.tangents
+        u, v = values[:, :1], values[:, 1:2]
+        normals = np.sin(v) * t_1 + np.cos(v) * (
+            np.cos(u) * self.normal - np.sin(u) * t_2
+        )
+        return np.column_stack([normals, self.offset + values[:, 2]])
+
+    def rebased(self, values: Floats) -> Plane:
+        """Turned and shifted by (u, v, f)."""
+        normal, offset, _ = self.turned(values)
+        return replace(self, normal=normal, offset=offset)
+
+    def stated(self) -> PlaneSetup:
+        """Its normal and offset."""
+        normal = triple(self.normal)
+        assert normal is not None
+        return PlaneSetup(normal, float(self.offset), self.estimate)
+
+
+@dataclass(frozen=True)
+class Sphere(ReferenceObject):
+    """A sphere in the measurement frame.
 
     Attributes:
         name: Name that rows give as their target.
@@ -157,7 +230,7 @@ class Sphere:
     estimate: bool = True
     estimate_radius: bool = True
 
-    section = "spheres"
+    kind = "sphere"
 
     @property
     def located(self) -> bool:
@@ -165,11 +238,10 @@ class Sphere:
         return self.xyz is not None and self.radius is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<sphere>.sphere.x|y|z|r`."""
-        center = [(c, "m", self.estimate) for c in "xyz"]
-        radius = ("r", "m", self.estimate_radius)
-        return nuisances(self.name, "sphere", [*center, radius])
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its center x, y, z and its radius r."""
+        center = ((c, "m", self.estimate) for c in "xyz")
+        return (*center, ("r", "m", self.estimate_radius))
 
     def rebased(self, values: Floats) -> Sphere:
         """Moved by (x, y, z) and larger by r."""
@@ -185,12 +257,12 @@ class Sphere:
 
 
 @dataclass(frozen=True)
-class Anchor:
+class Anchor(ReferenceObject):
     """A fixed point that distances are measured from, with the bias of its readings.
 
     Attributes:
         name: Name that rows give as their target.
-        xyz: Place in the measuring frame, shape (3,) [m]; None until registered.
+        xyz: Place in the measurement frame, shape (3,) [m]; None until registered.
         bias: What is added to every true distance [m].
         estimate: Whether the place is estimated.
         estimate_bias: Whether the bias is.
@@ -202,7 +274,7 @@ class Anchor:
     estimate: bool = True
     estimate_bias: bool = False
 
-    section = "anchors"
+    kind = "anchor"
 
     @property
     def located(self) -> bool:
@@ -210,12 +282,10 @@ class Anchor:
         return self.xyz is not None
 
     @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<anchor>.anchor.x|y|z|bias`."""
-        site = [(c, "m", self.estimate) for c in "xyz"]
-        return nuisances(
-            self.name, "anchor", [*site, ("bias", "m", self.estimate_bias)]
-        )
+    def components(self) -> Iterable[tuple[str, str, bool]]:
+        """Its coordinates x, y, z and its bias."""
+        site = ((c, "m", self.estimate) for c in "xyz")
+        return (*site, ("bias", "m", self.estimate_bias))
 
     def rebased(self, values: Floats) -> Anchor:
         """Moved by (x, y, z), with another bias."""
@@ -231,73 +301,11 @@ class Anchor:
         )
 
 
-@dataclass(frozen=True)
-class Frame:
-    """A frame of an instrument that is one among others.
-
-    Attributes:
-        name: Name of the instrument.
-        kind: `base` for where it stands, `tool` for its place on the tool.
-        pose: Reference; None until it is registered.
-        estimate: Whether it is estimated.
-    """
-
-    name: str
-    kind: str
-    pose: pin.SE3 | None = None
-    estimate: bool = True
-
-    @property
-    def section(self) -> str:
-        """`<kind> frames`; a setup file does not state it."""
-        return f"{self.kind} frames"
-
-    @property
-    def located(self) -> bool:
-        """Whether it is registered."""
-        return self.pose is not None
-
-    @property
-    def parameters(self) -> Sequence[Parameter]:
-        """`<name>.<kind>.x..rz`, screws in their order as those of the two frames."""
-        names = ("x", "y", "z", "rx", "ry", "rz")
-        units = zip(names, ("m",) * 3 + ("rad",) * 3, strict=True)
-        components = ((c, u, self.estimate) for c, u in units)
-        return nuisances(self.name, self.kind, components, self.kind == "base")
-
-    def rebased(self, values: Floats) -> Frame:
-        """Moved by the screws."""
-        assert self.pose is not None
-        pose = self.pose
-        for k in np.flatnonzero(values):
-            pose = pose * pin.exp6(np.eye(6)[k] * values[k])
-        return replace(self, pose=pose)
-
-    def moved(self, values: Floats) -> Floats:
-        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
-        from calib_pin.compiled import link_kernels
-
-        assert self.pose is not None
-        reference = self.pose.homogeneous[:3].reshape(1, 12)
-        result, first = np.empty((len(values), 1, 12)), np.zeros(6, np.int64)
-        screws = first, np.arange(6), np.eye(6)
-        link_kernels.links(reference, *screws, np.ascontiguousarray(values), result)
-        return result[:, 0]
-
-    def twists(self, values: Floats) -> Floats:
-        """Body twists of the frame by its parameters, shape (6, 6)."""
-        result, behind = np.eye(6), pin.SE3.Identity()
-        for k in reversed(range(6)):
-            result[:, k] = behind.toActionMatrixInverse()[:, k]
-            behind = pin.exp6(np.eye(6)[k] * values[k]) * behind
-        return result
-
-    def stated(self) -> FrameSetup:
-        """Its pose."""
-        assert self.pose is not None
-        roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
-        xyz = triple(self.pose.translation)
-        return FrameSetup(xyz, (roll, pitch, yaw), self.estimate)
+def turned_planes(planes: Sequence[Plane], values: Floats) -> Floats:
+    """Normals and offsets of L planes at many parameters, (S, 3 L) -> (S, L, 4)."""
+    parts = [values[:, 3 * k : 3 * k + 3] for k in range(len(planes))]
+    turned = [p.turned_many(part) for p, part in zip(planes, parts, strict=True)]
+    return np.stack(turned, axis=1)
 
 
 def slices(references: Sequence[ReferenceObject]) -> list[slice]:
@@ -312,7 +320,7 @@ def locate(
     what: str,
     data: Measurements | None = None,
     alone: bool = True,
-) -> NDArray[np.int64]:
+) -> Indices:
     """Position of the reference object that each measurement names.
 
     Args:

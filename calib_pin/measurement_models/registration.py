@@ -10,10 +10,10 @@ from itertools import permutations, product
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.kinematics.spatial import Floats, nearest_rotation, skew, so3_exp
+from calib_pin.observations import Indices
 
 UNKNOWN = np.full((1, 3), np.nan)
 """One point of the tool that nobody knows."""
@@ -25,7 +25,7 @@ def register_points(
     points: Floats,
     *,
     tool: Floats = UNKNOWN,
-    label: NDArray[np.int64] | None = None,
+    label: Indices | None = None,
 ) -> tuple[Floats, Floats, Floats]:
     """Fit `y_i = R (R_i t_l(i) + p_i) + b` to points seen from an unknown frame.
 
@@ -42,7 +42,7 @@ def register_points(
         label: Which of them each row sees, shape (N,); default the first.
 
     Returns:
-        Rotation R (3, 3) and translation b (3,) of the base in the measuring frame,
+        Rotation R (3, 3) and translation b (3,) of the base in the measurement frame,
         and the points t (J, 3) [m]; NaN where no row sees one that is unknown.
 
     Example:
@@ -70,7 +70,7 @@ def register_reached(
     R: Floats,
     b: Floats,
     tool: Floats,
-    label: NDArray[np.int64],
+    label: Indices,
 ) -> Floats:
     """Fit the points of a tool whose base is known; arguments as `register_points`.
 
@@ -155,9 +155,7 @@ def fit_pose(here: Floats, there: Floats) -> pin.SE3:
     return pin.SE3(R, target - R @ center)
 
 
-def _point_rows(
-    F: Floats, points: Floats, tool: Floats, label: NDArray[np.int64]
-) -> Floats:
+def _point_rows(F: Floats, points: Floats, tool: Floats, label: Indices) -> Floats:
     """Rows (A, a), shape (3 N, 10), whose residual `A vec(R) - a` a rotation leaves.
 
     It is that of `R^T (y_i - b) = R_i t + p_i` with R^T b, and t unless it is known,
@@ -193,21 +191,19 @@ def _rotation_rows(R_f: Floats, R_y: Floats, R_x: Floats | None) -> Floats:
     return np.column_stack([L.reshape(9 * count, 9), right.reshape(-1)])
 
 
-def _unknown(tool: Floats, label: NDArray[np.int64]) -> NDArray[np.int64]:
+def _unknown(tool: Floats, label: Indices) -> Indices:
     """Points of the tool that are unknown and that some row sees."""
     seen = np.bincount(label, minlength=len(tool)) > 0
     return np.flatnonzero(np.isnan(tool[:, 0]) & seen)
 
 
-def _known_offsets(F: Floats, tool: Floats, label: NDArray[np.int64]) -> Floats:
+def _known_offsets(F: Floats, tool: Floats, label: Indices) -> Floats:
     """Rotated offsets of the known points, zero for the others, shape (N, 3)."""
     offsets = np.nan_to_num(tool)[label]
     return np.asarray(np.einsum("nij,nj->ni", F[:, :3, :3], offsets))
 
 
-def _translation_matrix(
-    F: Floats, unknown: NDArray[np.int64], label: NDArray[np.int64]
-) -> Floats:
+def _translation_matrix(F: Floats, unknown: Indices, label: Indices) -> Floats:
     """Matrix of R^T b and of every unknown t, shape (3 N, 3 + 3 U)."""
     blocks = [np.broadcast_to(np.eye(3), (len(F), 3, 3))]
     for k in unknown:
@@ -221,7 +217,7 @@ def _translations(
     points: Floats,
     b: Floats | None,
     tool: Floats,
-    label: NDArray[np.int64],
+    label: Indices,
 ) -> tuple[Floats, Floats]:
     """Translations b and t of `y_i = R (R_i t + p_i) + b`, given b and known t."""
     center, origin = points.mean(axis=0), F[:, :3, 3].mean(axis=0)

@@ -12,7 +12,6 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
 from calib_pin.measurement_models.catalog import declared
 from calib_pin.observations import (
     PART,
@@ -20,7 +19,6 @@ from calib_pin.observations import (
     Measurements,
     require_alike,
     rows_by_part,
-    stacked,
 )
 
 Parts = Mapping[str, tuple[NDArray[np.intp], Measurements]]
@@ -36,13 +34,9 @@ def concatenate(parts: Sequence[Measurements]) -> Measurements:
         InputError: If the joints differ, or only some rows of one model have standard
             deviations.
     """
-    first = parts[0]
-    for part in parts[1:]:
-        if part.joints != first.joints:
-            raise InputError("cannot join measurements of different joints")
-    if any(part.model != first.model for part in parts):
+    if any(part.model != parts[0].model for part in parts):
         parts = _side_by_side(parts)
-    return stacked(parts)
+    return Measurements.concatenate(parts)
 
 
 def among(data: Measurements, model: str) -> Measurements:

@@ -13,7 +13,6 @@ from typing import ClassVar, Self
 
 import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.kinematics.spatial import Floats, skew
@@ -30,7 +29,7 @@ from calib_pin.measurement_models.named_points import (
     split_names,
 )
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import AT, Indices, Measurements, Targets
 from calib_pin.setup import Setup
 
 
@@ -133,8 +132,8 @@ class PointsAndSites(DeclaredModel):
         return replace(self, points=points, sites=tuple(references[count:]))
 
     def names(
-        self, target: Sequence[str], data: Measurements | None = None
-    ) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        self, target: Targets, data: Measurements | None = None
+    ) -> tuple[Indices, Indices]:
         """Position of each row's point, the last for the origin, and of its place.
 
         Raises:
@@ -168,11 +167,11 @@ class PointsAndSites(DeclaredModel):
             site = locate(sites, self.sites, what, data)
         return point, site
 
-    def split(self, target: Sequence[str]) -> tuple[tuple[str, ...], tuple[str, ...]]:
+    def split(self, target: Targets) -> tuple[tuple[str, ...], tuple[str, ...]]:
         """The point and the place that each row names."""
         return split_names(target, not self.alone)
 
-    def sites_of(self, target: Sequence[str]) -> tuple[str, ...]:
+    def sites_of(self, target: Targets) -> tuple[str, ...]:
         """The place that each row names; the only one where it names none."""
         only = self.sites[0].name if len(self.sites) == 1 else ""
         return tuple(name or only for name in split_names(target, True)[1])
@@ -206,10 +205,10 @@ class PointModel(PointsAndSites):
             sites = tuple(p for p in sites if p.located or p.name in names)
         return cls(points=found, sites=sites, origin=origin)
 
-    def predict(self, T: Floats, instrument: Floats, target: Sequence[str]) -> Floats:
+    def predict(self, T: Floats, instrument: Floats, target: Targets) -> Floats:
         """Noise-free values, shape (N, d); none where nothing but contact is known."""
         value = self._look(T, instrument, target).touch.value
-        return np.zeros((len(T), 0)) if self.contact else value
+        return np.zeros((len(T), 0)) if self.declaration.contact else value
 
     def residual(self, T: Floats, instrument: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value, shape (N, d)."""
@@ -221,27 +220,16 @@ class PointModel(PointsAndSites):
         """`dp = R (v + w x t)` for a body twist (v, w) and an offset t."""
         view = self._look(T, instrument, data.target)
         touch, J_pose = view.touch, view.J_pose(T)
-        J_instrument = np.zeros((len(T), touch.value.shape[1], len(instrument)))
-        row = np.arange(len(T))
-        named = view.point < len(self.points)
         by_offset = touch.by_point @ view.by_offset
-        for c in range(3):
-            column = 3 * view.point[named] + c
-            J_instrument[row[named], :, column] = by_offset[named, :, c]
-        width = touch.by_site.shape[2]
-        for c in range(width if self.sites else 0):
-            column = 3 * len(self.points) + width * view.site + c
-            J_instrument[row, :, column] = touch.by_site[:, :, c]
+        J_instrument = self._columns(view, by_offset, touch.by_site, len(instrument))
         residual = self._deviation(touch.value, data)
         return Linearization(residual, touch.by_point @ J_pose, J_instrument)
 
-    def curvature(
-        self, T: Floats, instrument: Floats, target: Sequence[str]
-    ) -> Curvature:
+    def curvature(self, T: Floats, instrument: Floats, target: Targets) -> Curvature:
         """Second derivatives: the point moves, and its own motion turns."""
         view = self._look(T, instrument, target)
         bend = self.bend(view.p, view.site, view.of_site)
-        G, P, rows = view.touch.by_point, view.J_pose(T), np.arange(len(T))
+        G, P = view.touch.by_point, view.J_pose(T)
         turning = rotation_curvature(T[:, :3, :3])
         # P = (R, -R [t]x)
         by_P = np.concatenate(
@@ -250,36 +238,24 @@ class PointModel(PointsAndSites):
         H = bend.by_point @ P[:, None]
         J_pose = np.einsum("ndcb,nca->ndab", H, P)
         J_pose += np.einsum("ndc,ncab->ndab", G, by_P)
-        J_instrument = np.zeros((*G.shape[:2], len(instrument), 6))
-        named = view.point < len(self.points)
-        R = view.by_offset
-        by_offset = np.einsum("ndcb,nca->ndab", H, R)
+        by_offset = np.einsum("ndcb,nca->ndab", H, view.by_offset)
         by_offset += np.einsum("ndc,ncab->ndab", G, turning)
-        for c in range(3):
-            column = 3 * view.point[named] + c
-            J_instrument[rows[named], :, column] = by_offset[named, :, c]
-        width = bend.by_site.shape[2]
         by_site = bend.by_site @ P[:, None]
-        for c in range(width if self.sites else 0):
-            column = 3 * len(self.points) + width * view.site + c
-            J_instrument[rows, :, column] = by_site[:, :, c]
-        return Curvature(J_pose, J_instrument)
+        return Curvature(
+            J_pose, self._columns(view, by_offset, by_site, len(instrument))
+        )
 
-    def compare(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointMeasurement:
+    def compare(self, p: Floats, site: Indices, values: Floats) -> PointMeasurement:
         """What is measured of points.
 
         Args:
-            p: Points in the measuring frame, shape (N, 3) [m].
+            p: Points in the measurement frame, shape (N, 3) [m].
             site: Position of each row's site, shape (N,).
             values: Parameters of each row's site, shape (N, k).
         """
         raise NotImplementedError
 
-    def bend(
-        self, p: Floats, site: NDArray[np.int64], values: Floats
-    ) -> PointCurvature:
+    def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
         """How that changes with the points; arguments as for `compare`."""
         raise NotImplementedError
 
@@ -306,13 +282,14 @@ class PointModel(PointsAndSites):
             return Geometry(points, self.seen(instrument[:, size:]))
 
         rows, values = np.arange(len(data)), data.values
-        if self.contact:
+        if self.declaration.contact:
             values = np.zeros_like(weights)
         how = self.comparison
         return [Batch(how, rows, point, site, values, weights, geometry)]
 
-    def new(self, name: str) -> ReferenceObject:
-        """A place that nobody has given."""
+    @staticmethod
+    def unknown(name: str) -> ReferenceObject:
+        """A site that nobody has given."""
         raise NotImplementedError
 
     def extended(self, T: Floats, data: Measurements) -> Self:
@@ -324,7 +301,7 @@ class PointModel(PointsAndSites):
         new = [name for name in names if name not in known]
         if not new:
             return self
-        wider = replace(self, sites=(*self.sites, *map(self.new, new)))
+        wider = replace(self, sites=(*self.sites, *map(self.unknown, new)))
         identity = pin.SE3.Identity()
         return wider.register(T, data, identity, identity)[0]
 
@@ -334,9 +311,24 @@ class PointModel(PointsAndSites):
         """Closed-form references, see `MeasurementModel`."""
         raise NotImplementedError
 
+    def _columns(
+        self, view: _View, by_offset: Floats, by_site: Floats, count: int
+    ) -> Floats:
+        """Derivatives of each row's point and site among all parameters, (N, d, K)."""
+        result = np.zeros((*by_site.shape[:2], count, *by_site.shape[3:]))
+        row, width = np.arange(len(by_site)), by_site.shape[2]
+        named = view.point < len(self.points)
+        for c in range(3):
+            column = 3 * view.point[named] + c
+            result[row[named], :, column] = by_offset[named, :, c]
+        for c in range(width if self.sites else 0):
+            column = 3 * len(self.points) + width * view.site + c
+            result[row, :, column] = by_site[:, :, c]
+        return result
+
     def _deviation(self, value: Floats, data: Measurements) -> Floats:
         """Predicted minus measured value; angles within half a turn of zero."""
-        if self.contact:
+        if self.declaration.contact:
             return value
         result = value - data.values
         for quantity in self.quantities:
@@ -346,7 +338,7 @@ class PointModel(PointsAndSites):
                 angles -= 2.0 * np.pi * np.ceil(angles / (2.0 * np.pi) - 0.5)
         return result
 
-    def _look(self, T: Floats, instrument: Floats, target: Sequence[str]) -> _View:
+    def _look(self, T: Floats, instrument: Floats, target: Targets) -> _View:
         point, site = self.names(target)
         offsets = np.zeros((len(self.points) + 1, 3))
         for k, reference in enumerate(self.points):
@@ -375,13 +367,13 @@ class _View:
         site: Position of its place, shape (N,).
         offset: The point in the tool frame, shape (N, 3) [m].
         of_place: Parameters of the place, shape (N, k).
-        p: The point in the measuring frame, shape (N, 3) [m].
+        p: The point in the measurement frame, shape (N, 3) [m].
         by_offset: Derivative of p by the offset, shape (N, 3, 3).
         touch: What is measured of it.
     """
 
-    point: NDArray[np.int64]
-    site: NDArray[np.int64]
+    point: Indices
+    site: Indices
     offset: Floats
     of_site: Floats
     p: Floats

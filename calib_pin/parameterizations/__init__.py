@@ -11,12 +11,17 @@ from calib_pin.parameterizations.base import (
     Effects,
     Parameterization,
     Screw,
+    frame_pose,
+    frame_screws,
+    frame_setup,
 )
 from calib_pin.parameterizations.compliance import NOTHING, Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
-from calib_pin.parameterizations.frames import frame_pose, frame_screws, frame_setup
-from calib_pin.parameterizations.joint_offset import JointOffset
-from calib_pin.parameterizations.placement import LinkTransform, Placement
+from calib_pin.parameterizations.placement import (
+    JointOffset,
+    LinkTransform,
+    Placement,
+)
 from calib_pin.parameterizations.transmission import Transmission
 from calib_pin.plugins import members
 from calib_pin.setup import Setup

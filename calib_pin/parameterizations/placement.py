@@ -1,4 +1,4 @@
-"""Six errors of every joint placement, in the joint frame or in its parent's."""
+"""Errors of every joint's placement, in its frame or its parent's, and of its zero."""
 
 from __future__ import annotations
 
@@ -58,5 +58,24 @@ class LinkTransform(Parameterization):
             for frame, joint, placement in links
             for component, unit, twist in zip(
                 components, UNITS, placement.toActionMatrixInverse().T, strict=True
+            )
+        ]
+
+
+class JointOffset(Parameterization):
+    """`<joint>.joint-offset.q`: a screw along the joint's own motion.
+
+    It commutes with the motion, so `M_j Exp(S theta) J(q) = M_j J(q + theta)`.
+    """
+
+    name = "joint-offset"
+
+    def screws(self, chain: Chain) -> Sequence[Screw]:
+        """One screw at every moving joint."""
+        units = np.where(chain.revolute, "rad", "m")
+        return [
+            Screw(self.parameter(joint, "q", str(unit)), frame, motion)
+            for frame, (joint, unit, motion) in enumerate(
+                zip(chain.joints, units, chain.motions, strict=True), start=1
             )
         ]

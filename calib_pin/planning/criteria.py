@@ -22,7 +22,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass
-from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
@@ -40,53 +39,6 @@ SHARPER = (4.0, 16.0, 64.0)
 Where several eigenvalues are extreme the criterion itself has a corner, and a descent
 along its gradient would stop there.
 """
-
-
-class Criterion(Protocol):
-    """A cost of information matrices."""
-
-    @property
-    def name(self) -> str:
-        """Name as users write it."""
-        ...
-
-    @property
-    def sharpnesses(self) -> tuple[float, ...]:
-        """Sharpnesses of successive smooth costs that lead to the criterion."""
-        ...
-
-    def cost(self, found: Information) -> float:
-        """The cost, to be small."""
-        ...
-
-    def value(self, found: Information, count: int) -> float:
-        """What users know by this name.
-
-        Args:
-            found: The information of a set.
-            count: Number of configurations in it.
-        """
-        ...
-
-    def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
-        """Costs after rows of single configurations join (1) or leave (-1).
-
-        Args:
-            found: The information before.
-            rows: Rows of T configurations, component by component, shape (d, T, m).
-            sign: 1 or -1.
-        """
-        ...
-
-    def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
-        """A smooth cost and its derivative by the information matrix, (m, m).
-
-        Args:
-            found: The information.
-            sharpness: The largest and the smallest eigenvalue are replaced by power
-                means with this exponent; the larger, the closer.
-        """
-        ...
 
 
 @dataclass(frozen=True)
@@ -152,14 +104,22 @@ class Spectral:
         return float(self.of(found.singular_values**2))
 
     def value(self, found: Information, count: int) -> float:
-        """The index, or the condition number."""
+        """The index, or the condition number, of a count of configurations."""
         s = found.singular_values
         if self.name == "condition":
             return float(s[0] / s[-1])
         return observability(s, count)[self.name]
 
     def trials(self, found: Information, rows: Floats, sign: float) -> Lazy:
-        """Bounds by the diagonal, closer ones with a block, then the eigenvalues."""
+        """Costs after rows of single configurations join or leave.
+
+        Bounds by the diagonal, closer ones with a block, then the eigenvalues.
+
+        Args:
+            found: The information before.
+            rows: Rows of T configurations, component by component, shape (d, T, m).
+            sign: 1 where they join, -1 where they leave.
+        """
         trials = found.trials(rows, sign)
         left, s, _ = found.svd
         eigenvalues = s**2
@@ -186,7 +146,11 @@ class Spectral:
         return Lazy(self._guarded(diagonal), (pinched, exact))
 
     def slope(self, found: Information, sharpness: float) -> tuple[float, Floats]:
-        """By the chain rule through eigenvalues, S and M."""
+        """A smooth cost and its derivative by the information matrix, (m, m).
+
+        By the chain rule through eigenvalues, S and M. Power means with the sharpness
+        as exponent replace the extreme eigenvalues; the larger, the closer.
+        """
         _, s, V = found.svd
         cost, by_eigenvalue = self.smooth(s**2, sharpness)
         return cost, found.pull((V * by_eigenvalue) @ V.T)
@@ -284,8 +248,8 @@ def _log_condition(eigenvalues: Floats) -> Floats:
 
 
 def _volume(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
-    count = eigenvalues.size
-    return -0.5 * float(np.log(eigenvalues).mean()), -0.5 / (count * eigenvalues)
+    cost = -0.5 * float(np.log(eigenvalues).mean())
+    return cost, -0.5 / (eigenvalues.size * eigenvalues)
 
 
 def _log_roots(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
@@ -293,6 +257,9 @@ def _log_roots(eigenvalues: Floats, sharpness: float) -> tuple[float, Floats]:
     total = float(roots.sum())
     return float(np.log(total)), -0.5 * roots / eigenvalues / total
 
+
+Criterion = Spectral | Prediction
+"""A cost of information matrices."""
 
 CRITERIA: dict[str, Spectral] = {
     "condition": Spectral("condition", _log_condition, _extremes(0.5, 0.5), SHARPER),

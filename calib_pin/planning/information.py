@@ -88,7 +88,7 @@ class Information:
         return np.asarray(E @ by_robot @ E.T)
 
     def trials(self, rows: Floats, sign: float) -> Trials:
-        """What rows would change if they were added (sign 1) or taken away (-1).
+        """The change by rows if they were added (sign 1) or taken away (-1).
 
         Args:
             rows: Rows of T configurations, component by component, shape (d, T, m).
@@ -114,20 +114,18 @@ class Trials:
     @cached_property
     def of_all(self) -> Floats:
         """Factors L with `L L' = I + s Y Y'`, shape (pairs, T); NaN where singular."""
-        return self._factors(self.whitened)
+        return _factors_of(products_of(self.whitened), self.sign)
 
     @cached_property
     def of_nuisances(self) -> Floats:
         """Those with `L L' = I + s Y_n Y_n'`, of the nuisances alone, (pairs, T)."""
-        return self._factors(self.whitened[:, :, : self.nuisances])
+        nuisances = self.whitened[:, :, : self.nuisances]
+        return _factors_of(products_of(nuisances), self.sign)
 
     def robot(self) -> Floats:
         """Rows Z R_rr^-1 that change S to `S + s Z'Z`, shape (d, T, r)."""
         of_robot = self.whitened[:, :, self.nuisances :]
         return whiten(self.of_nuisances, of_robot) if self.nuisances else of_robot
-
-    def _factors(self, rows: Floats) -> Floats:
-        return _factors_of(products_of(rows), self.sign)
 
 
 ROUNDING = 1e-7
@@ -158,9 +156,7 @@ def products_of(rows: Floats) -> Floats:
 def _factors_of(products: Floats, sign: float) -> Floats:
     """Lower factors L with `L L' = I + s G`, all at once; NaN where there is none.
 
-    Args:
-        products: Lower parts of G row by row, shape (pairs, ...).
-        sign: The s.
+    Products are the lower parts of G row by row, shape (pairs, ...).
     """
     A = _about_identity(products, sign)
     L = np.empty_like(A)

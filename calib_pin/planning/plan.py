@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -19,7 +19,7 @@ from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
-from calib_pin.planning.criteria import CRITERIA, Criterion, Prediction
+from calib_pin.planning.criteria import CRITERIA, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
@@ -32,8 +32,7 @@ from calib_pin.planning.planned_problem import (
     require_plannable,
 )
 from calib_pin.planning.rows import IdentificationRows
-from calib_pin.planning.search import METHODS, Found, Search
-from calib_pin.planning.selection import selection
+from calib_pin.planning.search import METHODS, Found, Progress, Search
 from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import Setup
 from calib_pin.solvers import Status
@@ -58,12 +57,10 @@ DIGITS = 6
 MOTION = 0.05
 """Step along a move between configurations that is checked for collisions [rad, m]."""
 
-Progress = Callable[[str, float], bool | None]
-
 
 @dataclass(frozen=True)
 class Step:
-    """What a number of configurations reaches.
+    """The value that a number of configurations reaches.
 
     Attributes:
         count: Number of planned configurations.
@@ -81,17 +78,17 @@ class Plan:
     """Configurations to measure, and what they will tell.
 
     Attributes:
-        problem: The problem at nominal geometry, without rows.
+        problem: The problem at nominal geometry, without measurements.
         q: Configurations in the order in which to visit them, shape (K, n) [rad, m].
         target: Target of each.
         criterion: Name of the criterion.
-        value: Its value for the set, with the rows measured before.
+        value: Its value for the set, with the measurements made before.
         random: Its median over random sets of the same size.
         method: The method that found the set.
         status: How the search ended.
         steps: The criterion against the number of configurations: below K the best
             part of the set, above it with candidates added.
-        measured: Number of rows measured before.
+        measured: Number of measurements made before.
         candidates: Number of candidates.
         tried: Number of configurations that were tried for them.
         checked: Whether collisions were checked.
@@ -100,7 +97,7 @@ class Plan:
         unmeasurable: Targets that no configuration can measure.
         assumed_tool: Whether the target's place on the tool is assumed.
         rank: Number of identifiable directions, frames included.
-        predicted: What a fit will know.
+        predicted: The expected calibration result.
         parameters: Predicted standard deviations of the parameters.
         groups: Those of the coupled groups.
     """
@@ -153,15 +150,15 @@ def plan(
         setup: What is estimated and what is known, limits, region, noise.
         criterion: `condition`, `O1` to `O5`, or `prediction`.
         method: One of `search.METHODS`.
-        measured: Rows that are there already; the plan adds to them, about the frames
-            that they show.
+        measured: Measurements that are there already; the plan adds to them, about
+            the frames that they show.
         collisions: What must not touch.
         candidates: Number of quasi-random configurations to choose from.
         distance: Least distance between configurations: the largest difference of a
             joint [rad, m].
         tests: Configurations at which the tip is to be accurate, shape (N, n)
             [rad, m]; default candidates from all of the workspace.
-        seed: Seed of all that is random.
+        seed: Random seed.
         progress: Told the stage and the part of it that is done, 0 to 1; returns True
             to stop with the best set so far.
 
@@ -192,15 +189,18 @@ def plan(
     wanted = max(candidates, count, STRUCTURE)
     spread = workspace.candidates(wanted, rng, progress, least=count)
     spread.require(count)
-    found = spread.first(max(candidates, count))
+    # A part of an even spread is one too.
+    first = slice(max(candidates, count))
+    found = replace(spread, q=spread.q[first], target=spread.target[first])
     structure, rows, known = identification(problem, spread, measured)
-    tip = _tip_rows(rows)
+    # Whatever is measured, the pose of the tool is what counts [m, rad].
+    pose = measurement_model(Pose.declaration.name, problem.setup)
+    tip = replace(rows, measurement=pose, sigma=np.ones(6))
     at = TipTests.at(tip, spread.q[:TESTS] if tests is None else tests)
-    chosen = _criterion(criterion, at)
     search = Search(
         rows,
         workspace,
-        chosen,
+        Prediction(at.position) if criterion == "prediction" else CRITERIA[criterion],
         known,
         found,
         count,
@@ -210,16 +210,6 @@ def plan(
     )
     best = search.run(method)
     return _finished(search, best, structure, at, measured)
-
-
-def _tip_rows(rows: IdentificationRows) -> IdentificationRows:
-    """Rows that tell the pose of the tool, whatever is measured [m, rad]."""
-    pose = measurement_model(Pose.declaration.name, rows.problem.setup)
-    return replace(rows, measurement=pose, sigma=np.ones(6))
-
-
-def _criterion(name: str, tests: TipTests) -> Criterion:
-    return Prediction(tests.position) if name == "prediction" else CRITERIA[name]
 
 
 def _finished(
@@ -244,6 +234,11 @@ def _finished(
     assert workspace.allowed(q, target).all(), "methods only end in allowed sets"
     information = search.information(rows.rows(q, target))
     assert information is not None, "the search only ends in sets that determine all"
+    rng = np.random.default_rng(0)  # A generator that nothing shares.
+    draws = (
+        rng.choice(len(search.table), search.count, replace=False).tolist()
+        for _ in range(RANDOM_SETS)
+    )
     predicted = predict(information, rows.basis, tests, problem.parameters)
     parameters, groups = estimates(problem.parameters, structure, predicted)
     return Plan(
@@ -252,7 +247,7 @@ def _finished(
         target=target,
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
-        random=_random_value(search),
+        random=float(np.median([search.selection(chosen).value for chosen in draws])),
         method=best.method,
         status=best.status,
         steps=_steps(search, best, tests),
@@ -280,16 +275,6 @@ def _rounded(workspace: Workspace, q: Floats, target: Sequence[str]) -> Floats:
     return tidy if workspace.allowed(tidy, target).all() else q
 
 
-def _random_value(search: Search) -> float:
-    """Median of the criterion over random sets; of a generator that nothing shares."""
-    rng = np.random.default_rng(0)
-    draws = (
-        rng.choice(len(search.table), search.count, replace=False).tolist()
-        for _ in range(RANDOM_SETS)
-    )
-    return float(np.median([search.selection(chosen).value for chosen in draws]))
-
-
 def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     """The criterion against the number of configurations.
 
@@ -300,14 +285,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     table = np.concatenate([own, search.table])
     members = tuple(range(len(own)))
     tip = Prediction(tests.position)
-    subset = selection(
-        table,
-        search.rows.nuisances,
-        search.criterion,
-        search.known,
-        members,
-        search.measured,
-    )
+    subset = search.selection(members, table)
 
     def step() -> Step:
         found = search.information(table[subset.chosen])

@@ -21,8 +21,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, tracked
+from calib_pin.measurement_models.mixed import assumed_sigma
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.observations import PLUS, Measurements
 from calib_pin.parameters import ParameterSet
 from calib_pin.planning.information import Information
@@ -92,7 +92,7 @@ def assumes_tool(problem: Problem) -> bool:
 def identification(
     problem: Problem, candidates: Candidates, measured: Measurements | None = None
 ) -> tuple[Structure, IdentificationRows, Floats]:
-    """What can be identified, its rows, and the information that is there already.
+    """The structure, its rows, and the information that is there already.
 
     Args:
         problem: The problem at nominal geometry.
@@ -163,7 +163,7 @@ class TipTests:
 
 @dataclass(frozen=True)
 class Predicted:
-    """What a fit of planned measurements is going to know; satisfies `Estimated`.
+    """The expected result of a fit of planned measurements; satisfies `Estimated`.
 
     Attributes:
         theta: Parameter values, all zero, shape (P,).

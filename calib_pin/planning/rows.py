@@ -1,4 +1,4 @@
-"""What a configuration tells: its rows of the identification matrix.
+"""The rows of a configuration in the identification matrix.
 
 The rows are whitened by the noise, their columns are scaled and reduced to the
 identifiable subspace, with the nuisances (base, tool, instrument) before the robot.
@@ -39,20 +39,16 @@ class Rows(Protocol):
     @property
     def nuisances(self) -> int:
         """Number of leading columns that are no part of what is sought."""
-        ...
 
     @property
     def differentiable(self) -> bool:
         """Whether they have a derivative by the configuration."""
-        ...
 
     def rows(self, q: Floats, target: Sequence[str]) -> Floats:
         """Rows of configurations, shape (N, n) -> (N, d, m)."""
-        ...
 
     def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
         """Rows, and what carries derivatives by them back to the configurations."""
-        ...
 
 
 @dataclass(frozen=True)
@@ -159,7 +155,7 @@ class IdentificationRows:
     def _carried(self) -> NDArray[np.intp]:
         """Number of leading parameters whose twist each joint turns, shape (n,).
 
-        A joint that is passed backwards turns before its own placement is passed.
+        A joint traversed from child to parent turns before its own placement does.
         """
         error = self.problem.error
         places = [screw.frame for screw in error.screws]
@@ -169,7 +165,7 @@ class IdentificationRows:
     def _linear(
         self, q: Floats, target: Sequence[str]
     ) -> tuple[PoseLinearization, Floats, Floats]:
-        """Poses with the whitened derivatives by the tool's twist and by own."""
+        """Poses with the whitened derivatives by the pose and by the instrument."""
         error, measurement = self.problem.error, self.measurement
         poses = error.linearize(q, np.zeros(len(error.screws)))
         linear = linearized_at(

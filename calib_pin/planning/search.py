@@ -55,7 +55,7 @@ Progress = Callable[[str, float], bool | None]
 
 @dataclass(frozen=True)
 class Found:
-    """What a method has found.
+    """The set that a method has found.
 
     Attributes:
         q: Configurations, shape (K, n) [rad, m].
@@ -76,8 +76,8 @@ class Search:
     """A search for the best set of configurations.
 
     Args:
-        rows: What a configuration tells.
-        workspace: Where configurations may be.
+        rows: The rows of a configuration.
+        workspace: The constraints of configurations.
         criterion: What is to be small.
         known: Information that is there already, shape (m, m).
         candidates: Configurations to choose from.
@@ -85,7 +85,7 @@ class Search:
         rng: Source of chance.
         progress: Told how far the search is; may stop it.
         starts: Most random sets from which the gradient method starts.
-        measured: Number of rows that the known information comes from.
+        measured: Number of measurements that the known information comes from.
 
     Raises:
         OptionError: If there are fewer candidates than wanted.
@@ -126,21 +126,17 @@ class Search:
         found = METHODS[method](self)
         return replace(found, status=Status.STOPPED) if self.stopped else found
 
-    def selection(self, chosen: Sequence[int] = ()) -> Selection:
-        """A subset of the candidates under the criterion."""
-        return selection(
-            self.table,
-            self.rows.nuisances,
-            self.criterion,
-            self.known,
-            chosen,
-            self.measured,
-        )
+    def selection(
+        self, chosen: Sequence[int] = (), table: Floats | None = None
+    ) -> Selection:
+        """A subset of the candidates, or of others, under the criterion."""
+        table = self.table if table is None else table
+        nuisances, criterion = self.rows.nuisances, self.criterion
+        return selection(table, nuisances, criterion, self.known, chosen, self.measured)
 
     def cost(self, q: Floats, target: Sequence[str]) -> float:
         """Cost of a set of configurations."""
-        found = self.information(self.rows.rows(q, target))
-        return np.inf if found is None else self.criterion.cost(found)
+        return self._cost_of(self.rows.rows(q, target))
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -211,9 +207,8 @@ class Search:
     def automatic(self) -> Found:
         """Exchange, then the gradient from its set and from random ones."""
         best = self.by_exchange()
-        if self.stopped or not self.rows.differentiable:
-            return best
-        return self._descended(best)
+        descends = self.rows.differentiable and not self.stopped
+        return self._descended(best) if descends else best
 
     def _descended(self, best: Found) -> Found:
         """Go a little down from many sets, then to the ground from the best ones.
@@ -222,10 +217,9 @@ class Search:
             best: The first of these sets; the others are drawn among the candidates.
         """
         variables = self.count * len(self.workspace.lower)
-        drawn = range(min(self._starts, max(1, VARIABLES // variables)))
         of, size = np.array(self.candidates.target), len(self.candidates.q)
         sets = [(best.q, best.target)]
-        for _ in drawn:
+        for _ in range(min(self._starts, max(1, VARIABLES // variables))):
             chosen = self._rng.choice(size, self.count, replace=False)
             sets.append((self.candidates.q[chosen], tuple(of[chosen].tolist())))
         stages = self.criterion.sharpnesses

@@ -58,7 +58,7 @@ class Selection:
 
     @property
     def value(self) -> float:
-        """What users know by the criterion's name."""
+        """The value of the criterion."""
         found = self._information()
         if found is None:
             return np.inf
@@ -79,16 +79,19 @@ class Selection:
     def add(self, candidate: int) -> None:
         """Add a candidate."""
         self.chosen.append(candidate)
-        self._update()
+        self._change(candidate, 1.0)
 
     def remove(self, candidate: int) -> None:
         """Remove a member."""
         self.chosen.remove(candidate)
-        self._update()
+        self._change(candidate, -1.0)
 
     def reset(self, chosen: list[int]) -> None:
         """Become another subset."""
         self.chosen = list(chosen)
+        self._update()
+
+    def _change(self, candidate: int, sign: float) -> None:
         self._update()
 
     def _best(
@@ -120,16 +123,6 @@ class DeterminantSelection(Selection):
         if self._leverages is None:
             return np.inf
         return self._cost(self._leverages.volume)
-
-    def add(self, candidate: int) -> None:
-        """Add a candidate."""
-        self.chosen.append(candidate)
-        self._change(candidate, 1.0)
-
-    def remove(self, candidate: int) -> None:
-        """Remove a member."""
-        self.chosen.remove(candidate)
-        self._change(candidate, -1.0)
 
     def best_to_add(self) -> tuple[int, float]:
         """The candidate to add and the cost after that."""
@@ -225,7 +218,7 @@ class Leverages:
         return result
 
     def volumes(self, sign: float, some: Sequence[int] | slice = slice(None)) -> Floats:
-        """What `volume` would be after a candidate joins (1) or leaves (-1).
+        """The values of `volume` after a candidate joins (1) or leaves (-1).
 
         Args:
             sign: 1 or -1.
@@ -234,7 +227,8 @@ class Leverages:
         Returns:
             Volumes, shape (K,); NaN where nothing would be determined.
         """
-        return self.volume + self._growth(self._leverages[:, :, some], sign)
+        of_all, of_nuisances = log_determinants(self._leverages[:, :, some], sign)
+        return np.asarray(self.volume + (of_all - of_nuisances))
 
     def change(self, candidate: int, sign: float) -> bool:
         """Let a candidate join (1) or leave (-1).
@@ -262,8 +256,3 @@ class Leverages:
             change = moved.reshape(shape)[:, a] * solved.reshape(shape)[:, b]
             self._leverages[:, k] -= sign * change.sum(axis=0)
         return True
-
-    def _growth(self, leverages: Floats, sign: float) -> Floats:
-        """Logarithms of the factors of det(S), (pairs, 2, ...) -> (...,)."""
-        of_all, of_nuisances = log_determinants(leverages, sign)
-        return np.asarray(of_all - of_nuisances)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -14,10 +14,10 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import tracked
-from calib_pin.measurement_models.intrinsics import Camera
+from calib_pin.measurement_models.mount import Frame
+from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.references import Frame
 from calib_pin.parameterizations import frame_pose, frame_setup
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import identify
@@ -81,7 +81,7 @@ def suggestions(
         chain: The nominal chain.
         model: Name of the measurement model.
         setup: What is estimated and what is known; of a fit see `calibrated_setup`.
-        found: What can be known now.
+        found: The identifiability now.
         seed: Seed of the random configurations.
 
     Returns:
@@ -114,7 +114,7 @@ def suggestions(
 def _changes(
     model: str, setup: Setup, found: Identification
 ) -> Iterator[tuple[str, str, Setup]]:
-    """What could be done otherwise: words, measurement model, and setup."""
+    """Possible changes: words, measurement model, and setup."""
     free = [p.name.rsplit(".", 2) for p in found.parameters if p.status != "fixed"]
     owners = {f"{owner}.{kind}" for owner, kind, _ in free}
     points = any(kind == "target" for _, kind, _ in free)
@@ -148,25 +148,23 @@ def _changes(
         if points:
             words = "state the positions of the points on the tool (targets)"
             held = frame_setup(place, known=True)
-            fixed = _held(setup.targets)
-            yield words, model, replace(setup, targets=fixed, tool_frame=held)
+            targets = {
+                name: replace(point, estimate=False)
+                for name, point in setup.targets.items()
+            }
+            yield words, model, replace(setup, targets=targets, tool_frame=held)
         elif not tool:
             words = "state the pose of the tool on the robot (frames.tool)"
             held = frame_setup(place, known=True)
             yield words, model, replace(setup, tool_frame=held)
     at_ends = (frame_setup(stand, known=True), frame_setup(place, known=True))
-    everything = replace(plain, base_frame=at_ends[0], tool_frame=at_ends[1])
-    yield EVERYTHING, pose, everything
-
-
-def _held(points: Mapping[str, Any]) -> dict[str, Any]:
-    return {name: replace(point, estimate=False) for name, point in points.items()}
+    yield EVERYTHING, pose, replace(plain, base_frame=at_ends[0], tool_frame=at_ends[1])
 
 
 def _identified(
     chain: Chain, model: str, setup: Setup, fixed: tuple[str, ...], seed: int
 ) -> Identification | None:
-    """What could be known then; None where the setup does not suffice to say."""
+    """The identifiability then; None where the setup does not suffice to say."""
     stated = replace(setup, learned=None, fixed=(), bounds={}, prior={})
     try:
         names = nominal_problem(chain, model, stated).parameters.names

@@ -1,9 +1,9 @@
-"""Where configurations may be: limits, sight of the instrument, region, collisions."""
+"""Constraints of configurations: limits, line of sight, region, collisions."""
 
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pinocchio as pin
@@ -68,10 +68,6 @@ class Candidates:
                 f"than the {count} wanted",
                 allowed="fewer configurations, wider limits, or a shorter distance",
             )
-
-    def first(self, count: int) -> Candidates:
-        """The first of them; a part of an even spread is one too."""
-        return replace(self, q=self.q[:count], target=self.target[:count])
 
 
 @dataclass(frozen=True)

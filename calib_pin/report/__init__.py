@@ -15,8 +15,8 @@ class _Report(ModuleType):
     """The package, which writes a page when it is called."""
 
     def __call__(self, *arguments: Any, **options: Any) -> None:
-        """See `report.page_file.report`."""
-        from calib_pin.report.page_file import report
+        """See `report.html.report`."""
+        from calib_pin.report.html import report
 
         report(*arguments, **options)
 

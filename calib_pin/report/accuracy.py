@@ -50,7 +50,7 @@ def opening(result: CalibrationResult) -> Sequence[Line]:
 
 
 def verdict(result: CalibrationResult) -> Line:
-    """The verdict and its reason; a finding among the reasons with its remedy."""
+    """The verdict and its reason; a finding among the reasons with its suggestion."""
     reason = result.reason
     for finding in result.findings:
         if advised(finding) not in reason:
@@ -126,10 +126,10 @@ def _registered(result: CalibrationResult) -> Iterator[str]:
         for kind, names in owners.items()
     ]
     yield f"Registered for both (nominal and calibrated): {', '.join(told)}."
-    if result.validation.placed:
-        names = ", ".join(result.validation.placed)
-        if len(result.validation.placed) > 2 * LISTED_OWNERS:
-            names = f"{len(result.validation.placed)} of them"
+    if result.validation.located:
+        names = ", ".join(result.validation.located)
+        if len(result.validation.located) > 2 * LISTED_OWNERS:
+            names = f"{len(result.validation.located)} of them"
         yield f"Estimated from the validation measurements: {names}."
     if result.validation.skipped:
         reasons = " and ".join(dict.fromkeys(result.validation.skipped))
@@ -206,10 +206,10 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
         if evaluation.registered
         else "Nothing was fitted to these measurements."
     )
-    if evaluation.placed:
+    if evaluation.located:
         how = (
             "New to the calibration, estimated from these measurements: "
-            f"{', '.join(evaluation.placed)}. Nothing else was fitted to them."
+            f"{', '.join(evaluation.located)}. Nothing else was fitted to them."
         )
     if evaluation.outside:
         how += (

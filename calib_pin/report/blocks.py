@@ -112,10 +112,7 @@ def columns(
 ) -> tuple[Column, ...]:
     """A column of names before columns of numbers or words.
 
-    Args:
-        first: Heading of the names.
-        titles: Headings of the others.
-        kinds: Kinds that differ from numbers and from those of `WORDS`.
+    Stated are the kinds that differ from numbers and from those of `WORDS`.
     """
     of = {**WORDS, **(kinds or {})}
     numbers = (Column(title, of.get(title, "number")) for title in titles)

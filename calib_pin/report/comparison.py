@@ -39,7 +39,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
             said = f"{label} ({record.provenance.file}): {record.reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
-    yield from _doubts(found)
+    yield from (Line(doubt, "note") for doubt in _doubts(found))
     yield Facts(
         chain_words(found.first.model.chain),
         [(label, _origin(record)) for label, record in pair],
@@ -104,45 +104,38 @@ def _size(found: Comparison, position: float, orientation: float) -> str:
     return " and ".join(amount(*pair) for pair in pairs)
 
 
-def _doubts(found: Comparison) -> Iterator[Line]:
+def _doubts(found: Comparison) -> Iterator[str]:
     """Other possible causes of the difference."""
     if not found.same_nominal:
-        yield Line(
+        yield (
             "The nominal robots differ: only the tool points are compared, not the "
-            "parameters, which refer to different robots.",
-            "note",
+            "parameters, which refer to different robots."
         )
-    if found.same_rows and found.identical:
-        yield Line("Both fit the same measurements in the same way.", "note")
-        return
     if found.same_rows:
-        yield Line(
-            "Both fit the same measurements: not the robot but the fit changed, and "
-            "their noise is not independent.",
-            "note",
+        yield (
+            "Both fit the same measurements in the same way."
+            if found.identical
+            else "Both fit the same measurements: not the robot but the fit changed, "
+            "and their noise is not independent."
         )
         return
     if found.same_nominal and not found.same_parameters:
-        yield Line(
+        yield (
             "The errors are described by different parameters, which can cause a "
-            "difference without any change of the robot.",
-            "note",
+            "difference without any change of the robot."
         )
     if found.shared_rows:
-        yield Line(
-            "They share a measurement file: their noise is not independent.", "note"
-        )
+        yield "They share a measurement file: their noise is not independent."
     elif (
         found.drifted
         and found.same_parameters
         and None not in (stated_noise(found.first), stated_noise(found.second))
         and not found.described
     ):
-        yield Line(
+        yield (
             "Both fits contain errors that no parameter describes, which differ from "
             "configuration to configuration: measurements at the same configurations "
-            "would settle it.",
-            "note",
+            "would settle it."
         )
 
 
@@ -263,16 +256,11 @@ def parameter_changes(found: Comparison) -> Iterator[Block]:
 
 def _moved(found: Comparison) -> Table:
     rows = []
-    for difference in found.moved:
-        unit, factor = DISPLAY.get(difference.unit, (difference.unit, 1.0))
-        rows.append(
-            (
-                Cell(difference.name),
-                *uncertain(difference.change, difference.sigma, factor),
-                Cell(f"{difference.significance:.1f}", difference.significance),
-                Cell(unit),
-            )
-        )
+    for moved in found.moved:
+        unit, factor = DISPLAY.get(moved.unit, (moved.unit, 1.0))
+        ratio = Cell(f"{moved.significance:.1f}", moved.significance)
+        pair = uncertain(moved.change, moved.sigma, factor)
+        rows.append((Cell(moved.name), *pair, ratio, Cell(unit)))
     return Table(
         f"Parameters and combinations that differ by more than {BOUND:.0f} standard "
         "deviations",

@@ -28,12 +28,7 @@ def compensation_report(
 ) -> Iterator[Block]:
     """The targets reached, the errors that remain, and the targets out of reach.
 
-    Args:
-        found: The commands.
-        chain: The chain.
-        motion: Whether the targets are those of a joint motion.
-        file: The file of the targets.
-        lines: Line of each target.
+    A motion has joint positions as targets; `lines` are those of the targets in a file.
     """
     count, reached = len(found), int(found.reached.sum())
     what = "configurations of the nominal robot" if motion else "targets"
@@ -68,11 +63,7 @@ def compensation_report(
 
 
 def accuracy_lines(errors: Mapping[str, Mapping[str, Any]]) -> Iterator[Line]:
-    """The error of the model itself on the calibration's validation measurements.
-
-    Args:
-        errors: Unit, mean, max and method by quantity.
-    """
+    """The error of the model itself on validation measurements, by quantity."""
     for name, error in errors.items():
         mean, largest = (amount(error[key], error["unit"]) for key in ("mean", "max"))
         yield Line(

@@ -11,15 +11,19 @@ from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import cache
 from importlib.resources import files
+from pathlib import Path
 from typing import Any
 
 from jinja2 import Environment, PackageLoader, StrictUndefined
 from markupsafe import Markup
 
-from calib_pin.planning.suggestions import Suggestion
+from calib_pin.io.calibration_document import calibration_document, provenance
+from calib_pin.io.files import write_atomically
+from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
-from calib_pin.report.figures import Drawn
+from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import ranks, remedied, unknown
 from calib_pin.report.tables import (
     STATUS,
@@ -87,7 +91,7 @@ class _Section:
     key: str
     title: str
     blocks: Sequence[Block]
-    figures: Sequence[Mapping[str, str]]
+    figures: Sequence[Drawn]
     parameters: Table | None = None
     statuses: Sequence[str] = ()
 
@@ -99,16 +103,9 @@ def html_report(
     figures: Sequence[Drawn] = (),
     suggestions: Sequence[Suggestion] = (),
 ) -> bytes:
-    """The report of a calibration as a page.
+    """The report of a calibration as UTF-8 text of one HTML file without references.
 
-    Args:
-        result: The result.
-        document: Its `calibration.json`, which knows the files and their hashes.
-        figures: What is drawn of it.
-        suggestions: Suggested measurements.
-
-    Returns:
-        UTF-8 text of one HTML file without references to any other.
+    The document is its `calibration.json`, which knows the files and their hashes.
     """
     name = result.model.chain.robot.name
     page = _pages().get_template("report.html")
@@ -126,22 +123,48 @@ def html_report(
     ).encode("utf-8", "backslashreplace")
 
 
-def summary_html(result: CalibrationResult) -> str:
-    """Verdict and accuracy of a calibration as part of a page, such as a notebook's.
+def report(
+    result: CalibrationResult | str | Path, file: str | Path, *, force: bool = False
+) -> None:
+    """Write the page of a calibration, with its figures.
+
+    Args:
+        result: The result, or the folder or `calibration.json` that holds it.
+        file: The page.
+        force: Replace an existing file.
+
+    Raises:
+        InputError: If a calibration cannot be read.
+        OptionError: If the page exists and `force` is false.
+        OutputError: If it cannot be written.
 
     Example:
-        >>> import calib_pin
+        >>> import calib_pin, tempfile
         >>> chain = calib_pin.load_chain("space7")
         >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
         >>> rows = calib_pin.read_measurements(
         ...     calib_pin.robot_file("space7", "measurements.csv"), chain
         ... )
         >>> result = calib_pin.calibrate(chain, rows, setup)
-        >>> summary_html(result).splitlines()[1][:24]
-        '<p class="good">GOOD: po'
+        >>> with tempfile.TemporaryDirectory() as folder:
+        ...     calib_pin.report(result, Path(folder) / "page.html")
+        ...     len((Path(folder) / "page.html").read_bytes()) > 100_000
+        True
     """
-    blocks = [*opening(result), subject(result), *accuracy(result)]
-    return _pages().get_template("summary.html").render(blocks=blocks)
+    if isinstance(result, CalibrationResult):
+        model = result.model
+        setup, name = calibrated_setup(model), model.measurement.name
+        suggested = suggestions(
+            model.chain, name, setup, result, seed=result.solver.seed
+        )
+        made = result.provenance if result.provenance.versions else provenance()
+        document = calibration_document(result, made, suggestions=suggested)
+    else:
+        result, document = read_written(result)
+        suggested = read_suggestions(document)
+    figures = list(calibration_figures(result))
+    page = html_report(result, document, figures=figures, suggestions=suggested)
+    write_atomically(Path(file), page, force=force)
 
 
 @cache
@@ -207,20 +230,11 @@ def _sections(
     }
     places = {name: key for key, (_, names) in SECTIONS.items() for name in names}
     for key, (title, _) in SECTIONS.items():
-        drawn = [f for f in figures if places[f.name] == key]
         yield _Section(
             key=key,
             title=title,
             blocks=blocks[key],
-            figures=[
-                {
-                    "name": f.name,
-                    "title": f.title,
-                    "reading": f.reading,
-                    "svg": Markup(f.svg()),
-                }
-                for f in drawn
-            ],
+            figures=[f for f in figures if places[f.name] == key],
             parameters=parameter_overview(result.parameters)
             if key == "parameters"
             else None,

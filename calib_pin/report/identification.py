@@ -24,13 +24,7 @@ REMARKS = {"weak": " (held wholly or partly at nominal)"}
 def identified(
     found: Identification, *, fitted: bool, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
-    """Ranks, parameters by status, combinations as formulae, suggested measurements.
-
-    Args:
-        found: The identifiability.
-        fitted: Whether there are estimates to show.
-        suggestions: Suggested measurements.
-    """
+    """Ranks, parameters by status, combinations as formulae, suggested measurements."""
     yield ranks(found, fitted=fitted)
     identifiable = [p for p in found.parameters if p.status == "identifiable"]
     if identifiable and fitted:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import math
 from collections.abc import Callable, Iterator, Sequence
 
+from calib_pin.estimation.evidence import Outlier
 from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
 from calib_pin.units import DISPLAY
 from calib_pin.validation.result import (
@@ -170,12 +171,7 @@ def _percent(value: float, sigma: float) -> str:
 def parameter_table(
     parameters: Sequence[ParameterEstimate], shown: Sequence[str] = ESTIMATE
 ) -> Table:
-    """Identifiable parameters.
-
-    Args:
-        parameters: The parameters.
-        shown: What stands beside them, some of `ESTIMATE`.
-    """
+    """Identifiable parameters, with some of the columns `ESTIMATE`."""
     rows = [(Cell(p.name), *_estimate(p, shown)) for p in parameters]
     return Table("Identifiable parameters", columns("", shown), rows)
 
@@ -183,12 +179,7 @@ def parameter_table(
 def group_table(
     groups: Sequence[CoupledGroup], shown: Sequence[str] = ESTIMATE
 ) -> Table:
-    """Coupled groups as formulae: only these combinations can be estimated.
-
-    Args:
-        groups: The groups.
-        shown: What stands beside them, some of `ESTIMATE`; nothing where empty.
-    """
+    """Coupled groups as formulae: only these combinations can be estimated."""
     of = (Column("", "number"), *columns("combination" if shown else "", shown))
     return Table(
         "Identifiable linear combinations (coefficients in SI units)",
@@ -218,23 +209,10 @@ def parameter_overview(parameters: Sequence[ParameterEstimate]) -> Table:
 
 
 def outlier_table(result: CalibrationResult, most: int) -> Table:
-    """Outliers with their weights and errors, worst first.
-
-    Args:
-        result: The result.
-        most: Number of outliers that are listed.
-    """
+    """The worst outliers with their weights and errors."""
     found, errors = result.statistics.outliers, result.fitted
     kept = found[:most]
-    cells = [
-        [
-            Cell(row.place),
-            Cell(f"{row.size:.1f}", row.size),
-            Cell(significant(row.weight), row.weight),
-            Cell(row.cause),
-        ]
-        for row in kept
-    ]
+    cells = [outlier_cells(row) for row in kept]
     titles = ["normalized residual", "weight", "cause"]
     for of in errors.quantities:
         unit = DISPLAY[of.unit][0]
@@ -243,6 +221,12 @@ def outlier_table(result: CalibrationResult, most: int) -> Table:
             sizes = [float(stage[row.row]) for stage in errors.sizes(of)]
             own += [known(size, of.unit) for size in sizes]
     return Table("Outliers", columns("measurement", titles, {"cause": "remark"}), cells)
+
+
+def outlier_cells(row: Outlier) -> list[Cell]:
+    """Place, normalized residual, weight and cause of an outlier."""
+    size, weight = Cell(f"{row.size:.1f}", row.size), significant(row.weight)
+    return [Cell(row.place), size, Cell(weight, row.weight), Cell(row.cause)]
 
 
 def _estimate(
@@ -258,10 +242,7 @@ def _estimate(
 def uncertain(value: float, sigma: float | None, factor: float) -> tuple[Cell, Cell]:
     """A signed value and its standard deviation, both to the place that is known.
 
-    Args:
-        value: The value, in SI units.
-        sigma: Its standard deviation, if there is one.
-        factor: From SI to the unit that is shown.
+    They are in SI units, and shown times a factor.
     """
     deviation, places = Cell("-"), DECIMALS
     if sigma is not None:

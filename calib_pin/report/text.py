@@ -43,12 +43,7 @@ def format_report(result: CalibrationResult) -> str:
 def report(
     result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
-    """Verdict, accuracy, noise and outliers, then identifiability and parameters.
-
-    Args:
-        result: The result.
-        suggestions: Suggested measurements.
-    """
+    """Verdict, accuracy, noise and outliers, then identifiability and parameters."""
     yield from opening(result)
     yield subject(result)
     yield from findings(result)

@@ -8,11 +8,10 @@ from collections.abc import Iterator, Sequence
 from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
-    Outlier,
     VarianceComponent,
 )
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Names, Table, columns
-from calib_pin.report.tables import number, significant
+from calib_pin.report.tables import number, outlier_cells, significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.result import CalibrationResult
@@ -64,7 +63,7 @@ def findings(result: CalibrationResult) -> Iterator[Line]:
 
 
 def advised(finding: Finding) -> str:
-    """A finding's message and remedy."""
+    """A finding's message and suggestion."""
     return "; ".join(filter(None, (finding.message, finding.remedy)))
 
 
@@ -181,15 +180,12 @@ def _doubt(part: VarianceComponent) -> str:
         sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
         parts.append(f"{sizes[0]} {unit} noise, {sizes[1]} {unit} unmodeled")
     if part.lack_of_fit is not None and part.lack_of_fit < 0.05:
+        p = part.lack_of_fit
         parts.append(
             "lack of fit, configurations differ more than their repetitions (p "
-            f"{_probability(part.lack_of_fit)})"
+            f"{f'= {p:.3f}' if p >= 1e-3 else '< 0.001'})"
         )
     return f"{part.quantity}: {'; '.join(parts)}." if parts else ""
-
-
-def _probability(p: float) -> str:
-    return f"= {p:.3f}" if p >= 1e-3 else "< 0.001"
 
 
 def outliers(result: CalibrationResult) -> Iterator[Block]:
@@ -201,23 +197,10 @@ def outliers(result: CalibrationResult) -> Iterator[Block]:
     of = columns(
         "", ("normalized residual", "weight", *["cause"][:caused]), {"cause": "remark"}
     )
-    rows = [_outlier(row, caused) for row in found[:LISTED]]
+    rows = [[*outlier_cells(row)][: 3 + caused] for row in found[:LISTED]]
     yield Table(f"Outliers ({len(found)} of {len(result.fitted)})", of, rows)
     if len(found) > LISTED:
         yield Line(f"and {len(found) - LISTED} more in calibration.json", indent=True)
-
-
-def _outlier(row: Outlier, caused: bool) -> Sequence[Cell]:
-    return (
-        Cell(row.place),
-        Cell(f"{row.size:.1f}", row.size),
-        Cell(significant(row.weight), row.weight),
-        *[Cell(row.cause)][:caused],
-    )
-
-
-LISTED = 5
-"""Correlated pairs that are listed before the rest is only counted."""
 
 
 def statistics(result: CalibrationResult) -> Iterator[Block]:
@@ -253,12 +236,7 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:
-    """Strongly correlated estimates.
-
-    Args:
-        result: The result.
-        most: Number of pairs that are listed before the rest is only counted.
-    """
+    """Strongly correlated estimates; beyond `most` pairs the rest is only counted."""
     pairs = result.identifiability.correlated
     if pairs:
         names = {g.expression: f"combination {g.number}" for g in result.groups}

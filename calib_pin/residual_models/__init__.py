@@ -40,7 +40,7 @@ class Fitter(Protocol):
         *,
         progress: Progress | None = None,
     ) -> ResidualModel:
-        """A model of the rows."""
+        """A model of the measurements."""
         ...
 
 

@@ -21,13 +21,13 @@ INDEPENDENT = 1e-8
 CHANCE = 2.0
 """Standard deviations that a gain must have; otherwise the correction is zero."""
 
-UNSEEN = 1e-12
-"""Unit of corrections that the rows do not show: they stay at nothing [rad, m]."""
+UNOBSERVED = 1e-12
+"""Unit of corrections that are not observed: they stay at nothing [rad, m]."""
 
 
 @dataclass(frozen=True)
 class Linearized:
-    """Whitened residuals of N rows and their derivatives.
+    """Whitened residuals of N measurements and their derivatives.
 
     Attributes:
         residual: Predicted minus measured in standard deviations, shape (N, d).
@@ -76,7 +76,7 @@ class TrainingRows:
         return np.asarray(part[labels])
 
     def require(self, model: str, directions: int, folds: int) -> None:
-        """Refuse too few rows.
+        """Refuse too few measurements.
 
         Args:
             model: Name of the residual model.
@@ -186,7 +186,7 @@ class LearnedCorrection:
 
 
 def convincing(before: Floats, after: Floats) -> bool:
-    """Whether predictions of left-out rows became better by more than chance.
+    """Whether predictions of left-out measurements became better by more than chance.
 
     Args:
         before: Whitened residuals, shape (N, d).
@@ -207,7 +207,7 @@ def correction_unit(at: Linearized, kinds: NDArray[np.bool_]) -> Floats:
     """
     size = np.sqrt((at.residual**2).mean())
     effect = (at.by_correction**2).mean(axis=(0, 1))
-    result = np.full(len(kinds), UNSEEN)
+    result = np.full(len(kinds), UNOBSERVED)
     for kind in (kinds, ~kinds):
         if kind.any() and effect[kind].any() and size > 0.0:
             result[kind] = size / np.sqrt(effect[kind].mean())

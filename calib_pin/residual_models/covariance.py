@@ -75,7 +75,7 @@ class Covariance:
         """The same with all variances times a number."""
         return replace(self, own=self.own * factor, all=self.all * factor)
 
-    def owns(self, a: Floats, b: Floats) -> Iterator[Floats]:
+    def own_correlations(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Correlation by the own angle for each component, shape (A, B) each.
 
         Args:
@@ -85,20 +85,20 @@ class Covariance:
         for j, length in enumerate(self.short):
             yield _correlation(a[:, [j]], b[:, [j]], np.array([length]))
 
-    def alls(self, a: Floats, b: Floats) -> Floats:
+    def correlation(self, a: Floats, b: Floats) -> Floats:
         """Correlation by all angles, shape (A, B)."""
         return _correlation(a, b, self.long)
 
     def components(self, a: Floats, b: Floats) -> Iterator[Floats]:
         """Covariance of each component, shape (A, B) each."""
-        smooth, owns = self.alls(a, b), self.owns(a, b)
+        smooth, owns = self.correlation(a, b), self.own_correlations(a, b)
         for j, variance in enumerate(self.all):
             result = variance * smooth
             if len(self.own):
                 result += self.own[j] * next(owns)
             yield result
 
-    def seen(self, angle: Floats, A: Floats) -> Floats:
+    def of_residuals(self, angle: Floats, A: Floats) -> Floats:
         """Covariance of the residuals that the corrections make, shape (N d, N d).
 
         Args:
@@ -110,7 +110,8 @@ class Covariance:
         for j, values in enumerate(self.components(angle, angle)):
             a = A[:, :, j].reshape(-1)
             if a.any():
-                result += _spread(values, d) * np.multiply.outer(a, a)
+                blocks = np.repeat(np.repeat(values, d, axis=0), d, axis=1)
+                result += blocks * np.multiply.outer(a, a)
         return result
 
     def predict(self, at: Floats, angle: Floats, weights: Floats) -> Floats:
@@ -124,8 +125,8 @@ class Covariance:
         result = np.empty((len(at), weights.shape[1]))
         for start in range(0, len(at), PIECE):
             part = at[start : start + PIECE]
-            sums = self.alls(part, angle) @ (weights * self.all)
-            for j, values in enumerate(self.owns(part, angle)):
+            sums = self.correlation(part, angle) @ (weights * self.all)
+            for j, values in enumerate(self.own_correlations(part, angle)):
                 sums[:, j] += self.own[j] * (values @ weights[:, j])
             result[start : start + PIECE] = sums
         return result
@@ -155,11 +156,6 @@ def _correlation(a: Floats, b: Floats, length: Floats) -> Floats:
     result = scaled @ np.concatenate([np.cos(b), np.sin(b)], axis=1).T
     result -= (1.0 / length**2).sum()
     return np.asarray(np.exp(result, out=result))
-
-
-def _spread(values: Floats, d: int) -> Floats:
-    """Every entry for a block of d x d, shape (N, N) -> (N d, N d)."""
-    return np.asarray(np.repeat(np.repeat(values, d, axis=0), d, axis=1))
 
 
 def most_likely(
@@ -197,7 +193,7 @@ def most_likely(
     def cost(values: Floats) -> tuple[float, Floats]:
         """Negative log-likelihood, and its derivative by the logarithms `values`."""
         covariance, noise = parts(values)
-        K = covariance.seen(angle, A) + other
+        K = covariance.of_residuals(angle, A) + other
         K[np.diag_indices_from(K)] += noise
         K[np.diag_indices_from(K)] += JITTER
         try:
@@ -243,12 +239,7 @@ def _by_logarithms(
 ) -> Floats:
     """Derivative of a cost by the logarithms of the covariance's numbers.
 
-    Args:
-        covariance: The covariance of the corrections.
-        angle: Joint angles, shape (N, n) [rad].
-        A: Derivative of the residuals by the corrections, shape (N, d, m).
-        by_K: Derivative of the cost by the covariance K of the residuals, shape
-            (N d, N d).
+    From its derivative by the covariance K of the residuals, shape (N d, N d).
     """
     rows, d, _ = A.shape
     # By the covariance of each component of the corrections, shape (m, N, N).
@@ -258,12 +249,12 @@ def _by_logarithms(
     )
     distance = 2.0 - 2.0 * np.cos(angle[:, None] - angle)
     own, short = np.zeros(len(covariance.own)), np.zeros(len(covariance.own))
-    for j, values in enumerate(covariance.owns(angle, angle)):
+    for j, values in enumerate(covariance.own_correlations(angle, angle)):
         by_own = covariance.own[j] * values * by_component[j]
         own[j] = by_own.sum()
         short[j] = (by_own * distance[:, :, j]).sum() / covariance.short[j] ** 2
     by_all = covariance.all[:, None, None] * by_component
-    by_all *= covariance.alls(angle, angle)
+    by_all *= covariance.correlation(angle, angle)
     long = np.einsum("jab,abi->i", by_all, distance, optimize=True)
     return np.concatenate([own, short, by_all.sum((1, 2)), long / covariance.long**2])
 

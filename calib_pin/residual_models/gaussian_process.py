@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from scipy.linalg import cho_solve, cholesky, solve_triangular
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     Space,
@@ -47,11 +47,12 @@ class GaussianProcessOptions:
     """Options of the fit of a Gaussian process.
 
     Attributes:
-        searched: Residual components, of random rows, that choose the covariance.
-        largest: Residual components, of random rows if there are more, that the process
-            is made of; time grows with their cube.
-        spaces: Spaces of the correction; the one that predicts held-out rows better is
-            taken.
+        searched: Residual components, of random measurements, that choose the
+            covariance.
+        largest: Residual components, of random measurements if there are more, that the
+            process is made of; time grows with their cube.
+        spaces: Spaces of the correction; the one that predicts held-out measurements
+            better is taken.
     """
 
     searched: int = 360
@@ -61,7 +62,7 @@ class GaussianProcessOptions:
 
 @dataclass(frozen=True)
 class GaussianProcess:
-    """A Gaussian process given its rows.
+    """A Gaussian process given its measurements.
 
     Attributes:
         region: Training region; its angles are those of the covariance.
@@ -76,8 +77,8 @@ class GaussianProcess:
         released: Shift per residual that is absorbed, shape (P, k).
         free: Variance of these.
         weights: Weight of each configuration in each component, shape (N, m).
-        held_out: Root mean square of the whitened residuals of groups of rows, before,
-            and predicted from all the others.
+        held_out: Root mean square of the whitened residuals of groups of measurements,
+            before, and predicted from all the others.
     """
 
     region: TrainedRegion
@@ -97,11 +98,7 @@ class GaussianProcess:
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections, shape (N, m) [rad, m], zero outside the region.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-        """
+        """Corrections at joint positions, (N, m) [rad, m], zero outside the region."""
         at = self.region.angles(q)
         inside = self.covariance.predict(at, self._angle, self.weights) * self.unit
         return np.asarray(self.region.weight(q)[:, None] * inside)
@@ -113,14 +110,7 @@ class GaussianProcess:
         by_correction: Floats | None = None,
         by_shift: Floats | None = None,
     ) -> Floats:
-        """Standard deviations of the corrections, shape (N, m) [rad, m], or (N, d).
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, m);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
-        """
+        """Standard deviations, see `ResidualModel.deviation`."""
         weight = self.region.weight(q)[:, None]
         if by_correction is None:
             by_correction = np.tile(np.eye(len(self.unit)), (len(q), 1, 1))
@@ -138,12 +128,10 @@ class GaussianProcess:
         return np.asarray(weight * inside + (1.0 - weight) * np.sqrt(size))
 
     def _known(self, at: Floats, A: Floats, G: Floats) -> Floats:
-        """Part of the variance that the rows remove, shape (K, d).
+        """Part of the variance that the measurements remove, shape (K, d).
 
-        Args:
-            at: Angles, shape (K, n) [rad].
-            A: Derivative of something by corrections in units, shape (K, d, m).
-            G: Its derivative by the absorbed amplitudes, shape (K, d, k).
+        Of something with derivatives by corrections in units, A (K, d, m), and by the
+        absorbed amplitudes, G (K, d, k), at angles (K, n) [rad].
         """
         components = self.covariance.components(self._angle, at)
         blocks = self.A.reshape(-1, len(self.unit))
@@ -167,7 +155,7 @@ class GaussianProcess:
     @cached_property
     def _factor(self) -> Floats:
         """Cholesky factor of the covariance of all residuals, shape (N d, N d)."""
-        K = self.covariance.seen(self._angle, self.A)
+        K = self.covariance.of_residuals(self._angle, self.A)
         K += self.free * (self.absorbed @ self.absorbed.T)
         K[np.diag_indices_from(K)] += self.noise
         return np.asarray(cholesky(K, lower=True, overwrite_a=True))
@@ -224,13 +212,13 @@ def fit_gaussian_process(
     """Fit a Gaussian process to the residuals of a geometric fit.
 
     Args:
-        rows: The rows.
-        rng: Chooses rows where not all are used.
+        rows: The measurements.
+        rng: Chooses measurements where not all are used.
         options: Options of the fit.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
-        InputError: If there are too few rows.
+        InputError: If there are too few measurements.
     """
     options = options or GaussianProcessOptions()
     rows.require("Gaussian process", 2 * len(rows.revolute), FEWEST)
@@ -260,14 +248,7 @@ def fit_gaussian_process(
 
 
 class _Draft:
-    """A process in one space, on its way.
-
-    Args:
-        rows: The rows.
-        space: Space of the corrections.
-        region: Training region.
-        rng: Chooses rows.
-    """
+    """A process in one space, on its way; the generator chooses measurements."""
 
     def __init__(
         self,
@@ -300,11 +281,11 @@ class _Draft:
     def solve(
         self, covariance: Covariance, noise: float, chosen: NDArray[np.int64]
     ) -> GaussianProcess:
-        """The process for some rows, linearized again at its own predictions."""
+        """The process for some measurements, linearized again at its predictions."""
         before = self.at.residual[chosen]
         for _ in range(2):
             G, A = self.at.by_shift[chosen], self.A[chosen]
-            effect = (self.at.by_correction @ self.f[:, :, None])[:, :, 0]
+            effect = times(self.at.by_correction, self.f)
             base = (self.at.residual - effect - self.at.by_shift @ self.z)[chosen]
             columns, released = absorbed(G)
             process = GaussianProcess(
@@ -327,7 +308,7 @@ class _Draft:
             here = self.angle[chosen]
             self.f = covariance.predict(self.angle, here, weights) * self.unit
             # The shift must explain the rest, which neither process nor noise does.
-            rest = base + (A @ (self.f[chosen] / self.unit)[:, :, None])[:, :, 0]
+            rest = base + times(A, self.f[chosen] / self.unit)
             self.z = -released @ (columns.T @ rest.reshape(-1))
             self.at = self.evaluate(self.f, self.z)
         groups = self.rows.groups[chosen]
@@ -335,8 +316,8 @@ class _Draft:
         predicted = predicted.reshape(before.shape)
         if not convincing(before, predicted):
             weights, predicted, self.z = 0.0 * weights, before, 0.0 * self.z
-        # All variances times one number predict the same, but less surely: few rows
-        # chose them, and all rows tell how large they are.
+        # All variances times one number predict the same, but less surely: few
+        # measurements chose them, and all of them tell how large they are.
         return replace(
             process,
             shift=self.z,

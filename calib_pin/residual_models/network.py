@@ -10,7 +10,7 @@ from typing import Any, ClassVar
 import numpy as np
 
 from calib_pin.compiled.threads import Threads, serial_blas
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.progress import Progress
 from calib_pin.residual_models.base import (
     INDEPENDENT,
@@ -44,8 +44,8 @@ class NetworkOptions:
 
     Attributes:
         units: Number of product units.
-        members: Number of restarts; each holds out another part of the rows, stops by
-            it, and the average of all is the network.
+        members: Number of restarts; each holds out another part of the measurements,
+            stops by it, and the average of all is the network.
         steps: Largest number of steps with few harmonics, and with all of them.
         patience: Steps without a better prediction that end them early.
     """
@@ -70,9 +70,9 @@ class Network:
             (K, n, 2, M) [rad, m].
         typical: Size of the corrections in training, shape (n,) [rad, m].
         inflation: Factor on the deviations, at least one, by which they explain the
-            errors of held-out rows.
-        held_out: Root mean square of the whitened residuals of rows that a network had
-            not learned from, before and after.
+            errors of held-out measurements.
+        held_out: Root mean square of the whitened residuals of measurements that a
+            network had not learned from, before and after.
     """
 
     region: TrainedRegion
@@ -89,11 +89,7 @@ class Network:
 
     @serial_blas
     def __call__(self, q: Floats) -> Floats:
-        """Corrections, shape (N, n) [rad, m], zero outside the region.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-        """
+        """Corrections at joint positions, (N, n) [rad, m], zero outside the region."""
         angle = self.region.angles(q)
         inside = series(angle, self._average.series)
         for start in range(0, len(q), PIECE):
@@ -109,17 +105,11 @@ class Network:
         by_correction: Floats | None = None,
         by_shift: Floats | None = None,
     ) -> Floats:
-        """Standard deviations by the jackknife, shape (N, n) [rad, m] or (N, d).
+        """Standard deviations by the jackknife, see `ResidualModel.deviation`.
 
-        Every member lacks another part of the rows, so the variance of their mean is
-        (K - 1) times their mean square deviation from it (Efron and Stein 1981). Where
-        only one is left, it is the part of the residuals that is left of them.
-
-        Args:
-            q: Commanded joint positions, shape (N, n) [rad, m].
-            by_correction: Derivative of something by the correction, shape (N, d, n);
-                default the corrections themselves.
-            by_shift: Its derivative by the shift, shape (N, d, P); default none.
+        Every member lacks another part of the measurements, so the variance of their
+        mean is (K - 1) times their mean square deviation from it (Efron and Stein
+        1981). Where only one is left, it is the part of the residuals that is left.
         """
         angle = self.region.angles(q)
         circle = np.sin(angle), np.cos(angle)
@@ -131,10 +121,10 @@ class Network:
         )
         size = np.tile(self.typical, (len(q), 1))
         if by_correction is not None:
-            each = _effects(by_correction, each)
+            each = times(by_correction, each)
             if by_shift is not None:
-                each = each + _effects(by_shift, self.shifts[:, None])
-            size = np.sqrt((by_correction**2 @ size[:, :, None] ** 2)[:, :, 0])
+                each = each + times(by_shift, self.shifts[:, None])
+            size = np.sqrt(times(by_correction**2, size**2))
         inside = self.inflation * _jackknife(each)
         if len(each) == 1:
             before, after = self.held_out
@@ -194,13 +184,13 @@ def fit_network(
     """Train a network on the residuals of a geometric fit.
 
     Args:
-        rows: The rows.
+        rows: The measurements.
         rng: Source of first weights and of the parts that are held out.
         options: Options of the training.
         progress: Told the part that is done, 0 to 1.
 
     Raises:
-        InputError: If there are too few rows.
+        InputError: If there are too few measurements.
     """
     options = options or NetworkOptions()
     joints = len(rows.revolute)
@@ -250,13 +240,13 @@ def fit_network(
     each = np.stack([m.correction(w) for m, w in zip(kept, weights, strict=True)])
     shifts = np.stack([member.shift for member in kept])
     if not convincing(before, after):
-        weights = [_silent(w) for w in weights]
+        weights = [Weights(w.factors, 0.0 * w.outputs, 0.0 * w.series) for w in weights]
         each, shifts, after = 0.0 * each, 0.0 * shifts, before
     correction = each.mean(axis=0)
-    # Where no rows teach anything the shift of their noise is no use, either.
+    # Where no measurements teach anything the shift of their noise is no use, either.
     shift = _shift(rows, correction) if correction.any() else np.zeros(rows.shifts)
     at = rows.by_joint(correction, shift)
-    effects = _effects(at.by_correction, each) + _effects(at.by_shift, shifts[:, None])
+    effects = times(at.by_correction, each) + times(at.by_shift, shifts[:, None])
     return Network(
         region=region,
         shift=shift,
@@ -273,34 +263,20 @@ def fit_network(
     )
 
 
-def _silent(weights: Weights) -> Weights:
-    """Weights that give no correction."""
-    return Weights(weights.factors, 0.0 * weights.outputs, 0.0 * weights.series)
-
-
-def _effects(A: Floats, each: Floats) -> Floats:
-    """Effect of the corrections, (N, d, n), (K, N, n) -> (K, N, d)."""
-    return np.asarray((A @ each[..., None])[..., 0])
-
-
 def _jackknife(each: Floats) -> Floats:
     """Standard deviation of the mean of members, (K, N, n) -> (N, n)."""
     return np.asarray(np.sqrt(len(each) - 1.0) * each.std(axis=0))
 
 
 def _inflation_factor(deviation: Floats, excess: float) -> float:
-    """Factor by which deviations explain what held-out rows have beyond the noise.
+    """Factor by which deviations, (N, d), explain a mean square beyond the noise.
 
     Members have errors in common, which their differences do not show.
-
-    Args:
-        deviation: Standard deviations of the whitened residuals, shape (N, d).
-        excess: Mean square of the held-out residuals beyond the noise.
     """
-    shown = float((deviation**2).mean())
-    if shown <= 0.0 or excess <= shown:
+    explained = float((deviation**2).mean())
+    if explained <= 0.0 or excess <= explained:
         return 1.0
-    return float(min(np.sqrt(excess / shown), LARGEST_INFLATION))
+    return float(min(np.sqrt(excess / explained), LARGEST_INFLATION))
 
 
 def _successful(members: Sequence[Member]) -> list[Member]:
@@ -310,7 +286,7 @@ def _successful(members: Sequence[Member]) -> list[Member]:
 
 
 def _shift(rows: TrainingRows, correction: Floats) -> Floats:
-    """Shift of the geometry that fits all rows best with a correction, shape (P,)."""
+    """Shift of the geometry that fits best with a correction, shape (P,)."""
     shift = np.zeros(rows.shifts)
     for _ in range(2 if rows.shifts else 0):
         at = rows.by_joint(correction, shift)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.linalg.lapack import dpotrf, dpotrs, dtrtri
 
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, times
 from calib_pin.residual_models.base import TrainingRows, absorbed
 from calib_pin.residual_models.units import Inputs, Weights, combined, unit_columns
 
@@ -41,18 +41,18 @@ WIDENED = 100.0
 
 
 class Member:
-    """One network in training on some of the rows, watched on the others.
+    """One network in training on some of the measurements, watched on the others.
 
     Args:
-        rows: All rows.
-        inputs: Inputs of the network, of all rows.
-        training: True for rows that it learns from, shape (N,).
+        rows: All measurements.
+        inputs: Inputs of the network, of all measurements.
+        training: True for measurements that it learns from, shape (N,).
         unit: Correction that counts as one, shape (n,) [rad, m].
         units: Number H of product units.
         rng: Source of the first weights.
 
     Attributes:
-        best: The weights that predict the other rows best.
+        best: The weights that predict the other measurements best.
         before: Residuals of these without a correction, shape (K, d).
         after: Their residuals with the best weights, shape (K, d).
     """
@@ -99,12 +99,12 @@ class Member:
     def aim(self) -> None:
         """Linearize the kinematics anew at the weights so far."""
         f = self.correction(self._weights(self._w))
-        self._linearize(f, self._shift(self._base + self._effect(f)))
+        self._linearize(f, self._shift(self._base + times(self._slope, f)))
 
     def train(self, steps: int, patience: int, *, eager: int = 0) -> None:
         """Take some steps about the linearization.
 
-        The best weights are those that predict the rows that it does not learn from.
+        The best weights are those that predict the held-out measurements.
 
         Args:
             steps: Largest number of steps.
@@ -119,7 +119,7 @@ class Member:
             if k >= eager:
                 self._weigh()
             weights = self._weights(self._w)
-            residual = self._base + self._effect(self.correction(weights))
+            residual = self._base + times(self._slope, self.correction(weights))
             after = self._watched(residual)
             held_out, best = float((after**2).mean()), self.held_out
             better = held_out < (1.0 - LEAST_GAIN) * best
@@ -131,13 +131,13 @@ class Member:
 
     @property
     def held_out(self) -> float:
-        """Mean square of the best residuals of rows that it does not learn from."""
+        """Mean square of the best residuals of held-out measurements."""
         return float((self.after**2).mean())
 
     @property
     def shift(self) -> Floats:
         """Shift that belongs to the best weights, shape (P,)."""
-        return self._shift(self._base + self._effect(self.correction(self.best)))
+        return self._shift(self._base + times(self._slope, self.correction(self.best)))
 
     @property
     def noise(self) -> float:
@@ -151,7 +151,7 @@ class Member:
         self._kept[:] = True
 
     def correction(self, weights: Weights) -> Floats:
-        """Corrections of all rows, shape (N, n) [rad, m]."""
+        """Corrections of all measurements, shape (N, n) [rad, m]."""
         own = self._inputs.waves @ weights.series.reshape(len(self._unit), -1, 1)
         inside = combined(self._inputs.circle, weights) + own[:, :, 0].T
         return np.asarray(inside * self._unit)
@@ -168,14 +168,14 @@ class Member:
     def _linearize(self, f: Floats, shift: Floats) -> None:
         """Residuals as linear functions of correction and shift, about f and a shift.
 
-        The part that the shift can explain is removed from the learning rows; it has no
-        decay.
+        The part that the shift can explain is removed from the training measurements;
+        it has no decay.
         """
         at = self._rows.by_joint(f, shift)
         self._slope = at.by_correction
         self._by_shift = at.by_shift
         # Residuals where correction and shift would be zero.
-        self._base = at.residual - self._effect(f) - at.by_shift @ shift
+        self._base = at.residual - times(self._slope, f) - at.by_shift @ shift
         self._A = self._slope[self._training] * self._unit
         values = self._A.shape[0] * self._A.shape[1]
         self._left, self._back = absorbed(at.by_shift[self._training])
@@ -188,17 +188,13 @@ class Member:
     def _projected(self, columns: Floats) -> Floats:
         return np.asarray(columns - self._left @ (self._left.T @ columns))
 
-    def _effect(self, f: Floats) -> Floats:
-        """Change of the residuals by corrections, (N, n) -> (N, d)."""
-        return np.asarray((self._slope @ f[:, :, None])[:, :, 0])
-
     def _shift(self, residual: Floats) -> Floats:
-        """Shift that explains most of the learning rows, shape (P,)."""
+        """Shift that explains most of the training measurements, shape (P,)."""
         r = residual[self._training].reshape(-1)
         return np.asarray(-self._back @ (self._left.T @ r))
 
     def _watched(self, residual: Floats) -> Floats:
-        """Of residuals (N, d) those of the rows that it does not learn from."""
+        """Residuals of the held-out measurements, of those of all, shape (N, d)."""
         shifted = residual + self._by_shift @ self._shift(residual)
         return np.asarray(shifted[~self._training])
 
@@ -214,9 +210,9 @@ class Member:
         return normal, gradient, inside
 
     def _residual(self, w: Floats) -> Floats:
-        """Residuals of the learning rows without the part that the shift explains."""
+        """Residuals of the training measurements that the shift does not explain."""
         f = combined(self._circle, self._weights(w))
-        r = (self._A @ f[:, :, None]).reshape(-1)
+        r = times(self._A, f).reshape(-1)
         own = w[: len(self._kept)][self._kept]
         return np.asarray(self._projected(r) + self._own @ own - self._target)
 

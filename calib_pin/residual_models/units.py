@@ -28,7 +28,6 @@ BANDS = ((1, 1), (2, 2), (3, 4), (5, 8), (9, 14), (15, 20), (21, 30), (31, 40))
 PER_HARMONIC = 3
 """Training configurations for each harmonic that a series may have."""
 
-
 Circle = tuple[Floats, Floats]
 
 
@@ -80,15 +79,7 @@ class Inputs:
 
 
 def _products(circle: Circle, factors: Floats) -> tuple[Floats, Floats]:
-    """Product units and their slopes along the joints.
-
-    Args:
-        circle: Sines and cosines of the joint angles, shape (N, n) each.
-        factors: Weights of 1, sine and cosine, shape (H, n, 3).
-
-    Returns:
-        Units, shape (N, H), and their derivatives by the angles, shape (n, N, H).
-    """
+    """Product units, shape (N, H), and their slopes along the joints, (n, N, H)."""
     terms, turned = _terms(circle, factors)
     slopes = _others(terms)
     units = slopes[-1] * terms[-1]

@@ -43,7 +43,6 @@ class GaussNewtonOptions:
 OPTIONS = GaussNewtonOptions()
 """The default options."""
 
-
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
 
@@ -165,16 +164,10 @@ def _search(
     limit: tuple[float, float],
     damped: bool,
 ) -> _Trial:
-    """Damp the step until the cost falls, or until there is nothing left to gain.
+    """Damp the step from x until the cost falls, or nothing is left to gain.
 
-    Args:
-        step: The linearized problem at x.
-        cost_of: Half the sum of squared residuals.
-        x: Where the step starts, shape (P,).
-        basis: Directions, shape (P, k).
-        damping: Damping to begin with.
-        limit: Length and promised decrease of the full step that end the iteration.
-        damped: Whether to damp at all.
+    The length and the promised decrease of the full step that end the iteration are
+    its limits.
     """
     full = step.solve(0.0)
     reach = float(np.linalg.norm(full))

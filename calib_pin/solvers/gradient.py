@@ -39,8 +39,7 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers.box import Box
-from calib_pin.solvers.evolution import Booleans
+from calib_pin.solvers.evolution import Booleans, Box
 from calib_pin.solvers.options import LIMIT, TOLERANCE, require_numbers
 from calib_pin.solvers.status import Status
 
@@ -70,7 +69,6 @@ class DescentOptions:
 
 OPTIONS = DescentOptions()
 """The default options."""
-
 
 Function = Callable[[Floats], tuple[float, Floats]]
 Allowed = Callable[[Floats], Booleans]

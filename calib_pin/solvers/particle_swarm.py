@@ -53,8 +53,8 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
+    Box,
     Callback,
     Costs,
     EvolutionResult,

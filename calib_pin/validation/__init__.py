@@ -1,1 +1,1 @@
-"""What a calibration is worth on measurements that it was not fitted to."""
+"""Validation: the worth of a calibration on measurements that were not fitted."""

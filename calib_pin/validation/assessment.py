@@ -1,4 +1,4 @@
-"""Judge a fit: which estimates mean something, which rows do not fit, the verdict."""
+"""Identifiability: which estimates mean something, without and with a fit."""
 
 from __future__ import annotations
 
@@ -33,13 +33,13 @@ CORRELATED = 0.95
 """Absolute correlation above which two estimates are reported as a pair."""
 
 WEAK_PART = 0.1
-"""Part of a parameter in directions left at nominal from which it counts as weak."""
+"""Part of a parameter in directions held at nominal from which it counts as weak."""
 
 
 def identify(
     chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
 ) -> Identification:
-    """What a robot measured in one way can reveal, without measurements.
+    """The identifiability of a robot measured in one way, without measurements.
 
     Args:
         chain: The nominal chain.
@@ -60,13 +60,13 @@ def identify(
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
     parameters, groups = estimates(problem.parameters, found)
-    return Identification(
-        parameters, groups, structural_ranks(problem.parameters, found, chain)
-    )
+    values, count = found.robot, found.configurations
+    ranks = _ranks(problem.parameters, found, chain, values, count)
+    return Identification(parameters, groups, ranks)
 
 
 def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
-    """Why a registration must not be trusted; empty where it may be.
+    """The reason why a registration must not be trusted; empty where it may be.
 
     Args:
         problem: The problem whose nuisances were fitted.
@@ -85,22 +85,19 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
 
 
 class Estimated(Protocol):
-    """What estimates say of the parameters, those of a fit or of a plan for one."""
+    """Estimates of parameters, those of a fit or of a plan for one."""
 
     @property
     def theta(self) -> Floats:
         """Parameter values, shape (P,)."""
-        ...
 
     @property
     def covariance(self) -> Floats:
         """Their covariance, shape (P, P)."""
-        ...
 
     @property
     def directions(self) -> Directions:
-        """The directions that are estimated and those left at nominal."""
-        ...
+        """The directions that are estimated and those held at nominal."""
 
 
 def estimates(
@@ -121,8 +118,11 @@ def estimates(
     weak: set[int] = set()
     for combination in structure.combinations:
         row = combination.row(len(parameters))
-        known = fitted is None or _weak_part(fitted, parameters, row) <= WEAK_PART
-        sigma = _deviation(fitted, row) if known else None
+        known, sigma = True, None
+        if fitted is not None:
+            known = _weak_part(fitted, parameters, row) <= WEAK_PART
+            deviation = float(np.sqrt(row @ fitted.covariance @ row))
+            sigma = deviation if known and np.isfinite(deviation) else None
         if len(combination.terms) == 1:
             position = combination.terms[0][0]
             alone[position], sigmas[position] = known, sigma
@@ -167,17 +167,8 @@ def estimates(
     ), tuple(groups)
 
 
-def structural_ranks(
-    parameters: ParameterSet, structure: Structure, chain: Chain
-) -> Identifiability:
-    """Ranks without measurements."""
-    return _ranks(
-        parameters, structure, chain, structure.robot, structure.configurations
-    )
-
-
 def fitted_ranks(fitted: Fit) -> Identifiability:
-    """Ranks and observability of the rows that were fitted."""
+    """Ranks and observability of the measurements that were fitted."""
     s = fitted.singular_values
     problem = fitted.problem
     return replace(
@@ -222,20 +213,12 @@ def _ranks(
 
 
 def _weak_part(fitted: Estimated, parameters: ParameterSet, row: Floats) -> float:
-    """Part of a sum of robot parameters that lies in directions left at nominal."""
+    """Part of a sum of robot parameters that lies in directions held at nominal."""
     scaled = np.where(parameters.nuisance, 0.0, row * parameters.scales)
     length = np.linalg.norm(scaled)
     if length == 0.0:
         return 0.0
     return float(np.linalg.norm(fitted.directions.weak.T @ scaled) / length)
-
-
-def _deviation(fitted: Estimated | None, row: Floats) -> float | None:
-    """Standard deviation of a sum of parameters, None where a fit gives none."""
-    if fitted is None:
-        return None
-    sigma = float(np.sqrt(row @ fitted.covariance @ row))
-    return sigma if np.isfinite(sigma) else None
 
 
 def _correlated(fitted: Fit) -> Iterator[Correlation]:
@@ -256,10 +239,8 @@ def _correlated(fitted: Fit) -> Iterator[Correlation]:
     sigma = np.sqrt(np.diag(covariance))
     with np.errstate(divide="ignore", invalid="ignore"):
         correlation = covariance / np.outer(sigma, sigma)
-    for i in range(len(names)):
-        for j in range(i):
-            if abs(correlation[i, j]) > CORRELATED:
-                yield Correlation(names[j], names[i], float(correlation[i, j]))
+    for i, j in np.argwhere(np.tril(np.abs(correlation) > CORRELATED, -1)).tolist():
+        yield Correlation(names[j], names[i], float(correlation[i, j]))
 
 
 def leverages(fitted: Fit) -> Floats:

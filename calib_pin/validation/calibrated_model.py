@@ -1,4 +1,4 @@
-"""A robot with its calibration: what predicts measurements and corrects commands."""
+"""A robot with its calibration, which predicts measurements and corrects commands."""
 
 from __future__ import annotations
 
@@ -56,7 +56,7 @@ class CalibratedModel:
 
     @serial_blas
     def poses(self, q: Floats) -> Floats:
-        """Predicted tool poses in the measuring frame, shape (N, n) -> (N, 4, 4)."""
+        """Predicted tool poses in the measurement frame, shape (N, n) -> (N, 4, 4)."""
         return self.error.poses(q, self.theta)
 
     def outside(self, q: Floats) -> NDArray[np.bool_]:
@@ -114,5 +114,5 @@ class CalibratedModel:
         return self.error.corrections(self.theta)[-2] * self.error.tool
 
     def problem(self, data: Measurements) -> Problem:
-        """The problem of other rows about this calibration."""
+        """The problem of other measurements about this calibration."""
         return Problem(self.error, self.measurement, data, self.setup)

@@ -16,8 +16,11 @@ from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
     ParameterEstimate,
+    Term,
 )
 from calib_pin.validation.tip_drift import TipDrift, tip_drift
+
+_Estimate = ParameterEstimate | CoupledGroup
 
 RESOLUTION = 1e-9
 """Least standard deviation of a difference [SI]: of noise-free data only rounding."""
@@ -71,56 +74,34 @@ def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
 def differences(
     first: CalibrationResult, second: CalibrationResult
 ) -> tuple[Difference, ...]:
-    """What both know of the robot, most significant first.
+    """Differences of what both know of the robot, most significant first.
 
     Parameters are matched by name and sums by their terms, whatever their number.
     """
-    found = [*_parameters(first, second), *_sums(first, second)]
+    others = {p.name: p for p in second.parameters}
+    both = robot_parameters(first) & robot_parameters(second) & others.keys()
+    pairs: list[tuple[str, _Estimate, _Estimate | None, tuple[Term, ...]]] = [
+        (p.name, p, others[p.name], ()) for p in first.parameters if p.name in both
+    ]
+    for group in robot_groups(first):
+        pairs.append((group.expression, group, _partner(group, second), group.terms))
+    found = []
+    for name, a, b, terms in pairs:
+        if b is not None and a.sigma is not None and b.sigma is not None:
+            sigma = max(math.hypot(a.sigma, b.sigma), RESOLUTION)
+            found.append(Difference(name, a.unit, a.value, b.value, sigma, terms))
     return tuple(sorted(found, key=lambda d: d.significance, reverse=True))
 
 
-def known_alone(record: CalibrationResult, other: CalibrationResult) -> tuple[str, ...]:
-    """Robot parameters that are known here and not in another calibration."""
-    known = {p.name for p in other.parameters if p.sigma is not None}
-    alone = robot_parameters(record) - known
-    return tuple(
-        p.name for p in record.parameters if p.sigma is not None and p.name in alone
-    )
-
-
-def sums_alone(record: CalibrationResult, other: CalibrationResult) -> int:
-    """Number of sums of robot parameters that are known here only."""
-    return sum(_partner(group, other) is None for group in robot_groups(record))
-
-
-def _parameters(
-    first: CalibrationResult, second: CalibrationResult
-) -> Iterator[Difference]:
-    others = {p.name: p for p in second.parameters}
-    both = robot_parameters(first) & robot_parameters(second)
-    for mine in first.parameters:
-        other = others.get(mine.name)
-        if other is not None and mine.name in both:
-            yield from _difference(mine.name, mine, other)
-
-
-def _sums(first: CalibrationResult, second: CalibrationResult) -> Iterator[Difference]:
-    for mine in robot_groups(first):
-        other = _partner(mine, second)
-        if other is not None:
-            yield from _difference(mine.expression, mine, other, mine.terms)
-
-
-def _difference(
-    name: str,
-    first: ParameterEstimate | CoupledGroup,
-    second: ParameterEstimate | CoupledGroup,
-    terms: tuple[tuple[str, float], ...] = (),
-) -> Iterator[Difference]:
-    """The difference of two estimates, where both have a standard deviation."""
-    if first.sigma is not None and second.sigma is not None:
-        sigma = max(math.hypot(first.sigma, second.sigma), RESOLUTION)
-        yield Difference(name, first.unit, first.value, second.value, sigma, terms)
+def _alone(
+    record: CalibrationResult, other: CalibrationResult
+) -> tuple[tuple[str, ...], int]:
+    """Robot parameters, and number of their sums, that are known here only."""
+    names = robot_parameters(record)
+    names -= {p.name for p in other.parameters if p.sigma is not None}
+    known = (p.name for p in record.parameters if p.sigma is not None)
+    sums = sum(_partner(group, other) is None for group in robot_groups(record))
+    return tuple(name for name in known if name in names), sums
 
 
 def _partner(group: CoupledGroup, record: CalibrationResult) -> CoupledGroup | None:
@@ -129,8 +110,8 @@ def _partner(group: CoupledGroup, record: CalibrationResult) -> CoupledGroup | N
     for other in robot_groups(record):
         theirs = dict(other.terms)
         if mine.keys() == theirs.keys() and all(
-            math.isclose(mine[name], theirs[name], rel_tol=1e-6, abs_tol=1e-9)
-            for name in mine
+            math.isclose(value, theirs[name], rel_tol=1e-6, abs_tol=1e-9)
+            for name, value in mine.items()
         ):
             return other
     return None
@@ -159,7 +140,6 @@ NEGLIGIBLE = 1e-6
 SAME = 1e-9
 """Largest difference between places of one nominal robot, or of a frame [m, rad]."""
 
-
 DESCRIBED = 1.2
 """Errors left of a fit, in stated standard deviations, up to which they are noise."""
 
@@ -172,7 +152,7 @@ class Displacement:
     """How far a frame stands from where it stood.
 
     Attributes:
-        frame: `base`, seen from the measuring frame, or `tool`, seen from the tip.
+        frame: `base`, seen from the measurement frame, or `tool`, seen from the tip.
         shift: Distance between both origins [m].
         turn: Angle between both orientations [rad]; None where rows do not tell.
     """
@@ -231,8 +211,7 @@ class Comparison:
     @property
     def same_rows(self) -> bool:
         """Whether both were fitted to the same measurement files."""
-        first, second = _hashes(self.first), _hashes(self.second)
-        return bool(first) and first == second
+        return self.shared_rows and _hashes(self.first) == _hashes(self.second)
 
     @property
     def shared_rows(self) -> bool:
@@ -302,14 +281,16 @@ def compare(
     same = _same_nominal(first.model, second.model)
     ends = zip(unknown_ends(first), unknown_ends(second), strict=True)
     base, tool = (any(pair) for pair in ends)
-    both, reverse = (first, second), (second, first)
+    nothing: tuple[tuple[str, ...], int] = (), 0
+    here = _alone(first, second) if same else nothing
+    there = _alone(second, first) if same else nothing
     return Comparison(
         first=first,
         second=second,
         same_nominal=same,
-        differences=differences(*both) if same else (),
-        alone=(known_alone(*both), known_alone(*reverse)) if same else ((), ()),
-        sums_alone=(sums_alone(*both), sums_alone(*reverse)) if same else (0, 0),
+        differences=differences(first, second) if same else (),
+        alone=(here[0], there[0]),
+        sums_alone=(here[1], there[1]),
         displacements=tuple(_displacements(first, second)),
         drift=tip_drift(first.model, second.model, base=base, tool=tool, seed=seed),
     )
@@ -318,13 +299,13 @@ def compare(
 def _require_comparable(first: CalibrationResult, second: CalibrationResult) -> None:
     """Complain about robots whose tips have nothing in common."""
     A, B = first.model.chain, second.model.chain
-    kinds = (
-        [f"{j} ({'turns' if turns else 'slides'})" for j, turns in pairs]
-        for pairs in (
-            zip(chain.joints, chain.revolute, strict=True) for chain in (A, B)
+    mine, other = (
+        ", ".join(
+            f"{joint} ({'turns' if revolute else 'slides'})"
+            for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
         )
+        for chain in (A, B)
     )
-    mine, other = (", ".join(names) for names in kinds)
     known = first.provenance.file or "the first"
     for what, a, b in (
         ("chain starts at", A.base, B.base),
@@ -361,11 +342,10 @@ def _displacements(
 ) -> Iterator[Displacement]:
     A, B = first.model, second.model
     told = _oriented(first) and _oriented(second)
-    frames: tuple[tuple[str, pin.SE3, pin.SE3, bool], ...] = (
+    for frame, a, b, turns in (
         ("base", A.error.base, B.error.base, True),
         ("tool", A.tool, B.tool, told),
-    )
-    for frame, a, b, turns in frames:
+    ):
         if not _same(a, b):
             shift = float(np.linalg.norm(b.translation - a.translation))
             turn = float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
@@ -377,7 +357,6 @@ def _same(a: pin.SE3, b: pin.SE3) -> bool:
 
 
 def _hashes(result: CalibrationResult) -> frozenset[str]:
-    """SHA-256 of the measurement files; of a pipe there is none."""
     return frozenset(filter(None, result.provenance.hashes))
 
 
@@ -400,12 +379,9 @@ def _oriented(result: CalibrationResult) -> bool:
 
 
 def _predicted(result: CalibrationResult, alone: bool) -> tuple[float, float] | None:
-    """Error of the tip that noise leaves, rms [m] and [rad]; None if unknown.
+    """Predicted uncertainty of the tool point, rms [m] and [rad]; None if unknown.
 
-    Args:
-        result: The calibration.
-        alone: Whether to take away what a displacement of base and tool can absorb;
-            older files do not say what is left then.
+    Alone is without a displacement of base and tool, which older files do not state.
     """
     tip = result.accuracy.tip
     if tip is None:

@@ -1,4 +1,4 @@
-"""Accuracy of a robot or a calibration on rows that were not fitted."""
+"""Accuracy of a robot or a calibration on measurements that were not fitted."""
 
 from __future__ import annotations
 
@@ -31,16 +31,16 @@ def evaluate(
     *,
     registration: bool = False,
 ) -> Evaluation:
-    """Accuracy of a robot on measurements, all rows counted.
+    """Accuracy of a robot on measurements, all of them counted.
 
-    A chain knows no frames: base, tool and instrument are registered on these rows. A
+    A chain knows no frames: base, tool and instrument are registered on these. A
     calibrated model is taken as it is, unless registration is asked for.
 
     Args:
         robot: A chain, nominal or corrected, or a calibrated model.
-        measurements: The rows.
+        measurements: The measurements.
         setup: What is known of frames and instrument, for a chain.
-        registration: Register a calibrated model on these rows.
+        registration: Register a calibrated model on these measurements.
 
     Raises:
         InputError: If the measurements do not fit the model.
@@ -50,43 +50,42 @@ def evaluate(
         outside = int(robot.outside(measurements.q).sum())
     ready = prepared(robot, measurements, setup, registration=registration)
     residual = ready.problem.masked_errors(ready.theta)
-    quantities = ready.problem.measurement.quantities
-    found = [(quantity, quantity.errors(residual)) for quantity in quantities]
-    # Of mixed measurements, these may all be of another model.
-    found = [(quantity, sizes) for quantity, sizes in found if len(sizes)]
+    errors, counts = [], []
+    for quantity in ready.problem.measurement.quantities:
+        sizes = quantity.errors(residual)
+        if len(sizes):  # Mixed measurements may all be of another model.
+            errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
+            counts.append(len(sizes))
     return Evaluation(
-        errors=tuple(
-            (quantity.name, quantity.unit, Accuracy.of(sizes))
-            for quantity, sizes in found
-        ),
+        errors=tuple(errors),
         rows=len(measurements),
-        counts=tuple(len(sizes) for _, sizes in found),
+        counts=tuple(counts),
         registered=ready.registered,
         verdict="untrusted" if ready.reason else "good",
         reason=ready.reason,
         outside=outside,
-        placed=ready.placed,
+        located=ready.located,
     )
 
 
 @dataclass(frozen=True)
 class Prepared:
-    """A robot ready to be compared with rows.
+    """A robot ready to be compared with measurements.
 
     Attributes:
-        problem: The problem of these rows, with a place for all that they name.
+        problem: The problem of these measurements, with all that they name.
         theta: Its parameter values, shape (P,).
-        registered: Whether base, tool and instrument were fitted to the rows.
+        registered: Whether base, tool and instrument were fitted to them.
         reason: Why that must not be trusted; empty where it may.
-        placed: Names of places, such as sockets, that were not there before and stand
-            where the rows put them.
+        located: Names of references, such as sockets, that were not there before and
+            stand where the measurements put them.
     """
 
     problem: Problem
     theta: Floats
     registered: bool
     reason: str
-    placed: tuple[str, ...]
+    located: tuple[str, ...]
 
 
 def prepared(
@@ -96,16 +95,16 @@ def prepared(
     *,
     registration: bool = False,
 ) -> Prepared:
-    """Prepare a robot for rows: what is unknown of its frames is fitted to them.
+    """Prepare a robot for measurements, to which its unknown frames are fitted.
 
     Args:
         robot: A chain, whose frames are always registered, or a calibrated model.
-        rows: The rows.
+        rows: The measurements.
         setup: What is known of frames and instrument, for a chain.
         registration: Whether those of a calibrated model are registered as well.
 
     Raises:
-        InputError: If there are no rows, or they do not fit the model.
+        InputError: If there are no measurements, or they do not fit the model.
     """
     if isinstance(robot, CalibratedModel):
         rows = among(rows, robot.measurement.name)

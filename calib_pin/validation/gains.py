@@ -13,21 +13,25 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, visible_nuisances
 from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.robust.studentized import spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.predicted import press
 
 ALL = "all"
 """Name of the quantity that stands for all of them, whitened."""
 
 PRESS = "press"
 """Name of the check by the hat matrix."""
+
+UNDETERMINED = 1e-9
+"""Part of a group that the others predict, below which they do not: rounding."""
 
 
 def gains(
@@ -39,15 +43,15 @@ def gains(
 ) -> tuple[Gain, ...]:
     """Test held-out errors before and after, of all quantities and of each.
 
-    Rows that are set aside do not count.
+    Measurements that are set aside do not count.
 
     Args:
         method: How they were held out.
-        problem: The fit of all rows, whose standard deviations whiten.
-        rows: The rows that the positions of the parts belong to, with their weights.
-        checks: Errors of held-out rows, part by part.
-        labels: What each row stands for in the test, shape (N,): rows with one label
-            are one observation.
+        problem: The fit of all measurements, whose standard deviations whiten.
+        rows: Those that the positions of the parts belong to, with their weights.
+        checks: Errors of held-out measurements, part by part.
+        labels: Label of each in the test, shape (N,); those of one label are one
+            observation.
     """
     checks = [check.counted(rows.weight) for check in checks]
     checks = [check for check in checks if (rows.weight[check.positions] > 0.0).all()]
@@ -71,12 +75,12 @@ def gains(
 def press_check(
     fitted: Fit, rows: Measurements, labels: NDArray[np.int64]
 ) -> ModelErrors:
-    """Errors of every group of rows by a fit of the others; see `predicted.press`.
+    """Errors of every group of measurements by a fit of the others; see `press`.
 
     Args:
-        fitted: The fit of all rows.
-        rows: These rows.
-        labels: Group of each row, shape (N,).
+        fitted: The fit of all measurements.
+        rows: These.
+        labels: Group of each, shape (N,).
     """
     problem, positions = fitted.problem, np.arange(len(rows))
     if problem.many:
@@ -100,6 +104,58 @@ def press_check(
     return ModelErrors(positions, before, after, fitted.unit**2 * variance)
 
 
+@serial_blas
+def press(
+    problem: Problem,
+    theta: Floats,
+    linear: tuple[Floats, Floats],
+    factor: Floats,
+    labels: NDArray[np.int64],
+) -> tuple[Floats, Floats]:
+    """Errors of each group of measurements by a fit of the others, made without one.
+
+    With the whitened residual r, its Jacobian J and the normal matrix N of all that is
+    known (measurements, known distances, priors), the errors of a group g are
+    `(I - H_gg)^-1 r_g`, where `H_gg = J_g N^-1 J_g^T`, with the covariance
+    `(I - H_gg)^-1` (Allen 1974; Cook and Weisberg 1982, section 2.2). That is exact
+    where the problem is linear. What only the group itself tells, as the position of a
+    socket of its own, is where it puts it.
+
+    Args:
+        problem: The fitted problem.
+        theta: Its solution, shape (P,).
+        linear: Whitened residual and Jacobian there, the N measurements first.
+        factor: F of `N^-1 = F F^T`, shape (P, k).
+        labels: Group of each row, shape (N,).
+
+    Returns:
+        Errors and, for noise of unit weight, their variances, shape (N, d) each; those
+        that are set aside keep their error, with an infinite variance.
+    """
+    sigma, size = problem.sigma, problem.components
+    whitened, variance = np.empty(sigma.shape), np.empty(sigma.shape)
+    fun, jac = (part[: sigma.size] for part in linear)
+    own, columns = fun.reshape(-1, size), (jac @ factor).reshape(*sigma.shape, -1)
+    order = np.argsort(labels, kind="stable")
+    counts = np.bincount(labels)
+    for count in np.unique(counts[counts > 0]).tolist():
+        rows = order[counts[labels[order]] == count]
+        r = own[rows].reshape(-1, count * size)
+        U, squares = spectrum(columns[rows].reshape(*r.shape, -1))
+        left = 1.0 - squares
+        known = left > UNDETERMINED
+        gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
+        along = gain * np.einsum("gms,gm->gs", U, r)
+        whitened[rows] = (r + np.einsum("gms,gs->gm", U, along)).reshape(-1, size)
+        total = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
+        variance[rows] = total.reshape(-1, size)
+    with np.errstate(invalid="ignore"):
+        errors = whitened * sigma
+    aside = ~np.isfinite(sigma)
+    errors[aside] = problem.masked_errors(theta)[aside]
+    return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
+
+
 def _gains(
     method: str,
     problem: Problem,
@@ -108,9 +164,9 @@ def _gains(
     present: NDArray[np.bool_],
     label: NDArray[np.int64],
 ) -> Iterator[Gain]:
-    """The test of all quantities, then of each that any row has."""
+    """The test of all quantities, then of each that any measurement has."""
     every = slice(0, problem.components)
-    # Root mean square over the components that a row has: one for noise alone.
+    # Root mean square over the components of each: one for noise alone.
     count = np.maximum(present.sum(axis=1), 1)
     before, after = (
         _size(errors, every, present) / np.sqrt(count) for errors in whitened[:2]

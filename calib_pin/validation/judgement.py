@@ -164,70 +164,70 @@ def expected_accuracy(
         there = fitted.effects.twists(problem.error, q)
         effects = without_frames(J @ absorbed - there, J)
     mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
-    by_position, by_orientation = (
-        _Expected(own[:, part], effects[:, part], _scatter(fitted, unit), mean, C, rng)
-        for part, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
+    nominal, calibrated, bound, unmodeled = zip(
+        *(
+            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, unit), C, rng)
+            for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
+        ),
+        strict=True,
     )
-    return ExpectedAccuracy(
-        nominal=(by_position.nominal, by_orientation.nominal),
-        calibrated=(by_position.calibrated, by_orientation.calibrated),
-        bound=(by_position.bound, by_orientation.bound),
-        unmodeled=(by_position.unmodeled, by_orientation.unmodeled),
-        better=by_position.better,
-        share=by_position.share,
-    )
+    better, share = _better(mean, own[:, :3], effects[:, :3], C)
+    return ExpectedAccuracy(nominal, calibrated, bound, unmodeled, better, share)
 
 
-class _Expected:
-    """Expected accuracy of position or orientation.
+def _sizes(
+    mean: Floats,
+    J: Floats,
+    effects: Floats,
+    scatter: float,
+    C: Floats,
+    rng: np.random.Generator,
+) -> tuple[float, float, float, float]:
+    """Errors of position or orientation: nominal, calibrated, bound, and unmodeled.
 
     Args:
+        mean: The estimated errors, shape (p,).
         J: Derivative by the scaled errors of the robot, shape (N, 3, p).
         effects: What independent effects do that the model does not have, beyond what
             the fit has absorbed of them, shape (N, 3, S).
         scatter: Variance of each component that is left beside these.
-        mean: The estimated errors, shape (p,).
-        C: Their covariances for several sizes of errors, shape (S, p, p).
+        C: Covariances of the errors for several sizes of them, shape (S, p, p).
         rng: Random generator of the bound.
     """
+    G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
+    squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
+    left = float(np.mean([s.sum() for s in squares]))
+    by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
+    lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
+    draws = [
+        np.concatenate([s, lacking])
+        @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
+        for s in squares
+    ]
+    # At so many configurations, what scatters is about its mean.
+    others = float(lacking.sum()) + 3.0 * scatter
+    gain = np.sum((J @ mean) ** 2, axis=1).mean()
+    bound = np.quantile(np.concatenate(draws), SURE) + 3.0 * scatter
+    nominal, calibrated, bounded, unmodeled = np.sqrt(
+        [gain + left + others, left + others, bound, others]
+    ).tolist()
+    return nominal, calibrated, bounded, unmodeled
 
-    def __init__(
-        self,
-        J: Floats,
-        effects: Floats,
-        scatter: float,
-        mean: Floats,
-        C: Floats,
-        rng: np.random.Generator,
-    ) -> None:
-        moved = J @ mean
-        gain = np.sum(moved**2, axis=1)
-        G = np.einsum("ndi,ndj->ij", J, J, optimize=True) / len(J)
-        squares = [np.maximum(np.linalg.eigvals(G @ c).real, 0.0) for c in C]
-        left = float(np.mean([s.sum() for s in squares]))
-        by_effects = np.einsum("ndi,ndj->ij", effects, effects, optimize=True) / len(J)
-        lacking = np.maximum(np.linalg.eigvalsh(by_effects), 0.0)
-        draws = [
-            np.concatenate([s, lacking])
-            @ rng.chisquare(1.0, (len(s) + len(lacking), DRAWS))
-            for s in squares
-        ]
-        # At so many configurations, what scatters is about its mean.
-        others = float(lacking.sum()) + 3.0 * scatter
-        self.unmodeled = float(np.sqrt(others))
-        self.nominal = float(np.sqrt(gain.mean() + left + others))
-        self.calibrated = float(np.sqrt(left + others))
-        bound = np.quantile(np.concatenate(draws), SURE) + 3.0 * scatter
-        self.bound = float(np.sqrt(bound))
-        # The differences of single configurations, and of the whole, are normal along
-        # one direction of the errors each.
-        along = np.einsum("nd,ndi->ni", moved, J)
-        beside = np.einsum("nd,ndi->ni", moved, effects)
-        chances = _chance(
-            gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
-        )
-        self.better = float(chances[0])
-        self.share = float(np.mean(_chance(gain, along, beside, C) >= SURE))
+
+def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float, float]:
+    """Probability of the corrected robot to be better, and share where it surely is.
+
+    The differences of single configurations, and of the whole, are normal along one
+    direction of the errors each.
+    """
+    moved = J @ mean
+    gain = np.sum(moved**2, axis=1)
+    along = np.einsum("nd,ndi->ni", moved, J)
+    beside = np.einsum("nd,ndi->ni", moved, effects)
+    chances = _chance(
+        gain.mean()[None], along.mean(axis=0)[None], beside.mean(axis=0)[None], C
+    )
+    return float(chances[0]), float(np.mean(_chance(gain, along, beside, C) >= SURE))
 
 
 def _scatter(fitted: Fit, unit: str) -> float:
@@ -247,15 +247,10 @@ def _scatter(fitted: Fit, unit: str) -> float:
 
 
 def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
-    """Probability that `gain + 2 (along^T z + beside^T g)` is positive.
+    """Probability that `gain + 2 (along^T z + beside^T g)` is positive, shape (N,).
 
-    With `z ~ N(0, C)` and effects `g ~ N(0, I)`.
-
-    Args:
-        gain: Shape (N,).
-        along: Shape (N, p).
-        beside: Shape (N, S).
-        C: Covariances that are equally likely, shape (S, p, p).
+    With `z ~ N(0, C)`, all C of shape (S, p, p) equally likely, and effects
+    `g ~ N(0, I)`; along has the shape (N, p), beside (N, S).
     """
     variances = np.sum((along @ C) * along, axis=2)
     variances += np.sum(beside**2, axis=1)

@@ -3,12 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
 
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
 from calib_pin.observations import Measurements
@@ -25,10 +24,10 @@ class MeasurementErrors:
         rows: The measurements.
         quantities: What the columns of the errors are.
         before: With base, tool and instrument fitted and the robot nominal, shape
-            (N, d); NaN for what a row does not have, infinite where nothing can be
+            (N, d); NaN for what one does not have, infinite where nothing can be
             predicted.
         after: Those of the calibrated robot, shape (N, d).
-        sigma: Standard deviations, shape (N, d); infinite for what a row lacks.
+        sigma: Standard deviations, shape (N, d); infinite for what one lacks.
         points: Where the calibrated robot has its tool, in the base link, shape (N, 3)
             [m].
         to_base: Rotation from the measurement frame to the base link, shape (3, 3).
@@ -43,40 +42,6 @@ class MeasurementErrors:
     points: Floats
     to_base: Floats
     leverage: Floats
-
-    @staticmethod
-    def of(
-        problem: Problem,
-        theta: Floats,
-        rows: Measurements,
-        before: Floats,
-        after: Floats,
-        leverage: Floats | None = None,
-    ) -> MeasurementErrors:
-        """Errors of rows that a fitted problem has, or of others.
-
-        Args:
-            problem: The fitted problem.
-            theta: Its parameter values, shape (P,).
-            rows: The N rows.
-            before: Their errors with the nominal robot, shape (N, d).
-            after: Those with the calibrated one, shape (N, d).
-            leverage: Their leverage in the fit, shape (N,); None where none is fitted.
-        """
-        error, of_error = problem.error, problem.split(theta)[0]
-        T = error.poses(rows.q, of_error, error.basis(rows.q, rows.payload))
-        base = error.base * error.corrections(of_error)[0]
-        to_base = base.inverse()
-        return MeasurementErrors(
-            rows=rows,
-            quantities=tuple(problem.measurement.quantities),
-            before=before,
-            after=after,
-            sigma=replace(problem, data=rows).sigma,
-            points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
-            to_base=np.asarray(to_base.rotation),
-            leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
-        )
 
     def __len__(self) -> int:
         """Number of measurements."""

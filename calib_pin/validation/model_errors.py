@@ -4,7 +4,6 @@ from __future__ import annotations
 
 from collections.abc import Collection, Sequence
 from dataclasses import dataclass, replace
-from functools import partial
 
 import numpy as np
 from numpy.typing import NDArray
@@ -12,13 +11,13 @@ from numpy.typing import NDArray
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.validation.predicted import predicted_variance
 from calib_pin.validation.result import FoundDistance
 
 
@@ -48,12 +47,6 @@ class ModelErrors:
     distances: tuple[FoundDistance, ...] = ()
     registered: tuple[str, ...] = ()
     reason: str = ""
-
-    @staticmethod
-    def empty(components: int, reason: str) -> ModelErrors:
-        """Those of no measurements, and why."""
-        none = np.zeros((0, components))
-        return ModelErrors(np.zeros(0, np.intp), none, none, none, reason=reason)
 
     @staticmethod
     def joined(parts: Sequence[ModelErrors]) -> ModelErrors:
@@ -146,10 +139,10 @@ def errors_of_registered(
     """
     problem, theta = after.problem, after.theta
     known = {reference.name for reference in model.problem.measurement.references}
-    there = replace(model.fit.problem, data=problem.data), model.fit.theta
     estimated = (*after.refitted, *after.new)
-    if estimated:
-        there = problem, theta
+    there = problem, theta
+    if not estimated:
+        there = replace(model.fit.problem, data=problem.data), model.fit.theta
     return ModelErrors(
         positions,
         before.problem.masked_errors(before.theta),
@@ -165,10 +158,7 @@ def _found_distances(
 ) -> tuple[FoundDistance, ...]:
     """Known distances beside those that the nominal and the fitted robot find.
 
-    Args:
-        before: The nominal robot.
-        after: The fitted model.
-        known: Names of what was fitted, where this is about what was not.
+    Only those between objects that are not known, if names of the fitted are given.
     """
     stated = [
         distance
@@ -251,10 +241,79 @@ def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> 
         A = J[rows][:, :, columns].reshape(-1, len(columns))
         values = distinct_values(replace(problem, data=problem.data.rows(rows)))
         if values <= np.linalg.matrix_rank(A):
-            data = problem.data
-            error = partial(data.error, int(rows[0])) if len(rows) else InputError
-            raise error(
+            reason = (
                 f"the measurements of '{name}', which was not fitted, say no more than "
-                "where it is; measure it in more configurations",
-                column="target",
+                "where it is; measure it in more configurations"
             )
+            if not len(rows):
+                raise InputError(reason, column="target")
+            raise problem.data.error(int(rows[0]), reason, column="target")
+
+
+ENTRIES = 4_000_000
+"""Entries of a Jacobian that are looked at together."""
+
+
+@serial_blas
+def predicted_variance(
+    fitted: Fit, problem: Problem, theta: Floats, estimated: Sequence[int] = ()
+) -> Floats:
+    """Variance of the errors of measurements that were not fitted, in their units.
+
+    The noise of these and what the fit leaves uncertain, `sigma^2 + J C J^T`, with what
+    gears and compliance do beyond what the fit has absorbed of them. What was estimated
+    from these measurements themselves, K, takes its part of both away: the variance of
+    `(I - K K^+)(e + J d)`.
+
+    Args:
+        fitted: The fit that predicts.
+        problem: The problem of the N measurements.
+        theta: Parameter values, shape (P,).
+        estimated: Positions of parameters that were estimated from these.
+
+    Returns:
+        Variances, shape (N, d); infinite for what a measurement lacks, NaN where the
+        fit knows no covariance.
+    """
+    sigma, deviations = problem.sigma, fitted.posterior
+    if not np.isfinite(deviations.by_noise).all():
+        return np.full(sigma.shape, np.nan)
+    names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}
+    # What is new there has no covariance: it was estimated from these.
+    own = [k for k, n in enumerate(problem.parameters.names) if n in names]
+    of_fit = [names[problem.parameters.names[k]] for k in own]
+    moved = np.column_stack([deviations.by_noise, deviations.by_effects])
+    factor = np.zeros((len(theta), moved.shape[1]))
+    factor[own] = moved[of_fit]
+    factor[list(estimated)] = 0.0
+    size = problem.components
+    variances = np.empty(size)
+    for k, quantity in enumerate(problem.measurement.quantities):
+        variances[quantity.columns] = fitted.unit**2 * deviations.noise[k]
+    whitened = np.empty(sigma.shape)
+    step = max(1, ENTRIES // (size * len(problem.parameters)))
+    if len(estimated):  # The estimate couples all of them.
+        step = max(len(sigma), 1)
+    for start in range(0, len(sigma), step):
+        part = np.arange(start, min(start + step, len(sigma)))
+        some = replace(problem, data=problem.data.rows(part))
+        J = some.linearize_rows(theta)[1][: len(part) * size]
+        uncertain, noise = J @ factor, np.tile(variances, len(part))
+        if deviations.systematic is not None:
+            # The fit has absorbed a part of what gears and compliance do there.
+            there = deviations.systematic.rows(some, theta)
+            uncertain[:, -there.shape[1] :] -= there
+        if len(estimated):
+            K = _range(J[:, list(estimated)])
+            uncertain = uncertain - K @ (K.T @ uncertain)
+            noise = noise * (1.0 - np.sum(K**2, axis=1))
+        total = noise + np.sum(uncertain**2, axis=1)
+        whitened[part] = total.reshape(len(part), size)
+    return np.asarray(whitened * sigma**2)
+
+
+def _range(A: Floats) -> Floats:
+    """Orthonormal basis of columns, rounding left out."""
+    lengths = np.linalg.norm(A, axis=0)
+    U, s, _ = np.linalg.svd(A / np.where(lengths > 0.0, lengths, 1.0), False)
+    return np.asarray(U[:, s > 1e-10 * s.max(initial=0.0)])

@@ -11,23 +11,20 @@ Classification and Regression Trees, 1984, section 3.4.3).
 from __future__ import annotations
 
 from collections.abc import Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.formulation import (
-    parameter_names,
-    with_parameters,
-)
+from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import beyond_geometry
-from calib_pin.parameterizations.joint_offset import JointOffset
+from calib_pin.parameterizations.placement import JointOffset
 from calib_pin.parameters import matching
 from calib_pin.progress import Progress, Stages, named, portion
 from calib_pin.residual_models import RESIDUAL_MODELS
@@ -62,11 +59,7 @@ class SelectedModel:
 class _Judged:
     """A candidate with its fit and cross-validation, without where it cannot be fitted.
 
-    Attributes:
-        candidate: The candidate.
-        model: Its model, fitted to all measurements.
-        parts: Its cross-validation.
-        sizes: Mean size of the whitened errors of every cluster, shape (G,).
+    The sizes are those of the whitened errors, mean of every cluster, shape (G,).
     """
 
     candidate: Candidate
@@ -101,7 +94,8 @@ def select_model(
     geometric = geometric or Setup.parameters
     _require_patterns(chain, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
-    candidates = _Candidates(chain, measurements, setup, seed, progress, len(learned))
+    work = 3.0 + len(beyond) + LEARNING * len(learned)
+    candidates = _Candidates(chain, measurements, setup, seed, progress, work)
 
     offset = candidates.add("joint offset", (OFFSETS,))
     if offset.sizes is None:
@@ -125,32 +119,21 @@ def select_model(
     return SelectedModel(ModelSelection(every, chosen), found.model, found.parts)
 
 
+@dataclass
 class _Candidates:
-    """The candidates that were judged, simplest first.
+    """The candidates that were judged, simplest first; see `select_model`.
 
-    Args:
-        chain: The nominal chain.
-        measurements: The measurements to fit.
-        setup: What is known.
-        seed: Seed of configurations, splits, and starts.
-        progress: Told the stage and the part that is done.
-        learned: Number of candidates with a learned correction.
+    The work, all and done, counts in candidates without a learned correction.
     """
 
-    def __init__(
-        self,
-        chain: Chain,
-        measurements: Measurements,
-        setup: Setup,
-        seed: int,
-        progress: Stages | None,
-        learned: int,
-    ) -> None:
-        self.judged: list[_Judged] = []
-        self._chain, self._measurements = chain, measurements
-        self._setup, self._seed = setup, seed
-        self._progress = progress
-        self._done, self._all = 0.0, 3.0 + len(beyond_geometry()) + LEARNING * learned
+    chain: Chain
+    measurements: Measurements
+    setup: Setup
+    seed: int
+    progress: Stages | None
+    all: float
+    done: float = 0.0
+    judged: list[_Judged] = field(default_factory=list)
 
     def add(
         self,
@@ -160,17 +143,10 @@ class _Candidates:
         *,
         extends: Sequence[_Judged] = (),
     ) -> _Judged:
-        """Judge a candidate, and compare it with those that it extends.
-
-        Args:
-            name: Its name in the table.
-            parameters: Its parameterizations.
-            learned: Its residual model.
-            extends: Candidates whose errors it must lower.
-        """
-        share = (1.0 if learned is None else LEARNING) / self._all
-        tell = portion(named(self._progress, name), self._done, share)
-        self._done += share
+        """Judge a candidate, and compare it with those that it extends."""
+        share = (1.0 if learned is None else LEARNING) / self.all
+        tell = portion(named(self.progress, name), self.done, share)
+        self.done += share
         blank = Candidate(name, parameters, learned)
         try:
             found = self._judge(blank, tell)
@@ -184,8 +160,8 @@ class _Candidates:
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> _Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
-        chain, measurements, seed = self._chain, self._measurements, self._seed
-        setup = replace(self._setup, learned=candidate.learned)
+        chain, measurements, seed = self.chain, self.measurements, self.seed
+        setup = replace(self.setup, learned=candidate.learned)
         setup = with_parameters(chain, measurements, setup, candidate.parameters)
         share = 1.0 / (1 + FOLDS)
         tell = portion(progress, 0.0, share)
@@ -269,16 +245,14 @@ def _require_patterns(
     parameterizations: Sequence[str],
 ) -> None:
     """Refuse names and globs that no candidate has."""
-    names: dict[str, None] = {}
+    names: list[str] = []
     for name in parameterizations:
         try:
-            names.update(
-                dict.fromkeys(parameter_names(chain, measurements, setup, (name,)))
-            )
+            names += parameter_names(chain, measurements, setup, (name,))
         except OptionError:
             continue  # The candidate will say so.
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior):
-        if not matching(pattern, list(names)):
+        if not matching(pattern, names):
             raise OptionError(
                 f"no parameter matches '{pattern}'{nearest(pattern, names)}",
                 file=setup.file or None,

@@ -78,7 +78,6 @@ class PlausibilityOptions:
 
 OPTIONS = PlausibilityOptions()
 
-
 ROUNDING = 1e-12
 """Least part of a distance that others decide; less is rounding."""
 
@@ -88,14 +87,9 @@ SIZES = np.geomspace(1.0, 100.0, 41)
 
 @serial_blas
 def plausibility(fitted: Fit) -> tuple[Finding, ...]:
-    """What of a fit no real robot has.
+    """Findings of what no real robot has.
 
-    Args:
-        fitted: The fit.
-
-    Returns:
-        Findings `scale`, `known-distance`, `implausible-correction` and
-        `large-correction`.
+    They are `scale`, `known-distance`, `implausible-correction`, `large-correction`.
     """
     robot = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
@@ -192,11 +186,7 @@ class _Linear:
         """Scaled errors near x of which a normal prior keeps what it can small.
 
         Ridge regression, by the standard deviation 1 / held of every error; along what
-        the measurements do not tell there are none.
-
-        Args:
-            x: The scaled parameters of the fit, shape (P,).
-            held: Inverse size of the errors.
+        the measurements do not tell there are none. x has the shape (P,).
         """
         shrunk = self.s * self.y / (self.s**2 + (held * self.sigma) ** 2)
         return np.asarray(x + self.V @ (shrunk - self.V.T @ x))
@@ -227,7 +217,7 @@ def _scale(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
 
 
 def _yardstick(fitted: Fit) -> str:
-    """Where these measurements have their lengths from."""
+    """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     lengths = []
     if known := _known(fitted):
@@ -242,8 +232,7 @@ def _yardstick(fitted: Fit) -> str:
 
 def _known(fitted: Fit) -> KnownDistances:
     problem = fitted.problem
-    references = problem.measurement.references
-    return KnownDistances.of(problem.setup.distances, references)
+    return KnownDistances.of(problem.setup.distances, problem.measurement.references)
 
 
 def _distances(fitted: Fit) -> Iterator[Finding]:
@@ -295,10 +284,7 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
 def _decided_by_others(fitted: Fit, J_instrument: Floats) -> Floats:
     """Part 1 - h of each known distance that is not decided by itself, shape (D,).
 
-    Args:
-        fitted: The fit.
-        J_instrument: Derivative of the whitened distances by the instrument's own
-            parameters, shape (D, K).
+    `J_instrument` is that of the whitened distances, shape (D, K).
     """
     D = np.zeros((len(J_instrument), len(fitted.theta)))
     D[:, len(fitted.theta) - J_instrument.shape[1] :] = J_instrument
@@ -374,14 +360,9 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
 
 
 def _sizes(fitted: Fit, x: Floats) -> Floats:
-    """Moves and turns of every joint's origin and the tip's, in expected sizes.
+    """Moves and turns of every joint's origin and the tip's, shape (n + 1, 2).
 
-    Args:
-        fitted: The fit.
-        x: Scaled parameters, shape (P,).
-
-    Returns:
-        Shape (n + 1, 2).
+    In expected sizes, for scaled parameters x of shape (P,).
     """
     problem = fitted.problem
     theta, _ = problem.split(x * problem.parameters.scales)

@@ -1,4 +1,4 @@
-"""What a calibration found, as plain data that reports and files are made from."""
+"""The result of a calibration, as plain data for reports and files."""
 
 from __future__ import annotations
 
@@ -12,6 +12,7 @@ import numpy as np
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.plugins import upper
 from calib_pin.units import DISPLAY
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -28,12 +29,12 @@ from calib_pin.validation.summaries import (
 
 @dataclass(frozen=True)
 class Accuracy:
-    """Size of the errors of one quantity over rows, in the quantity's unit.
+    """Size of the errors of one quantity over measurements, in the quantity's unit.
 
     Attributes:
         mean: Mean size.
         rms: Root-mean-square.
-        p95: What 95 % of the rows stay below.
+        p95: What 95 % of the measurements stay below.
         max: Largest size.
     """
 
@@ -44,7 +45,7 @@ class Accuracy:
 
     @staticmethod
     def of(sizes: Floats) -> Accuracy:
-        """Accuracy of the error sizes of rows, shape (N,)."""
+        """Accuracy of the error sizes of measurements, shape (N,)."""
         return Accuracy(
             float(sizes.mean()),
             float(np.sqrt(np.mean(sizes**2))),
@@ -56,10 +57,10 @@ class Accuracy:
 
 @dataclass(frozen=True)
 class QuantityErrors:
-    """Errors of one quantity before and after, on fitted and on unseen rows.
+    """Errors of one quantity before and after, on fitted and on held-out ones.
 
     *Before* is registration only: base, tool and instrument fitted to the training
-    rows, the robot nominal.
+    measurements, the robot nominal.
     """
 
     name: str
@@ -128,8 +129,8 @@ class FoundDistance:
         sigma: Its standard deviation [m].
         nominal: The distance that the nominal robot finds [m].
         found: The distance that the calibrated robot finds [m].
-        fitted: Whether it was fitted; otherwise its ends were not among the fitted
-            rows, and what the robot finds there is a check.
+        fitted: Whether it was fitted; otherwise no fitted measurement names its ends,
+            and what the robot finds there is a check.
     """
 
     between: tuple[str, str]
@@ -157,7 +158,7 @@ class Identifiability:
         structural_values: All singular values of the scaled structural Jacobian,
             descending; those from `structural_rank` on are rounding.
         observability: O1 to O5 of these singular values.
-        weak: Number of structural directions that these rows cannot tell.
+        weak: Number of structural directions that the measurements cannot tell.
         revealed: Number of directions that nominal geometry hides, estimated because
             the errors are so large that they show.
         correlated: Pairs of estimates with a correlation above 0.95.
@@ -184,7 +185,7 @@ class Identifiability:
 
 @dataclass(frozen=True)
 class Identification:
-    """What can be known of a robot.
+    """The identifiability of a robot.
 
     Attributes:
         parameters: Every parameter with its status and, after a fit, its estimate.
@@ -265,6 +266,11 @@ class Tables:
             pandas.DataFrame(p.table(n)) for n, p in parts.items() if p is not None
         ]
         return pandas.concat(frames, ignore_index=True)
+
+    def figures(self) -> dict[str, Any]:
+        """The figures of the report by name, as matplotlib figures."""
+        found: dict[str, Any] = upper["figures"](self)
+        return found
 
     def _repr_html_(self) -> str:
         """Verdict, accuracy and identifiable parameters, for notebooks."""
@@ -348,19 +354,19 @@ class CalibrationResult(Tables, Identification):
 
 @dataclass(frozen=True)
 class Evaluation:
-    """Accuracy on rows that were not fitted.
+    """Accuracy on measurements that were not fitted.
 
     Attributes:
         errors: Accuracy by quantity name and unit.
-        rows: Number of rows.
-        counts: Number of rows that have each quantity.
+        rows: Number of measurements.
+        counts: Number of measurements that have each quantity.
         registered: Whether what is unknown of base, tool and instrument was fitted to
-            these rows.
+            them.
         verdict: `good` or `untrusted`.
         reason: Why it must not be trusted; empty where it is good.
-        outside: Number of rows that lie outside the region of a learned correction.
-        placed: Names of places, such as sockets, that were not there before and stand
-            where these rows put them.
+        outside: Number of them outside the region of a learned correction.
+        located: Names of references, such as sockets, that were not there before and
+            stand where the measurements put them.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
@@ -369,5 +375,5 @@ class Evaluation:
     verdict: str = "good"
     reason: str = ""
     outside: int = 0
-    placed: tuple[str, ...] = ()
+    located: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()

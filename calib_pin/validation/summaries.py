@@ -149,7 +149,7 @@ class Validation:
     Attributes:
         method: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
         count: Number of validation measurements.
-        placed: Names of places that only validation measurements name, and that
+        located: Names of references that only validation measurements name, and that
             were estimated from these.
         skipped: Why folds of a cross-validation were skipped: a fit without them
             says nothing of the robot.
@@ -157,7 +157,7 @@ class Validation:
 
     method: str
     count: int
-    placed: tuple[str, ...] = ()
+    located: tuple[str, ...] = field(default=(), metadata={"key": "placed"})
     skipped: tuple[str, ...] = ()
 
 

@@ -14,7 +14,6 @@ from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
     Gain,
-    VarianceComponent,
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values
@@ -34,19 +33,19 @@ MISSING = (
     "add a known length: a distance between two sockets, say ('distances' in the setup "
     "file), or a length of the robot that is held ('fixed')"
 )
-"""What to do about it where no distance is stated."""
+"""The advice where no distance is stated."""
 
 STATED = (
     "the stated distances are too uncertain, or their ends are not measured, or set "
     "aside"
 )
-"""What to do about it where there are distances."""
+"""The advice where there are distances."""
 
 CHECK = (
     "check the base and tip links, the joint columns with their signs and offsets, and "
     "units"
 )
-"""What to do about measurements that nothing explains."""
+"""The advice about measurements that nothing explains."""
 
 
 @dataclass(frozen=True)
@@ -95,7 +94,7 @@ OPTIONS = VerdictOptions()
 
 @dataclass(frozen=True)
 class Grounds:
-    """What a verdict is based on.
+    """The grounds of a verdict.
 
     Attributes:
         fitted: The fit.
@@ -104,7 +103,7 @@ class Grounds:
         findings: What is wrong with the data or the result.
         workspace: Accuracy to expect over the workspace; None where nothing is known.
         aside: Part of the configurations that was set aside, or would have to be.
-        advice: What to do about rows that nothing explains.
+        advice: What to do about measurements that nothing explains.
     """
 
     fitted: Fit
@@ -125,7 +124,10 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
         if nothing and _as_nominal(grounds.fitted):
             return "no-gain", _nothing(grounds)
         return "unchecked", reason
-    shown = _shown_by(grounds.gains)
+    first = grounds.gains[0]
+    # Where parts are left out little may be left; the hat matrix leaves out one each.
+    chances = [g.better for g in grounds.gains if g.quantity == first.quantity]
+    shown = first.mean > 0.0 and min(chances) < OPTIONS.gain_chance
     if nothing and not shown:
         return "no-gain", _nothing(grounds)
     if reason := _disproved(grounds):
@@ -134,12 +136,7 @@ def verdict(grounds: Grounds) -> tuple[str, str]:
 
 
 def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
-    """What no calibration of a robot can explain; empty where there is nothing.
-
-    Args:
-        fitted: The fit.
-        errors: Accuracy by quantity.
-    """
+    """The errors that no calibration explains; empty where there are none."""
     free = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
     enough = distinct_values(fitted.problem) >= fitted.structure.rank
     if enough and free.any() and fitted.directions.robot.shape[1] == 0:
@@ -158,7 +155,7 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
 
 
 def _distrust(grounds: Grounds) -> str:
-    """What takes the trust whatever a check says."""
+    """The reason to distrust a fit whatever a check says."""
     fitted = grounds.fitted
     if not fitted.structure.scaled:
         stated = bool(fitted.problem.setup.distances)
@@ -175,13 +172,12 @@ def _distrust(grounds: Grounds) -> str:
         return f"{reason}; {grounds.advice}"
     for finding in grounds.findings:
         if finding.severity == "error":
-            remedy = f"; {finding.remedy}" if finding.remedy else ""
-            return finding.message + remedy
+            return "; ".join(filter(None, (finding.message, finding.remedy)))
     return ""
 
 
 def _unchecked(grounds: Grounds) -> str:
-    """Why there is no check; empty where there is one."""
+    """The reason why there is no check; empty where there is one."""
     fitted = grounds.fitted
     values, rank = distinct_values(fitted.problem), fitted.structure.rank
     if values < rank:
@@ -195,11 +191,8 @@ def _unchecked(grounds: Grounds) -> str:
             "nothing to check the fit with; measure more configurations"
         )
     left = sum(v.redundancy * v.values for v in fitted.noise)
-    if (
-        fitted.noise
-        and left < OPTIONS.redundant
-        and not all(map(_stands, fitted.noise))
-    ):
+    known = all(noise.stated and not noise.contradicted for noise in fitted.noise)
+    if not known and left < OPTIONS.redundant:
         return (
             f"{left:.1f} redundant values are too few to estimate the noise; measure "
             "more configurations, or state the standard deviations"
@@ -217,13 +210,8 @@ def _unchecked(grounds: Grounds) -> str:
     return ""
 
 
-def _stands(noise: VarianceComponent) -> bool:
-    """Whether a stated standard deviation is not contradicted."""
-    return noise.stated and not noise.contradicted
-
-
 def _disproved(grounds: Grounds) -> str:
-    """What held-out measurements say against the fit; empty where nothing."""
+    """The objection of held-out measurements to the fit; empty where there is none."""
     units = {quantity.name: DISPLAY[quantity.unit] for quantity in grounds.errors}
     # A quantity says more than all of them together, which have no unit.
     for gain in sorted(grounds.gains, key=lambda gain: gain.quantity not in units):
@@ -248,16 +236,15 @@ def _disproved(grounds: Grounds) -> str:
 def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     """`good` where a gain is shown, here and over the workspace; else why not.
 
-    Args:
-        grounds: What it is based on.
-        shown: Whether held-out measurements show a gain.
-        nothing: Whether the errors of the robot may be chance.
+    Shown is by held-out measurements; nothing, that the errors may be chance.
     """
     gain, workspace = grounds.gains[0], grounds.workspace
     name, before, after = _errors(grounds)
     held = f"{gain.configurations} independent held-out configurations"
     found = f"{name} error {after} rms instead of {before}"
-    if gain.mean > 0.0 and _grown(grounds):
+    first = grounds.errors[0].validation_before
+    last = grounds.errors[0].validation_after
+    if gain.mean > 0.0 and first and last and last.rms > first.rms:
         # A few that nobody can predict, near the plane of a camera say, outweigh all.
         found = (
             f"errors smaller by {gain.mean:.2g} +- {gain.deviation:.1g} of their "
@@ -291,15 +278,6 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     )
 
 
-def _shown_by(gains: Sequence[Gain]) -> bool:
-    """Whether held-out measurements show a gain.
-
-    Where parts are left out little may be left; the hat matrix leaves out one each.
-    """
-    chances = [gain.better for gain in gains if gain.quantity == gains[0].quantity]
-    return gains[0].mean > 0.0 and min(chances) < OPTIONS.gain_chance
-
-
 def _as_nominal(fitted: Fit) -> bool:
     """Whether the nominal robot leaves no more than what is stated or assumed.
 
@@ -316,13 +294,12 @@ def _as_nominal(fitted: Fit) -> bool:
 
 
 def _nothing(grounds: Grounds) -> str:
-    """Why nothing is to be corrected."""
+    """The reason why nothing is to be corrected."""
     name, before, after = _errors(grounds)
     count = grounds.gains[0].configurations if grounds.gains else 0
-    held = f"{count} independent held-out configurations"
     return (
         f"the measurements show no error of the robot: {name} error {before} rms as it "
-        f"is, {after} corrected, on {held}"
+        f"is, {after} corrected, on {count} independent held-out configurations"
     )
 
 
@@ -346,14 +323,6 @@ def _errors(grounds: Grounds) -> tuple[str, str, str]:
         before, after = (_shown(a.rms, quantity.unit) for a in pair if a)
         return quantity.name, before, after
     return "", "", ""
-
-
-def _grown(grounds: Grounds) -> bool:
-    """Whether the root mean square of the first quantity has grown."""
-    for quantity in grounds.errors:
-        before, after = quantity.validation_before, quantity.validation_after
-        return bool(before and after and after.rms > before.rms)
-    return False
 
 
 def _shown(size: float, unit: str) -> str:

@@ -22,7 +22,7 @@ STAGES: dict[str, RGB] = {"before": (213, 94, 0), "after": (0, 114, 178)}
 """Of errors, after Okabe and Ito."""
 
 MARK: RGB = (204, 121, 167)
-"""Of the row that is looked at."""
+"""Of the measurement that is looked at."""
 
 MEASURED: RGB = (40, 40, 40)
 PATH: RGB = (0, 158, 115)
@@ -44,12 +44,6 @@ def scaled(sizes: Floats) -> NDArray[np.uint8]:
     return np.asarray(colormaps[MAP](parts, bytes=True)[:, :3])
 
 
-def gradient() -> str:
-    """The colormap from the least to the largest size, as a CSS background."""
-    steps = colormaps[MAP](np.linspace(0.0, 1.0, 9), bytes=True)[:, :3]
-    return f"linear-gradient(to right, {', '.join(map(css, steps.tolist()))})"
-
-
 def css(color: tuple[int, ...]) -> str:
     """A color as style sheets write it."""
     return f"rgb({', '.join(map(str, color))})"
@@ -58,11 +52,8 @@ def css(color: tuple[int, ...]) -> str:
 class Controls:
     """The controls of a window.
 
-    Args:
-        gui: Where they are added.
-
     Attributes:
-        gui: The same.
+        gui: Where they are added.
         lock: Held while something is done: callbacks come from several threads, and
             a robot's kinematics have one memory.
     """
@@ -85,14 +76,7 @@ class Controls:
     def switch(
         self, label: str, of: Any, on: bool = True, *, instead: Any = None
     ) -> None:
-        """A checkbox that shows or hides something.
-
-        Args:
-            label: What it is.
-            of: What is drawn of it.
-            on: Whether it is shown at first.
-            instead: What is shown where it is not, if anything.
-        """
+        """A checkbox that shows or hides a drawing, and another one instead of it."""
 
         def show(visible: bool) -> None:
             of.visible = visible
@@ -122,9 +106,11 @@ def swatch(color: RGB, label: str) -> str:
 def scale(sizes: Floats, unit: str) -> str:
     """The colormap with the least and the largest size at its ends."""
     if len(sizes) == 0:
-        return text("no row has it")
+        return text("no measurement has it")
     ends = f"<span>{sizes.min():.3g} {unit}</span><span>{sizes.max():.3g} {unit}</span>"
-    bar = f'<div style="height: 0.8em; background: {gradient()}"></div>'
+    steps = colormaps[MAP](np.linspace(0.0, 1.0, 9), bytes=True)[:, :3].tolist()
+    gradient = f"linear-gradient(to right, {', '.join(map(css, steps))})"
+    bar = f'<div style="height: 0.8em; background: {gradient}"></div>'
     return text(
         f'{bar}<div style="display: flex; justify-content: space-between">{ends}</div>'
     )

@@ -22,8 +22,8 @@ class ErrorSizes:
 
     Attributes:
         unit: `m`, `rad` or `px`.
-        sizes: Size in every row, shape (N,); NaN where a row does not have the
-            quantity, infinite where it cannot be predicted.
+        sizes: Size in every measurement, shape (N,); NaN where it does not have
+            the quantity, infinite where it cannot be predicted.
     """
 
     unit: str
@@ -31,7 +31,7 @@ class ErrorSizes:
 
     @property
     def shown(self) -> NDArray[np.bool_]:
-        """The rows that have a size, shape (N,)."""
+        """The measurements that have a size, shape (N,)."""
         return np.isfinite(self.sizes)
 
 
@@ -40,9 +40,9 @@ class StageErrors:
     """Errors of N measurements as one robot predicts them, in its base link.
 
     Attributes:
-        points: The points of its tool that the rows look at, shape (N, 3) [m].
-        vectors: Predicted minus measured position, shape (N, 3) [m]; NaN in rows that
-            measure none.
+        points: The measured points of its tool, shape (N, 3) [m].
+        vectors: Predicted minus measured position, shape (N, 3) [m]; NaN where none
+            is measured.
         quantities: Sizes of the errors by the name of the quantity.
     """
 
@@ -52,12 +52,12 @@ class StageErrors:
 
     @property
     def measured(self) -> Floats:
-        """Measured positions, shape (N, 3) [m]; NaN in rows that measure none."""
+        """Measured positions, shape (N, 3) [m]; NaN where none is measured."""
         return self.points - self.vectors
 
 
 def stage_errors(robot: Prepared) -> StageErrors:
-    """Errors of the rows that a robot is prepared for."""
+    """Errors of the measurements that a robot is prepared for."""
     problem, theta = robot.problem.rebased(robot.theta)
     error, data, of_robot = problem.error, problem.data, problem.split(theta)[0]
     residual = problem.masked_errors(theta)
@@ -83,12 +83,9 @@ def stage_errors(robot: Prepared) -> StageErrors:
 def _tool_points(
     measurement: MeasurementModel, T: Floats, data: Measurements
 ) -> Floats:
-    """The points of the tool that rows look at in the measuring frame, shape (N, 3).
+    """The tool points of measurements in the measurement frame, shape (N, 3) [m].
 
-    Args:
-        measurement: The measurement model, about its instrument.
-        T: Tool poses in the measuring frame, shape (N, 4, 4).
-        data: The rows.
+    The tool poses T (N, 4, 4) are in that frame too.
     """
     points = T[:, :3, 3].copy()
     parts = {measurement.name: measurement}

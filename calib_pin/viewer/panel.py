@@ -1,18 +1,137 @@
-"""The controls of the window, from the robots to the joints."""
+"""The controls of the window: robots, joints, measurements, and a plan."""
 
 from __future__ import annotations
 
 import html
+import math
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import numpy as np
 
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
-from calib_pin.viewer.controls import STAGES, Controls, scale, swatch, text
+from calib_pin.viewer.controls import STAGES, Controls, put, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.motion import Joints, Player
-from calib_pin.viewer.scene import Rows, Scene
+from calib_pin.viewer.scene import Plan, Rows, Scene
 from calib_pin.viewer.stage import RowsDrawing, Stage
+
+if TYPE_CHECKING:
+    import viser
+
+LAST = 1e9
+"""Place of the sliders in the panel: there may be many."""
+
+
+class Joints:
+    """A slider for every joint, in degrees or millimeters.
+
+    Attributes:
+        mover: What has moved the robots last; None for a person at these sliders.
+    """
+
+    def __init__(self, controls: Controls, scene: Scene, stage: Stage) -> None:
+        """Add the sliders and take the first posture."""
+        skeleton = scene.bodies[0].skeleton
+        self._stage, self._places = stage, scene.places
+        self._q, self._payload = scene.start, ""
+        self._factors = np.where(skeleton.revolute, 180.0 / math.pi, 1e3)
+        self.mover: object | None = None
+        lower, upper = (self._factors * end for end in _range(scene))
+        units = ["" if turns else " [mm]" for turns in skeleton.revolute]
+        alone = scene.rows is None and scene.plan is None
+        with controls.gui.add_folder(
+            "Joints [deg]", order=LAST, expand_by_default=alone
+        ):
+            self._sliders = [
+                controls.gui.add_slider(
+                    name + units[k],
+                    math.floor(lower[k]),
+                    math.ceil(upper[k]),
+                    0.1,
+                    self._displayed(k),
+                )
+                for k, name in enumerate(skeleton.joints)
+            ]
+        for slider in self._sliders:
+            controls.on(slider, lambda _: self._read())
+        stage.pose(self._q, self._payload)
+
+    def move(self, q: Floats, payload: str, mover: object) -> None:
+        """Move the chain to q (n,) [rad, m]; other joints stay where they are."""
+        self._q[self._places] = q
+        self._payload, self.mover = payload, mover
+        self._stage.pose(self._q, payload)
+        for place in self._places:
+            put(self._sliders[place], self._displayed(place))
+
+    def _displayed(self, place: int) -> float:
+        return round(float(self._factors[place] * self._q[place]), 2)
+
+    def _read(self) -> None:
+        values = np.array([slider.value for slider in self._sliders])
+        self._q, self.mover = values / self._factors, None
+        self._stage.pose(self._q, self._payload)
+
+
+def _range(scene: Scene) -> tuple[Floats, Floats]:
+    """Limits of all joints: those of the URDF, and what was measured or planned."""
+    skeleton, places = scene.bodies[0].skeleton, scene.places
+    lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
+    shown = [] if scene.rows is None else [scene.rows.data.q]
+    shown += [] if scene.plan is None else [scene.plan.q]
+    for q in shown:
+        lower[places] = np.minimum(lower[places], q.min(axis=0))
+        upper[places] = np.maximum(upper[places], q.max(axis=0))
+    return lower, upper
+
+
+class Player:
+    """The controls of a plan, which play its configurations in their order."""
+
+    def __init__(
+        self,
+        controls: Controls,
+        plan: Plan,
+        joints: Joints,
+        path: viser.LineSegmentsHandle,
+    ) -> None:
+        """Add the controls; nothing is played yet."""
+        self._lock, self._plan, self._joints = controls.lock, plan, joints
+        self._number, self._playing = 0.0, False
+        count = len(plan.q)
+        with controls.gui.add_folder("Plan"):
+            self._slider = controls.gui.add_slider("number", 1, max(count, 2), 1, 1)
+            self._button = controls.gui.add_button("play", disabled=count < 2)
+            self._speed = controls.gui.add_slider("per second", 0.1, 5.0, 0.1, 1.0)
+            controls.switch("path of the tip", path)
+        controls.on(self._slider, lambda value: self._show(min(value, count) - 1.0))
+        self._button.on_click(lambda _: self.play(not self._playing))
+
+    def play(self, playing: bool) -> None:
+        """Go on from where it stands, or pause."""
+        with self._lock:
+            self._playing = playing
+            self._button.label = "pause" if playing else "play"
+            if playing:
+                self._show(self._number)
+
+    def tick(self, seconds: float) -> None:
+        """Go on by some seconds while the plan is played; it begins again."""
+        if not self._playing:
+            return
+        with self._lock:
+            if self._joints.mover is not self:  # Somebody looks at something else.
+                self.play(False)
+                return
+            number = self._number + seconds * self._speed.value
+            self._show(number if number <= len(self._plan.q) - 1 else 0.0)
+            put(self._slider, int(self._number) + 1)
+
+    def _show(self, number: float) -> None:
+        self._number = number
+        self._joints.move(self._plan.at(number), "", self)
+
 
 MAGNIFICATIONS = (1, 2, 5, 10, 20, 50, 100, 200, 500, 1000)
 """Magnifications of the error vectors."""
@@ -22,16 +141,7 @@ VISIBLE = 0.2
 
 
 def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
-    """Add all controls.
-
-    Args:
-        controls: The window's controls.
-        scene: What is drawn.
-        stage: Where it is drawn.
-
-    Returns:
-        What plays the plan, if there is one.
-    """
+    """Add all controls; returns what plays the plan, if there is one."""
     with controls.gui.add_folder("Robot"):
         for name, robot in stage.robots.items():
             controls.switch(name, robot.root)
@@ -47,11 +157,7 @@ def add_panel(controls: Controls, scene: Scene, stage: Stage) -> Player | None:
 
 
 def first_magnification(largest: float) -> int:
-    """The magnification that makes the largest vector just not too long.
-
-    Args:
-        largest: Its length [m].
-    """
+    """The magnification that makes the largest vector [m] just not too long."""
     fitting = [step for step in MAGNIFICATIONS if step * largest <= VISIBLE]
     return fitting[-1] if fitting else MAGNIFICATIONS[0]
 

@@ -8,22 +8,105 @@ place of the tool only.
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass, replace
+from xml.etree import ElementTree
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.viewer.errors import StageErrors
 from calib_pin.viewer.shapes import Shape, box
-from calib_pin.viewer.skeleton import Skeleton
+
+
+class Skeleton:
+    """Forward kinematics of a whole robot in one of its links.
+
+    A joint that mimics another follows it, as commanded; one with several degrees of
+    freedom, such as that of a floating base, stays at its neutral position.
+
+    Args:
+        robot: The robot; its model is not changed.
+        base: Link in whose frame the others are.
+
+    Attributes:
+        links: Names of all L links.
+        joints: Names of the K joints with a position of their own.
+        revolute: True for those that turn, shape (K,).
+        lower: Lower position limits, shape (K,) [rad, m].
+        upper: Upper position limits, shape (K,) [rad, m]; half a turn or 1 m to either
+            side where there is none.
+    """
+
+    def __init__(self, robot: Robot, base: str) -> None:
+        """Find out which joints there are."""
+        model = robot.model
+        self._model = model
+        self._data = model.createData()
+        self.links = robot.links
+        self._base = robot.links.index(base)
+        self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
+        mimics = _mimics(robot)
+        single = [j for j in range(1, model.njoints) if model.nvs[j] == 1]
+        own = [joint for joint in single if model.names[joint] not in mimics]
+        self.joints: tuple[str, ...] = tuple(str(model.names[j]) for j in own)
+        # Joint, the one of `joints` whose position it takes, factor, and offset.
+        self._driven = [(joint, k, 1.0, 0.0) for k, joint in enumerate(own)]
+        for joint in set(single) - set(own):
+            leader, factor, offset = mimics[model.names[joint]]
+            if leader in self.joints:
+                place = self.joints.index(leader)
+                self._driven.append((joint, place, factor, offset))
+        kinds = [model.joints[j].shortname() for j in own]
+        self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
+        start = [model.idx_qs[j] for j in own]
+        lower, upper = model.lowerPositionLimit[start], model.upperPositionLimit[start]
+        continuous = np.array([model.nqs[j] == 2 for j in own], bool)
+        limited = ~continuous & (upper > lower) & (np.abs(upper - lower) < 1e6)
+        half = np.where(self.revolute, np.pi, 1.0)
+        self.lower: Floats = np.where(limited, lower, -half)
+        self.upper: Floats = np.where(limited, upper, half)
+
+    @property
+    def neutral(self) -> Floats:
+        """Zero, or the limit next to it, of every joint, shape (K,) [rad, m]."""
+        return np.asarray(np.clip(0.0, self.lower, self.upper))
+
+    def placements(self, q: Floats) -> Floats:
+        """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
+        model, data = self._model, self._data
+        full = pin.neutral(model)
+        for joint, place, factor, offset in self._driven:
+            position, start = factor * q[place] + offset, model.idx_qs[joint]
+            if model.nqs[joint] == 2:  # A continuous joint has cosine and sine.
+                full[start : start + 2] = np.cos(position), np.sin(position)
+            else:
+                full[start] = position
+        pin.framesForwardKinematics(model, data, full)
+        T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
+        return np.asarray(invert(T[self._base]) @ T)
+
+
+def _mimics(robot: Robot) -> Mapping[str, tuple[str, float, float]]:
+    """Joints that follow others: of which one, factor and offset, by name."""
+    result = {}
+    for joint in ElementTree.fromstring(robot.source).iterfind("joint"):
+        mimic = joint.find("mimic")
+        if mimic is not None:
+            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
+            leader = mimic.get("joint", "")
+            result[joint.get("name", "")] = leader, float(factor), float(offset)
+    return result
+
 
 STEPS = 20
 """Points of the tip's path from one configuration to the next."""
@@ -73,7 +156,7 @@ class Rows:
     """Measurements and their errors.
 
     Attributes:
-        data: The N rows.
+        data: The N measurements.
         stages: Errors by stage, `before` and, of a calibration, `after`.
     """
 
@@ -94,11 +177,7 @@ class Plan:
     path: Floats
 
     def at(self, number: float) -> Floats:
-        """Joint positions on the way from one configuration to the next, shape (n,).
-
-        Args:
-            number: From 0 for the first to M - 1 for the last.
-        """
+        """Joint positions (n,) between configurations, numbered from 0 to M - 1."""
         first = min(int(number), len(self.q) - 1)
         last = min(first + 1, len(self.q) - 1)
         return np.asarray(
@@ -114,7 +193,7 @@ class Scene:
         title: Name of the robot.
         shapes: What the links look like, of all bodies.
         bodies: The robot, or the nominal and the corrected one.
-        chain: The chain that rows and plan move, if there is one.
+        chain: The chain that measurements and plan move, if there is one.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
     """
@@ -136,7 +215,7 @@ class Scene:
 
     @property
     def start(self) -> Floats:
-        """Joint positions of the first row, or of the plan, or neutral, shape (K,)."""
+        """Joint positions of the first measurement or plan, or neutral, shape (K,)."""
         q = self.bodies[0].skeleton.neutral
         if self.rows is not None:
             q[self.places] = self.rows.data.q[0]
@@ -145,24 +224,14 @@ class Scene:
         return q
 
     def corners(self, q: Floats) -> Floats:
-        """Corners of boxes around all shapes in the base link, shape (S, 3) [m].
-
-        Args:
-            q: Joint positions, shape (K,) [rad, m].
-        """
+        """Corners (S, 3) [m] of boxes around all shapes in the base link at q."""
         skeleton = self.bodies[0].skeleton
         T = dict(zip(skeleton.links, skeleton.placements(q), strict=True))
         return np.concatenate([_corners(shape, T[shape.link]) for shape in self.shapes])
 
 
 def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Body]:
-    """The robot by itself, or as it is nominally and as it is corrected.
-
-    Args:
-        robot: The robot as it was read.
-        base: Link in whose frame it is drawn.
-        model: Its calibration, if there is one.
-    """
+    """The robot by itself, or as it is nominally and as its calibration corrects it."""
     if model is None:
         return [Body("robot", Skeleton(robot, base))]
     corrected = edit_origins(robot.source, model.urdf_corrections(), robot.file)
@@ -173,14 +242,9 @@ def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Bo
 
 
 def tip_path(subject: Chain | CalibratedModel, q: Floats) -> Floats:
-    """The way of the tip in the base link while all joints move evenly.
+    """The way (P, 3) [m] of the tip in the base link while all joints move evenly.
 
-    Args:
-        subject: The chain, or the calibrated robot, whose tip it is.
-        q: Positions of the chain's joints, shape (M, n) [rad, m].
-
-    Returns:
-        Points, shape (P, 3) [m]; those of the configurations are among them.
+    The points of the configurations q (M, n) [rad, m] are among them.
     """
     between = max(1, min(STEPS, LONGEST // len(q)))
     numbers = np.arange((len(q) - 1) * between + 1) / between

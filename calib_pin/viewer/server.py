@@ -55,11 +55,9 @@ class Window:
         self._player = add_panel(controls, scene, Stage(self._server, scene))
 
     def run(self, once: bool, now: Callable[[], float] = time.monotonic) -> None:
-        """Serve until it is interrupted.
+        """Serve until interrupted or, with `once`, until the last browser has gone.
 
-        Args:
-            once: Whether to end when the last browser has gone, if one has come.
-            now: Clock [s].
+        The clock `now` is in seconds.
         """
         seen, last = False, now()
         left = last

@@ -162,12 +162,6 @@ def robot_shapes(
         robot: The robot.
         package_dirs: Folders of packages, see `io.meshes.locate_mesh`.
         progress: Told the part that is done, 0 to 1.
-
-    Example:
-        >>> from calib_pin.io.urdf import load_robot
-        >>> shapes = robot_shapes(load_robot("example:panda"))
-        >>> len(shapes.parts), shapes.missing
-        (11, ())
     """
     root = fromstring(robot.source)
     links = root.findall("link")
@@ -212,13 +206,7 @@ def _of_link(
 
 @dataclass(frozen=True)
 class _Reader:
-    """Reads geometry, each mesh file only once.
-
-    Attributes:
-        urdf: Path of the URDF.
-        package_dirs: Folders of packages.
-        known: Surfaces by file and scale.
-    """
+    """Reads the geometry of a URDF, each mesh file only once."""
 
     urdf: Path
     package_dirs: Sequence[str | Path]

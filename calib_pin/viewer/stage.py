@@ -22,12 +22,7 @@ OPACITY = 0.3
 
 
 class RobotDrawing:
-    """A robot.
-
-    Args:
-        api: Where it is drawn.
-        body: The robot; the nominal one is a ghost.
-        shapes: What its links look like.
+    """A robot; the nominal one is a ghost.
 
     Attributes:
         root: Carries all of it.
@@ -74,11 +69,6 @@ class RobotDrawing:
 
 class RowsDrawing:
     """Measured points, error vectors, and the residual map.
-
-    Args:
-        api: Where they are drawn.
-        rows: The measurements.
-        size: Size of the robot [m].
 
     Attributes:
         behind: Carries the measured points.
@@ -137,26 +127,14 @@ class RowsDrawing:
         )
 
     def mark(self, row: int) -> None:
-        """Mark the tool point of a row."""
+        """Mark the tool point of a measurement."""
         self._mark.position = self._last.points[row]
-
-
-def draw_path(
-    api: viser.SceneApi, path: Floats, size: float
-) -> viser.LineSegmentsHandle:
-    """A line through points, shape (P, 3) [m], as thick as suits a robot's size."""
-    return api.add_line_segments(
-        "/path",
-        np.stack([path[:-1], path[1:]], axis=1),
-        np.array(PATH),
-        thickness=0.002 * size,
-    )
 
 
 def lines(errors: StageErrors, factor: float) -> NDArray[np.float32]:
     """Magnified error vectors from the measured points, shape (n, 2, 3) [m].
 
-    Rows that measure no position have none.
+    Where no position is measured, there is none.
     """
     measured = errors.measured
     ends = np.stack([measured, measured + factor * errors.vectors], axis=1)
@@ -185,10 +163,6 @@ ASPECT = 1.1
 class Stage:
     """The drawn scene, and what can be changed of it.
 
-    Args:
-        server: The window's server.
-        scene: What to draw.
-
     Attributes:
         robots: The robots by name.
         rows: Measurements, if there are any.
@@ -205,14 +179,22 @@ class Stage:
         seen = [corners, np.array([[*corners.mean(axis=0)[:2], floor]])]
         if scene.rows is not None:
             seen += [errors.points for errors in scene.rows.stages.values()]
-        _aim(server.initial_camera, np.concatenate(seen))
+        camera = server.initial_camera
+        camera.fov, camera.up = ANGLE, (0.0, 0.0, 1.0)
+        camera.position, camera.look_at = sight(np.concatenate(seen))
         self.robots = {
             body.name: RobotDrawing(api, body, scene.shapes) for body in scene.bodies
         }
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
-        self.path = (
-            None if scene.plan is None else draw_path(api, scene.plan.path, size)
-        )
+        self.path = None
+        if scene.plan is not None:
+            way = scene.plan.path
+            self.path = api.add_line_segments(
+                "/path",
+                np.stack([way[:-1], way[1:]], axis=1),
+                np.array(PATH),
+                thickness=0.002 * size,
+            )
 
     def pose(self, q: Floats, payload: str) -> None:
         """Put all robots where their joints are commanded to be.
@@ -227,14 +209,7 @@ class Stage:
 
 
 def sight(points: Floats) -> tuple[Floats, Floats]:
-    """The position and target of a camera that sees all points.
-
-    Args:
-        points: The points, shape (N, 3) [m].
-
-    Returns:
-        Two points, shape (3,) each [m].
-    """
+    """The position and target (3,) [m] of a camera that sees all points (N, 3) [m]."""
     center = 0.5 * (points.min(axis=0) + points.max(axis=0))
     ahead = CORNER / np.linalg.norm(CORNER)
     right = np.cross([0.0, 0.0, 1.0], ahead)
@@ -243,12 +218,6 @@ def sight(points: Floats) -> tuple[Floats, Floats]:
     slope = np.tan(0.5 * ANGLE)
     distance = np.max(z + np.maximum(np.abs(x) / ASPECT, np.abs(y)) / slope)
     return center + 1.05 * distance * ahead, center
-
-
-def _aim(camera: viser.InitialCameraConfig, points: Floats) -> None:
-    camera.fov = ANGLE
-    camera.up = (0.0, 0.0, 1.0)
-    camera.position, camera.look_at = sight(points)
 
 
 def _light(api: viser.SceneApi, size: float, floor: float) -> None:

@@ -8,10 +8,9 @@ from __future__ import annotations
 import sys
 
 from benchmarks import (
-    basic,
-    beyond,
     camera,
     evolution,
+    fit,
     guard,
     planning,
     reading,
@@ -23,15 +22,12 @@ from benchmarks import (
 )
 
 BENCHMARKS = {
-    "fit": basic.fit_talos,
-    "jacobian": basic.jacobian,
-    "commands": basic.commands,
+    "fit": fit.main,
     "startup": startup.main,
     "evolution": evolution.main,
     "rows": rows.main,
     "camera": camera.main,
     "planning": planning.main,
-    "beyond": beyond.main,
     "reading": reading.main,
     "recovery": recovery.main,
     "report": report.main,

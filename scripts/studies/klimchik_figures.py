@@ -109,7 +109,7 @@ def _accuracy(path: Path, settings: Settings, seeds: Sequence[Seed]) -> None:
             axes.set_xlabel("reference points")
             axes.set_title(what)
         tests = [
-            [(_rms(s.planned[name].errors), s.planned[name].predicted)]
+            [(shared.rms(s.planned[name].errors), s.planned[name].predicted)]
             for s in seeds
             for name in (RANDOM, PLANNED)
         ]
@@ -140,10 +140,6 @@ def _beside(axes: Axes, values: Floats) -> None:
     axes.set_xlim(-0.5, len(places) - 0.5)
     axes.set_ylim(0.0, 1.1 * every.max())
     axes.grid(axis="x", visible=False)
-
-
-def _rms(values: Floats) -> float:
-    return float(np.sqrt(np.mean(values**2)))
 
 
 def _of(seeds: Sequence[Seed]) -> str:

@@ -321,6 +321,7 @@ def test_what_is_written(command, quantities, here, run):
     assert (result.status, result.err) == (0, "")
     assert result.out.endswith(
         "wrote out/arm.urdf\nwrote out/nominal.urdf\nwrote out/calibration.json\n"
+        "wrote out/measurements.csv\n"
         "wrote out/report.html\n"
     )
 
@@ -463,7 +464,7 @@ def test_force_replaces(here, run):
     assert result.status == 0
     assert document("done")["measurements"]["files"][0]["file"] == "new.csv"
     assert Path("done/calibration.json").read_bytes() != old
-    assert len(list(Path("done").iterdir())) == 4
+    assert len(list(Path("done").iterdir())) == 5
 
 
 def test_options_win_over_the_setup_file(here, run):
@@ -582,6 +583,7 @@ def test_names_that_a_file_system_cannot_hold(here, run):
         "__red__ärm__1.urdf",
         "calibration.json",
         "nominal.urdf",
+        "measurements.csv",
         "report.html",
     }
     assert document("out")["robot"]["name"] == "../[red] ärm: 1"

@@ -19,7 +19,7 @@ from calib_pin.estimation.configurations import (
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
 from calib_pin.simulation import exact_problem
 

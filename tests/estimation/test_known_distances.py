@@ -13,9 +13,9 @@ from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import distinct_values
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.references import (
     Anchor,
+    Plane,
     Point,
     ReferenceObject,
     Sphere,

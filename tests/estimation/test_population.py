@@ -19,8 +19,8 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.measurement_models.mixed import absent
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.rows import absent
 from calib_pin.measurement_models.side_by_side import by_part
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup

@@ -15,7 +15,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.predicted import predicted_variance
+from calib_pin.validation.model_errors import predicted_variance
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
 MORE = ("placement", "transmission", "compliance")

@@ -28,7 +28,7 @@ from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
 from calib_pin.measurement_models.side_by_side import concatenate, targets_of
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">
@@ -1429,7 +1429,7 @@ def test_several_files_of_different_models(write, chain, refused):
     assert data.values.tolist() == [[1, 0, 0, 0], [2, 0, 0, 0], [0, 1, 2, 3]]
     assert data.target == ("plane-distance:wall", "plane-distance:", "position:")
     assert data.files == (str(distance), str(distance), str(position))
-    assert not data.stated
+    assert not states_sigmas(data)
     # The column wins over what is asked for.
     data = read_measurements([distance, mixed], chain, model="plane-distance")
     assert data.model == "plane-distance+camera+position+relative-distance"

@@ -23,8 +23,8 @@ from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.references import Frame
-from calib_pin.measurement_models.rows import absent
+from calib_pin.measurement_models.mixed import absent
+from calib_pin.measurement_models.mount import Frame
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (

@@ -299,8 +299,10 @@ def test_parameters() -> None:
     assert len(known.parameters) == 9
     assert not any(p.free for p in known.parameters)
     assert known.targets == ("p0", "p1", "p2") and known.missing == ""
-    assert (known.width, known.contact, known.relative) == (2, False, False)
-    assert known.external and known.sees_tool
+    assert known.width == 2
+    stated = known.declaration
+    assert (stated.contact, stated.relative) == (False, False)
+    assert stated.external and known.sees_tool
 
 
 def test_instrument_parameters_move_into_the_references() -> None:

@@ -18,8 +18,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.contact import PlaneContact, SphereContact, directions
-from calib_pin.measurement_models.planes import Plane
-from calib_pin.measurement_models.references import Sphere
+from calib_pin.measurement_models.references import Plane, Sphere
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup, SphereSetup
 

@@ -68,7 +68,8 @@ def at_rest(
 
 def test_the_gap_by_hand() -> None:
     model = fixed_point(Setup(sockets=sockets(2)))
-    assert model.contact and model.width == 0 and not model.external
+    stated = model.declaration
+    assert stated.contact and model.width == 0 and not stated.external
     T = np.tile(np.eye(4), (2, 1, 1))
     T[:, :3, 3] = [[0.7, 0.3, 0.4], [0.5, -0.2, 0.4]]
     instrument, target = np.zeros(6), ("s/0", "s/1")

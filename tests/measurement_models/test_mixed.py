@@ -20,10 +20,9 @@ from calib_pin.estimation.registration import extended, registered
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Mixed, measurement_model
 from calib_pin.measurement_models.mixed import qualified
-from calib_pin.measurement_models.mount import Mounted
-from calib_pin.measurement_models.references import Frame
+from calib_pin.measurement_models.mount import Frame, Mounted
 from calib_pin.measurement_models.side_by_side import by_part, concatenate
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.setup import (
     CameraSetup,
     DistanceSetup,
@@ -83,10 +82,11 @@ def test_names_and_quantities(equipped: Setup) -> None:
     ]
     assert model.targets[:3] == ("position:probe", "position:nest", "pose:")
     assert "fixed-point:nest@left/1" in model.targets
-    assert model.external and not model.contact and not model.relative
+    stated = model.declaration
+    assert stated.external and not stated.contact and not stated.relative
     contacts = mixed(equipped, "fixed-point", "sphere-contact")
-    assert contacts.contact and not contacts.external
-    assert mixed(equipped, "pose", "relative-distance").relative
+    assert contacts.declaration.contact and not contacts.declaration.external
+    assert mixed(equipped, "pose", "relative-distance").declaration.relative
 
 
 def test_targets_of_the_parts() -> None:
@@ -221,7 +221,7 @@ def test_stated_sigmas_are_those_of_their_rows(simulated: Simulated) -> None:
     stated = replace(position.data, sigma=np.full((4, 3), 2e-5))
     data = concatenate([stated, fixed.data])
     problem = make_problem(ARM, data, setup)
-    assert not data.stated
+    assert not states_sigmas(data)
     expected = np.full((8, 6), np.inf)
     expected[:4, :3], expected[4:, 3:] = 2e-5, 1e-4
     np.testing.assert_array_equal(problem.sigma, expected)

@@ -14,7 +14,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.kinematics.spatial import Floats, so3_exp
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.planes import Plane
+from calib_pin.measurement_models.references import Plane
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, RangerSetup, Setup
 

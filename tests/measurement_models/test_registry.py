@@ -19,7 +19,7 @@ from calib_pin.measurement_models import (
     Quantity,
     measurement_model,
 )
-from calib_pin.measurement_models.rows import absent
+from calib_pin.measurement_models.mixed import absent
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
 
@@ -126,7 +126,10 @@ def test_predictions_leave_no_residual(model: MeasurementModel) -> None:
 
 def gapped(model: MeasurementModel, quantity: Quantity) -> bool:
     """Whether a quantity is the gap of a contact."""
-    return model.contact or quantity.name in ("contact", "position (fixed-point)")
+    return model.declaration.contact or quantity.name in (
+        "contact",
+        "position (fixed-point)",
+    )
 
 
 def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> None:

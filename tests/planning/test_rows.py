@@ -16,8 +16,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, CurvedModel
+from calib_pin.measurement_models.mixed import assumed_sigma
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.rows import assumed_sigma
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.setup import Setup
 from calib_pin.simulation import exact_problem

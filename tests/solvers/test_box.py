@@ -10,7 +10,7 @@ import pytest
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers.box import Box
+from calib_pin.solvers.evolution import Box
 
 UNEVEN = np.array([[-1.0, 2.0], [0.3, 0.3], [1e-9, 3e-9]])
 

@@ -188,7 +188,7 @@ def test_the_population_meets() -> None:
     options = DifferentialEvolution(population_size=30, tol=1e-3)
     result = run(lambda x: sphere(x) + 1, options)
     energies = result.population_energies
-    assert result.status is Status.CONVERGED and result.success
+    assert result.status is Status.CONVERGED and result.status.success
     assert energies.std() <= 1e-3 * abs(energies.mean())
     assert result.nit < 500
     assert result.fun == pytest.approx(1.0, abs=0.01)

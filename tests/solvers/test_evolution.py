@@ -10,8 +10,8 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, Status
-from calib_pin.solvers.box import Box
 from calib_pin.solvers.evolution import (
+    Box,
     Stops,
     crossing,
     evolve,
@@ -107,15 +107,15 @@ def test_the_best_live_on_when_the_population_shrinks() -> None:
 def test_generations_end_before_they_exceed_the_evaluations() -> None:
     result = run([0.4, 0.5], Script([0.9, 0.9], [0.9, 0.9]), evaluations=5)
     assert result.status is Status.GENERATIONS
-    assert (result.nit, result.nfev, result.success) == (1, 4, False)
-    assert result.message == Status.GENERATIONS.advice
+    assert (result.nit, result.nfev, result.status.success) == (1, 4, False)
+    assert result.status.advice == Status.GENERATIONS.advice
 
 
 @pytest.mark.parametrize(("target", "generations"), [(0.4, 0), (0.2, 1), (0.19, 2)])
 def test_target_is_reached_at_equality(target: float, generations: int) -> None:
     result = run([0.4, 0.5], Script([0.2, 0.9], [0.1, 0.1]), target=target)
     assert (result.status, result.nit) == (Status.TARGET, generations)
-    assert result.success
+    assert result.status.success
 
 
 def test_spread_is_that_of_scipy() -> None:
@@ -157,7 +157,7 @@ def test_the_callback_sees_each_generation_and_can_stop() -> None:
     result = run([0.4, 0.5], script, callback=callback)
     assert seen == [(1, [0.3], 0.3), (2, [0.2], 0.2)]
     assert result.status is Status.STOPPED
-    assert (result.nit, result.fun, result.success) == (2, 0.2, False)
+    assert (result.nit, result.fun, result.status.success) == (2, 0.2, False)
     assert result.population[:, 0].tolist() == [0.3, 0.2]
 
 

@@ -13,7 +13,7 @@ from scipy import optimize
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DescentResult, Status, projected_descent
-from calib_pin.solvers.box import Box
+from calib_pin.solvers.evolution import Box
 from calib_pin.solvers.gradient import _Pairs, _Problem
 
 Smooth = Callable[[Floats], tuple[float, Floats]]

@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import DifferentialEvolution, Status, differential_evolution
-from calib_pin.solvers.l_shade import OPTIONS, TERMINAL, LShade
+from calib_pin.solvers.differential_evolution import OPTIONS, TERMINAL, LShade
 
 WIDE = np.tile([-5.0, 5.0], (10, 1))
 

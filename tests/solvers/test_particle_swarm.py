@@ -13,7 +13,7 @@ import pytest
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import EvolutionResult, ParticleSwarm, Status, particle_swarm
-from calib_pin.solvers.box import Box
+from calib_pin.solvers.evolution import Box
 from calib_pin.solvers.particle_swarm import _Swarm
 
 WIDE = np.tile([-5.0, 5.0], (5, 1))
@@ -71,7 +71,7 @@ def test_known_minima(
 def test_the_swarm_converges_in_one_basin() -> None:
     options = ParticleSwarm(particles=30, iterations=500, mutation=0.0, tol=1e-6)
     result = run(lambda x: sphere(x) + 1.0, options)
-    assert result.status is Status.CONVERGED and result.success
+    assert result.status is Status.CONVERGED and result.status.success
     assert result.nit < 500
     assert result.x == pytest.approx(np.ones(5), abs=0.01)
 

@@ -19,8 +19,8 @@ from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.gains import press_check
-from calib_pin.validation.predicted import predicted_variance, press
+from calib_pin.validation.gains import press, press_check
+from calib_pin.validation.model_errors import predicted_variance
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 NOISE = 5e-5

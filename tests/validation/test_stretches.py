@@ -9,7 +9,7 @@ import pytest
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
-from calib_pin.validation.stretches import stretches
+from calib_pin.validation.splits import stretches
 
 
 def rows(q: Floats, files: tuple[str, ...] = ()) -> Measurements:

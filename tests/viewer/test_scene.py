@@ -18,10 +18,9 @@ from calib_pin.kinematics.spatial import invert
 from calib_pin.measurement_models import Mixed
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.measurement_models.planes import Plane
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.references import Point
+from calib_pin.measurement_models.references import Plane, Point
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.setup import Payload
@@ -29,9 +28,15 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
-from calib_pin.viewer.scene import Plan, Scene, bodies_of, floor_height, tip_path
+from calib_pin.viewer.scene import (
+    Plan,
+    Scene,
+    Skeleton,
+    bodies_of,
+    floor_height,
+    tip_path,
+)
 from calib_pin.viewer.shapes import robot_shapes
-from calib_pin.viewer.skeleton import Skeleton
 from calib_pin.viewer.stage import sight
 
 MIMICS = {"panda_finger_joint2": "panda_finger_joint1"}

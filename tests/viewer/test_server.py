@@ -22,7 +22,7 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.controls import STAGES, Controls, scaled
 from calib_pin.viewer.errors import stage_errors
-from calib_pin.viewer.motion import Joints, Player
+from calib_pin.viewer.panel import Joints, Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_path
 from calib_pin.viewer.server import Window
 from calib_pin.viewer.shapes import Shape, Surface

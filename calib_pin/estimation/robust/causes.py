@@ -161,7 +161,7 @@ def _exchanged(
 ) -> Iterator[tuple[list[int], str]]:
     """Pairs of rows each of which fits what was measured in the other."""
     rows, data = np.flatnonzero(out), problem.data
-    if not 2 <= len(rows) <= OPTIONS.pairs or problem.measurement.contact:
+    if not 2 <= len(rows) <= OPTIONS.pairs or problem.measurement.declaration.contact:
         return
     i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
     names = np.array(data.target)

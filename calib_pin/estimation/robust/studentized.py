@@ -23,6 +23,7 @@ from calib_pin.estimation.directions import inverse_root
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import states_sigmas
 
 LEAST = 1e-6
 """Smallest scale in stated or assumed deviations: below, there is only rounding."""
@@ -78,7 +79,7 @@ class Studentized:
             np.add.at(squares[:, k], labels, components[:, own].sum(axis=1))
             np.add.at(total[:, k], labels, counts[:, own].sum(axis=1))
         least = np.full(len(quantities), LEAST)
-        if problem.data.stated:
+        if states_sigmas(problem.data):
             # What the rows state is not contradicted by residuals that are smaller.
             least[columns] = 1.0 / (problem.units if len(problem.units) else 1.0)
         return cls(labels, components, squares, total, columns, least)

@@ -32,7 +32,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.rows import contact_rows
+from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.solvers import LeastSquaresResult
 
 REPEATED = 4

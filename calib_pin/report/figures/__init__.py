@@ -9,20 +9,19 @@ from matplotlib.figure import Figure
 
 from calib_pin.planning.plan import Plan
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
-from calib_pin.report.figures.correlations import correlations
-from calib_pin.report.figures.error_vectors import error_vectors
 from calib_pin.report.figures.estimates import parameter_intervals
+from calib_pin.report.figures.identifiability import correlations, singular_values
+from calib_pin.report.figures.measurement_errors import errors_per_measurement
 from calib_pin.report.figures.plans import (
     criterion_by_count,
     planned_positions,
     predicted_deviations,
 )
 from calib_pin.report.figures.residuals import residuals
-from calib_pin.report.figures.row_errors import errors_per_measurement
 from calib_pin.report.figures.searches import convergence, model_ladder
-from calib_pin.report.figures.singular_values import singular_values
-from calib_pin.report.figures.tip_accuracy import (
+from calib_pin.report.figures.workspace import (
     drift_in_workspace,
+    error_vectors,
     tip_by_count,
     tip_in_workspace,
 )
@@ -77,49 +76,27 @@ NAMES: Mapping[str, tuple[str, ...]] = {
 }
 """Names of all figures, by their subject."""
 
-OF_DRIFT: tuple[Callable[[TipDrift], Drawn | None], ...] = (drift_in_workspace,)
-
 _Subject = TypeVar("_Subject")
 
 
 def calibration_figures(result: CalibrationResult) -> Iterator[Drawn]:
-    """Figures of a calibration, those for which there is something to show.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space7")
-        >>> setup = calib_pin.read_setup(calib_pin.robot_file("space7", "setup.yaml"))
-        >>> rows = calib_pin.read_measurements(
-        ...     calib_pin.robot_file("space7", "measurements.csv"), chain
-        ... )
-        >>> result = calib_pin.calibrate(chain, rows, setup)
-        >>> [figure.name for figure in calibration_figures(result)][:2]
-        ['errors-per-measurement', 'error-vectors']
-    """
+    """Figures of a calibration, those for which there is something to show."""
     yield from _drawn(OF_CALIBRATION, result)
 
 
 def figures_of(result: CalibrationResult) -> dict[str, Figure]:
-    """The same as matplotlib figures, by name, without title and caption."""
+    """The same as matplotlib figures by name, see `CalibrationResult.figures`."""
     return {drawn.name: drawn.figure for drawn in calibration_figures(result)}
 
 
 def plan_figures(plan: Plan) -> Iterator[Drawn]:
-    """Figures of a plan, those for which there is something to show.
-
-    Example:
-        >>> import calib_pin
-        >>> chain = calib_pin.load_chain("space6")
-        >>> found = calib_pin.plan(chain, "position", 12, method="exchange")
-        >>> [figure.name for figure in plan_figures(found)]
-        ['criterion-by-count', 'predicted-deviations', 'planned-positions']
-    """
+    """Figures of a plan, those for which there is something to show."""
     yield from _drawn(OF_PLAN, plan)
 
 
 def comparison_figures(drift: TipDrift) -> Iterator[Drawn]:
     """Figures of the difference between two calibrations."""
-    yield from _drawn(OF_DRIFT, drift)
+    yield from _drawn((drift_in_workspace,), drift)
 
 
 def _drawn(

@@ -24,14 +24,12 @@ ROUNDED = re.compile(r"-?\d+\.\d{3,}")
 
 REFERENCE = re.compile(r"url\(#")
 
-COLOR = re.compile(r"#[0-9a-f]{6}\b")
-
 FONT = re.compile(r"(?P<before>[^;]*?)(?P<size>[\d.]+px)")
-"""What older versions write in one word: weight, size and family."""
+"""The font in one word, as older versions write it: weight, size and family."""
 
 
 def inlined(svg: bytes, name: str, title: str, colors: Mapping[str, str]) -> str:
-    """What matplotlib writes, made part of an HTML page.
+    """The SVG that matplotlib writes, made part of an HTML page.
 
     The page scales it and sets its font. Colors that have a name become variables of
     the page, so that it can be light or dark.
@@ -102,12 +100,10 @@ def _style(value: str, colors: Mapping[str, str]) -> str:
             continue
         if key == "font" and (found := FONT.match(rest)):
             key, rest = "font-size", found["size"]
-        kept.append(f"{key}: {COLOR.sub(lambda c: _color(c[0], colors), rest)}")
+        for code, color in colors.items():
+            rest = rest.replace(code, f"var(--{color})")
+        kept.append(f"{key}: {rest}")
     return "; ".join(kept)
-
-
-def _color(code: str, colors: Mapping[str, str]) -> str:
-    return f"var(--{colors[code]})" if code in colors else code
 
 
 def _shorter(found: re.Match[str]) -> str:
@@ -220,11 +216,7 @@ class Drawn:
         return inlined(self._saved("svg", "none"), self.name, self.title, names)
 
     def picture(self, kind: str) -> bytes:
-        """A file of its own, on white, with its heading and what to look for.
-
-        Args:
-            kind: One of `KINDS`.
-        """
+        """A file of its own, one of `KINDS`, on white, with its heading and caption."""
         figure, apart = self.figure, 0.12 / self.figure.get_figheight()
         with drawing():
             title = figure.text(0.01, 1.0 + apart, self.title, va="bottom", size=11)
@@ -283,14 +275,7 @@ def panels(
 ) -> list[Axes]:
     """Axes of equal width side by side; all lengths in inches.
 
-    Args:
-        figure: The figure.
-        count: Number of them.
-        top: Distance from the upper edge of the figure.
-        height: Height.
-        left: Distance of the first from the left edge.
-        right: Distance of the last from the right edge.
-        gap: Distance between two.
+    `left`, `top` and `right` are the distances from the edges of the figure.
     """
     width = (WIDTH - left - right - (count - 1) * gap) / count
     return [
@@ -300,12 +285,9 @@ def panels(
 
 
 def key(figure: Figure, entries: Mapping[str, Mapping[str, Any]], left: float) -> None:
-    """The legend, in one line at the upper edge.
+    """The legend, in one line at the upper edge, `left` inches from the left one.
 
-    Args:
-        figure: The figure.
-        entries: Properties of a `Line2D` by what it stands for.
-        left: Distance from the left edge [inch].
+    The entries are properties of a `Line2D` by what it stands for.
     """
     figure.legend(
         [Line2D([], [], **properties) for properties in entries.values()],

@@ -31,6 +31,9 @@ from calib_pin.validation.result import (
     ParameterEstimate,
 )
 
+Terms = Sequence[tuple[str, float]]
+"""Names of parameters and their coefficients."""
+
 
 @dataclass(frozen=True)
 class Estimate:
@@ -41,14 +44,14 @@ class Estimate:
         unit: Its unit.
         value: Estimate.
         sigma: Standard deviation.
-        terms: Names of parameters and their coefficients.
+        terms: Its parameters and their coefficients.
     """
 
     label: str
     unit: str
     value: float
     sigma: float
-    terms: tuple[tuple[str, float], ...]
+    terms: Terms
 
 
 def of_robot(
@@ -59,48 +62,28 @@ def of_robot(
     """Identifiable parameters and combinations of the robot, from base to tip.
 
     A combination that begins with a frame or the instrument is theirs.
-
-    Args:
-        parameters: All parameters.
-        groups: All coupled groups.
-        error: Tells what belongs to the robot.
     """
     own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
-    found: list[tuple[int, Estimate]] = []
-    for p in parameters:
-        if p.status == "identifiable" and p.name in own and _known(p.sigma):
-            terms = ((p.name, 1.0),)
-            found.append((place[p.name], _estimate(shortened(p.name), p, terms)))
-    for g in groups:
-        if g.terms[0][0] in own and _known(g.sigma):
-            at = place[g.terms[0][0]]
-            found.append((at, _estimate(f"combination {g.number}", g, g.terms)))
-    return [estimate for _, estimate in sorted(found, key=lambda pair: pair[0])]
-
-
-def _known(sigma: float | None) -> bool:
-    return sigma is not None and bool(np.isfinite(sigma))
-
-
-def _estimate(
-    label: str,
-    of: ParameterEstimate | CoupledGroup,
-    terms: tuple[tuple[str, float], ...],
-) -> Estimate:
-    assert of.sigma is not None, "only what is known is an estimate"
-    return Estimate(label, of.unit, of.value, of.sigma, terms)
+    found: list[tuple[str, ParameterEstimate | CoupledGroup, Terms]] = [
+        (shortened(p.name), p, ((p.name, 1.0),))
+        for p in parameters
+        if p.status == "identifiable"
+    ]
+    found += [(f"combination {g.number}", g, g.terms) for g in groups]
+    return [
+        Estimate(label, of.unit, of.value, of.sigma, terms)
+        for label, of, terms in sorted(found, key=lambda entry: place[entry[2][0][0]])
+        if terms[0][0] in own and of.sigma is not None and math.isfinite(of.sigma)
+    ]
 
 
 def correlation(
     estimates: Sequence[Estimate], places: Mapping[str, int], covariance: Floats
 ) -> Floats:
-    """Correlation of estimates, shape (n, n); NaN for one without a variance.
+    """Correlation of n estimates, shape (n, n); NaN for one without a variance.
 
-    Args:
-        estimates: The n estimates.
-        places: Positions of the parameters by name.
-        covariance: Of the parameters, shape (P, P).
+    The covariance (P, P) has the parameters at their places.
     """
     C = np.zeros((len(estimates), len(covariance)))
     for row, estimate in zip(C, estimates, strict=True):
@@ -155,9 +138,7 @@ def lists(
 ) -> tuple[Figure, list[Listed], str]:
     """A figure with empty panels, and a remark if something is left out.
 
-    Args:
-        estimates: The estimates, in order.
-        weight: Where there are too many, those where this is largest are kept.
+    Where there are too many estimates, those of the largest weight are kept.
     """
     units: dict[str, list[Estimate]] = {}
     for estimate in estimates:
@@ -205,16 +186,7 @@ def beside(
     gap: float = 4.0,
     color: str = INK,
 ) -> None:
-    """A label at the left of a line; much faster than a tick.
-
-    Args:
-        axes: The axes.
-        line: Height of the line in the axes' own numbers.
-        label: The label.
-        size: Size of the font [pt].
-        gap: Distance from the axes [pt].
-        color: Its color.
-    """
+    """A label at the left of a line; sizes in points. Much faster than a tick."""
     axes.annotate(
         label,
         (0.0, line),

@@ -68,13 +68,7 @@ def log_limits(*values: Floats) -> tuple[float, float] | None:
 
 
 def log_axis(axes: Axes, which: Literal["x", "y"], limits: tuple[float, float]) -> None:
-    """Make an axis logarithmic, with numbers as people write them.
-
-    Args:
-        axes: The axes.
-        which: Their x or their y axis.
-        limits: Its ends.
-    """
+    """Make an axis logarithmic between its limits, with numbers as people write."""
     axis = axes.xaxis if which == "x" else axes.yaxis
     axes.set(**{f"{which}scale": "log", f"{which}lim": limits})
     ticks = log_ticks(*limits)

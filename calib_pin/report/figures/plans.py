@@ -172,12 +172,9 @@ def tool_positions(plan: Plan) -> Floats:
 
 
 def _way(axes: Axes, spots: Floats, scale: float) -> None:
-    """The path, its stops, and the numbers that have room.
+    """The path (K, 2) [m], its stops, and the numbers that have room.
 
-    Args:
-        axes: A view.
-        spots: Positions in it, shape (K, 2) [m].
-        scale: Inches per meter.
+    The scale is in inches per meter.
     """
     axes.plot(*spots.T, color=MUTED, linewidth=0.7, alpha=0.5)
     axes.plot(*spots.T, **marks(AFTER, "o", 4.5))

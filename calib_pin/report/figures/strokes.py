@@ -81,13 +81,9 @@ def _sign(marker: str) -> tuple[Floats, NDArray[np.uint8]]:
 
 
 def dots(spots: Floats, color: str, width: float, scale: float) -> PathPatch:
-    """Strokes without length, whose round ends make a dot.
+    """Strokes at (N, 2) without length, whose round ends make a dot.
 
-    Args:
-        spots: Where they are, shape (N, 2).
-        color: Their color.
-        width: Their diameter [pt].
-        scale: Inches per unit.
+    The width is in points, the scale in inches per unit.
     """
     ends = spots + np.array([TINY / scale, 0.0])
     vertices = np.stack([spots, ends], axis=1).reshape(-1, 2)
@@ -96,13 +92,9 @@ def dots(spots: Floats, color: str, width: float, scale: float) -> PathPatch:
 
 
 def arrows(starts: Floats, ends: Floats, color: str, scale: float) -> PathPatch:
-    """Shafts and heads; an arrow without length is a dot.
+    """Shafts and heads from (N, 2) to (N, 2); an arrow without length is a dot.
 
-    Args:
-        starts: Where they begin, shape (N, 2).
-        ends: Where they end, shape (N, 2).
-        color: Their color.
-        scale: Inches per unit.
+    The scale is in inches per unit.
     """
     along = ends - starts
     length = np.linalg.norm(along, axis=1, keepdims=True)

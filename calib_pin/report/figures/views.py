@@ -83,12 +83,7 @@ class Sides:
         return self.scale * float(max(self.spans[1], self.spans[2]))
 
     def axes(self, figure: Figure, top: float) -> list[Axes]:
-        """The empty views, side by side.
-
-        Args:
-            figure: The figure.
-            top: Distance of the highest from its upper edge [inch].
-        """
+        """The empty views, side by side, `top` inches below the edge of the figure."""
         views, left = [], LEFT
         for right, up in SIDES:
             width, height = (self.scale * float(self.spans[k]) for k in (right, up))
@@ -112,15 +107,9 @@ def colored(
     values: Floats,
     label: str,
 ) -> None:
-    """Three views with points colored by values, and the scale of the colors.
+    """Three views of points (N, 3) [m] colored by values (N,), and the color scale.
 
-    Args:
-        figure: The figure.
-        top: Distance from its upper edge [inch].
-        sides: The views.
-        points: Points in the base link, shape (N, 3) [m].
-        values: A value of each, shape (N,); infinite ones look like the largest.
-        label: Name of the values, with their unit.
+    Infinite values look like the largest; `top` is in inches.
     """
     low, high, clipped = _range(values)
     remark = ", more at the end" if clipped else ""

@@ -92,7 +92,7 @@ def spoiled(
     rng: np.random.Generator,
 ) -> Measurements:
     """Rows with gross errors in random directions in some of them, shape (N,)."""
-    if problem.measurement.contact:
+    if problem.measurement.declaration.contact:
         sizes = np.exp(rng.uniform(*np.log(BENT), (len(rows), 1)))
         signs = rng.choice([-1.0, 1.0], rows.q.shape)
         return replace(rows, q=np.where(bad[:, None], rows.q + sizes * signs, rows.q))

@@ -10,7 +10,6 @@ import pytest
 from matplotlib.patches import PathPatch
 
 from calib_pin.report.figures.canvas import Drawn
-from calib_pin.report.figures.correlations import MOST, correlations, shown
 from calib_pin.report.figures.estimates import MOST as LINES
 from calib_pin.report.figures.estimates import (
     Estimate,
@@ -19,6 +18,7 @@ from calib_pin.report.figures.estimates import (
     of_robot,
     parameter_intervals,
 )
+from calib_pin.report.figures.identifiability import MOST, correlations, shown
 from calib_pin.validation.result import CalibrationResult
 
 

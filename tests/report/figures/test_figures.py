@@ -23,8 +23,8 @@ from calib_pin.report.figures import (
     calibration_figures,
     plan_figures,
 )
-from calib_pin.report.figures.correlations import correlations
 from calib_pin.report.figures.estimates import parameter_intervals
+from calib_pin.report.figures.identifiability import correlations
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Validation
 

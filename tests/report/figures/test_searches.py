@@ -11,7 +11,7 @@ from matplotlib.patches import PathPatch
 
 from calib_pin.report.figures.canvas import Drawn
 from calib_pin.report.figures.searches import convergence, model_ladder
-from calib_pin.report.figures.tip_accuracy import tip_by_count, tip_in_workspace
+from calib_pin.report.figures.workspace import tip_by_count, tip_in_workspace
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Candidate, ModelSelection
 

@@ -10,12 +10,12 @@ from matplotlib.patches import PathPatch
 
 from calib_pin.measurement_models import Quantity
 from calib_pin.report.figures.canvas import Drawn
-from calib_pin.report.figures.error_vectors import (
+from calib_pin.report.figures.views import SIDES
+from calib_pin.report.figures.workspace import (
     ARROWS,
     error_vectors,
     magnification,
 )
-from calib_pin.report.figures.views import SIDES
 from calib_pin.validation.result import CalibrationResult
 
 

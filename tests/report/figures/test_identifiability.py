@@ -8,8 +8,8 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.report.figures.canvas import Drawn
+from calib_pin.report.figures.identifiability import singular_values
 from calib_pin.report.figures.labels import plain
-from calib_pin.report.figures.singular_values import singular_values
 from calib_pin.validation.result import CalibrationResult
 
 

@@ -7,7 +7,7 @@ import pytest
 
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, se3_exp, so3_exp
-from calib_pin.measurement_models.camera_pose import carried_points, pose_of_points
+from calib_pin.measurement_models.camera_start import carried_points, pose_of_points
 
 ARM = load_chain("space6")
 GRID = np.array([[i, j, 0.0] for i in range(4) for j in range(3)]) * 0.03

@@ -11,7 +11,7 @@ import pytest
 from matplotlib.axes import Axes
 
 from calib_pin.report.figures.canvas import Drawn
-from calib_pin.report.figures.row_errors import LIMIT, errors_per_measurement
+from calib_pin.report.figures.measurement_errors import LIMIT, errors_per_measurement
 from calib_pin.validation.result import CalibrationResult
 
 

@@ -1,6 +1,10 @@
-"""The correlations between the estimates of the robot."""
+"""Singular values, and the correlations between the estimates of the robot."""
 
 from __future__ import annotations
+
+import math
+from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from matplotlib.axes import Axes
@@ -11,10 +15,95 @@ from matplotlib.transforms import Affine2D
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.report.figures.canvas import MUTED, WIDTH, Drawn, note, panel
+from calib_pin.report.figures.canvas import (
+    AFTER,
+    INK,
+    MUTED,
+    WIDTH,
+    Drawn,
+    marks,
+    note,
+    panel,
+    panels,
+)
 from calib_pin.report.figures.estimates import Estimate, beside, correlation, of_robot
+from calib_pin.report.figures.labels import log_axis, log_limits, plain
 from calib_pin.report.tables import number
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.result import CalibrationResult, Identifiability
+
+
+def singular_values(result: CalibrationResult) -> Drawn | None:
+    """Structural singular values with their gap beside those of the measurements."""
+    ranks = result.identifiability
+    structural, practical = (
+        any(value > 0.0 for value in values)
+        for values in (ranks.structural_values, ranks.singular_values)
+    )
+    if not structural and not practical:
+        return None
+    figure = Figure(figsize=(WIDTH, 3.0))
+    row = panels(figure, structural + practical, 0.35, 2.1, gap=0.8)
+    said = []
+    if structural:
+        _structural(row[0], ranks)
+        dropped = len(ranks.structural_values) - ranks.structural_rank
+        said.append(
+            f"Structure: {ranks.structural_rank} directions are identifiable and "
+            f"{max(dropped, 0)} numerically zero; a wide gap makes that certain."
+        )
+    if practical:
+        axes, values = row[-1], np.array(ranks.singular_values)
+        _values(axes, values, slice(None), marks(AFTER, "o", 5.0))
+        axes.set_title(f"measurements: condition {number(ranks.condition)}")
+        axes.set_xlabel("direction of the robot")
+        axes.set_ylabel("singular value, normalized")
+        said.append(
+            "Measurements: the condition number of the robot's identifiable directions "
+            f"is {number(ranks.condition)}."
+        )
+    return Drawn("singular-values", "Singular values", " ".join(said), figure)
+
+
+def _structural(axes: Axes, ranks: Identifiability) -> None:
+    values, kept = np.array(ranks.structural_values), ranks.structural_rank
+    known = {**marks(AFTER, "o", 5.0), "label": f"{kept} identifiable"}
+    low = _values(axes, values, slice(kept), known)
+    if kept < len(values):
+        label = f"{len(values) - kept} numerically zero"
+        zero = {**marks(MUTED, "x", 4.5, hollow=True), "label": label}
+        _values(axes, values, slice(kept, None), zero)
+    if 0 < kept < len(values):
+        ends = max(values[kept], low), max(values[kept - 1], low)
+        _gap(axes, kept + 0.5, *ends, ranks.gap)
+    axes.set_title("structure")
+    axes.set_xlabel("direction")
+    axes.set_ylabel("singular value, scaled")
+    axes.legend(loc="lower left")
+
+
+def _values(
+    axes: Axes, values: Floats, chosen: slice, style: Mapping[str, Any]
+) -> float:
+    """Draw some of the values by rank; returns the lower end of the log axis."""
+    limits = log_limits(values)
+    assert limits is not None, "only drawn where something is positive"
+    rank, shown = np.arange(1, len(values) + 1), np.maximum(values, limits[0])
+    axes.plot(rank[chosen], shown[chosen], **style)
+    log_axis(axes, "y", limits)
+    return limits[0]
+
+
+def _gap(axes: Axes, at: float, low: float, high: float, gap: float) -> None:
+    """A double arrow between the last value kept and the first that is zero."""
+    axes.annotate(
+        "",
+        xy=(at, high),
+        xytext=(at, low),
+        arrowprops={"arrowstyle": "<->", "color": INK, "shrinkA": 0, "shrinkB": 0},
+    )
+    told = f"gap {plain(gap)}" if math.isfinite(gap) else "the rest is zero"
+    axes.text(at, math.sqrt(low * high), f"{told}  ", ha="right", va="center")
+
 
 MOST = 40
 """Estimates that are shown at most."""

@@ -13,8 +13,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
-from calib_pin.estimation.setup_variants import geometric_setup
+from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.formulation import geometric_setup
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
@@ -176,14 +176,14 @@ def _result(
             skipped=held_out.skipped,
         ),
         solver=SolverSummary(
-            name=fitted.solver,
-            evaluator=fitted.evaluator,
+            name=fitted.problem.setup.solver.name,
+            evaluator=fitted.solution.evaluator,
             status=fitted.result.status.value,
             iterations=fitted.result.nit,
             evaluations=fitted.result.nfev,
             history=()
-            if fitted.evolution is None
-            else tuple(fitted.evolution.best_history.tolist()),
+            if fitted.solution.evolution is None
+            else tuple(fitted.solution.evolution.best_history.tolist()),
             at_bounds=tuple(names[k] for k in sorted(fitted.problem.held_at)),
             seed=seed,
         ),
@@ -193,7 +193,7 @@ def _result(
             sigma0=float(np.sqrt(chi2 / fitted.dof)) if fitted.dof > 0 else np.nan,
             stated_sigma=states_sigmas(training),
             noise=fitted.noise,
-            outliers=fitted.outliers,
+            outliers=fitted.robust.outliers,
             displaced=_displaced(model, seed),
             gains=held_out.gains,
         ),
@@ -277,7 +277,7 @@ def _urdf(
 
 def _displaced(model: FittedModel, seed: int) -> float | None:
     """How far the tool would be off with what was set aside [m]; None without it."""
-    squared = model.fit.squared
+    squared = model.fit.robust.squared
     if squared is None:
         return None
     first = CalibratedModel.create(model.fit.problem, model.fit.theta)

@@ -1,9 +1,9 @@
 """The layout that compiled kernels share: joint motions of configurations in blocks.
 
-What does not depend on parameters is computed once: `motions` holds cosine, sine and
-shift of every joint position. The innermost loops of the kernels run over a block of
-configurations in one array whose parts lie a constant distance apart, so that the
-compiler sees that they do not overlap and uses vector instructions.
+Joint motions do not depend on parameters and are computed once: `motions` holds cosine,
+sine and shift of every joint position. The innermost loops of the kernels run over a
+block of configurations in one array whose parts lie a constant distance apart, so that
+the compiler sees that they do not overlap and uses vector instructions.
 
 numba keeps machine code on disk and notices a change only in a function's own file. So
 compiled functions call none of another file, and files share this layout alone.

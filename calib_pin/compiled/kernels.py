@@ -124,7 +124,7 @@ def _step_pair(
 
 
 class Rows(NamedTuple):
-    """What a kernel needs to know of N rows beside a member's parameters.
+    """Data of N rows that do not depend on a member's parameters.
 
     Attributes:
         starts: First row of every block, shape (blocks + 1,).

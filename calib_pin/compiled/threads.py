@@ -94,7 +94,7 @@ class _SerialBlas(ContextDecorator):
 
 
 def _blas_libraries() -> list[Any]:
-    """What threadpoolctl knows of the BLAS libraries that are loaded."""
+    """The BLAS libraries that are loaded, as threadpoolctl describes them."""
     from threadpoolctl import ThreadpoolController
 
     found = ThreadpoolController().select(user_api="blas").lib_controllers

@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.estimation.model import linearized_at
+from calib_pin.estimation.model import Configurations, linearized_at
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.tool_poses import Configurations
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.mixed import contact_rows, relative_rows
 from calib_pin.observations import Measurements

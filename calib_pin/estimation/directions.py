@@ -23,32 +23,45 @@ RANK = 1e-12
 
 @dataclass(frozen=True)
 class Directions:
-    """What the fit may move, in parameters divided by their scale.
+    """Directions that a fit may move, in parameters divided by their scale.
 
     Attributes:
         nuisances: Unit vectors of the free nuisances, shape (P, f).
         robot: Robot directions that are estimated, shape (P, r).
         weak: Robot directions that stay at nominal, shape (P, w).
+        revealed: Number of the robot directions, the last ones, that nominal geometry
+            hides and that are estimated all the same; 0 for errors of expected size.
     """
 
     nuisances: Floats
     robot: Floats
     weak: Floats
+    revealed: int = 0
 
     @property
     def basis(self) -> Floats:
-        """All that is moved, shape (P, f + r)."""
+        """Moved directions, shape (P, f + r)."""
         return np.column_stack([self.nuisances, self.robot])
 
     @property
     def every(self) -> Floats:
-        """What is moved and what is left at nominal, shape (P, f + r + w)."""
+        """Moved directions and those held at nominal, shape (P, f + r + w)."""
         return np.column_stack([self.nuisances, self.robot, self.weak])
+
+    @property
+    def hidden(self) -> Floats:
+        """Robot directions that nominal geometry hides, shape (P, revealed)."""
+        return self.robot[:, self.robot.shape[1] - self.revealed :]
 
     @property
     def count(self) -> int:
         """Number of directions that are moved."""
         return int(self.nuisances.shape[1] + self.robot.shape[1])
+
+
+def nuisance_basis(parameters: ParameterSet) -> Floats:
+    """The free parameters of base, tool and instrument by their scales, (P, f)."""
+    return np.diag(parameters.scales)[:, parameters.free & parameters.nuisance]
 
 
 def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
@@ -85,12 +98,12 @@ def visible_nuisances(J: Floats, parameters: ParameterSet) -> Floats:
     """
     free = parameters.free & parameters.nuisance
     A = (J * parameters.scales)[:, free]
-    result = np.zeros((len(parameters), 0))
-    if A.shape[1]:
-        # The rows of A have the range of its transpose.
-        directions = _range(np.asarray(np.linalg.qr(A, mode="r")).T)
-        result = np.zeros((len(parameters), directions.shape[1]))
-        result[free] = directions
+    if not A.shape[1]:
+        return np.zeros((len(parameters), 0))
+    # The rows of A have the range of its transpose.
+    directions = _range(np.asarray(np.linalg.qr(A, mode="r")).T)
+    result = np.zeros((len(parameters), directions.shape[1]))
+    result[free] = directions
     return result
 
 
@@ -117,24 +130,22 @@ def practical_directions(
         sigma0: Standard deviation of unit weight of a fit, where one is known.
     """
     A = J * parameters.scales
-    system, nuisances = _project(np.column_stack([A @ robot, r]), A, parameters)
+    U = _absorbed(A, parameters)
+    system = np.column_stack([A @ robot, r])
+    system -= U @ (U.T @ system)
     # The triangular factor holds the same problem in few rows.
     triangle = np.asarray(np.linalg.qr(system, mode="r"))
-    projected, rest = triangle[:, :-1], triangle[:, -1]
-    left, s, Vt = np.linalg.svd(projected, full_matrices=True)
+    rest = triangle[:, -1]
+    left, s, Vt = np.linalg.svd(triangle[:, :-1], full_matrices=True)
     if sigma0 is None:
         along = left.T[: len(s)] @ rest
-        dof = count - nuisances
+        dof = count - U.shape[1]
         kept = _predicted_count(s, along, float(rest @ rest), dof)
     else:
         kept = int((s * WEAK > sigma0).sum())
     kept = min(kept, int((s > rounding(A) * s.max(initial=0.0)).sum()))
     nuisance = np.eye(len(parameters))[:, parameters.free & parameters.nuisance]
-    return Directions(
-        nuisances=nuisance,
-        robot=robot @ Vt[:kept].T,
-        weak=robot @ Vt[kept:].T,
-    )
+    return Directions(nuisance, robot @ Vt[:kept].T, robot @ Vt[kept:].T)
 
 
 def pruned(
@@ -170,7 +181,7 @@ def appearing(
     they show, the more the larger the errors are.
 
     Args:
-        directions: What the fit moved, and what it left at nominal.
+        directions: Directions that the fit moved, and those held at nominal.
         J: Whitened Jacobian at its solution, shape (M, P).
         r: Whitened residual there, shape (M,).
         parameters: The parameters.
@@ -238,8 +249,8 @@ def robot_singular_values(
 def _triangle(directions: Directions, J: Floats, parameters: ParameterSet) -> Floats:
     """Triangular factor of the robot directions without what nuisances can absorb."""
     A = J * parameters.scales
-    projected, _ = _project(A @ directions.robot, A, parameters)
-    return np.asarray(np.linalg.qr(projected, mode="r"))
+    columns = projected(A @ directions.robot, A, parameters)
+    return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
 def robot_svd(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
@@ -251,8 +262,8 @@ def robot_svd(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
     if not robot.any():
         return np.zeros(0), np.zeros((0, 0))
     A = J * parameters.scales
-    projected, _ = _project(A[:, robot], A, parameters)
-    _, s, Vt = np.linalg.svd(projected, full_matrices=False)
+    columns = projected(A[:, robot], A, parameters)
+    _, s, Vt = np.linalg.svd(columns, full_matrices=False)
     # Relative to what stood there before: the projection leaves rounding behind.
     tolerance = rounding(A) * np.linalg.norm(A[:, robot], 2)
     rank = int((s > tolerance).sum())
@@ -264,14 +275,6 @@ def rounding(A: Floats) -> float:
     return float(10.0 * max(A.shape, default=1) * np.finfo(float).eps)
 
 
-def _project(
-    columns: Floats, A: Floats, parameters: ParameterSet
-) -> tuple[Floats, int]:
-    """Columns with those of the nuisances in A projected out, and the rank of these."""
-    U = _range(A[:, parameters.free & parameters.nuisance])
-    return columns - U @ (U.T @ columns), U.shape[1]
-
-
 def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
     """Columns with what the nuisances can absorb of them taken away.
 
@@ -280,7 +283,13 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
         A: Whitened Jacobian times the scales, shape (M, P).
         parameters: The parameters.
     """
-    return _project(columns, A, parameters)[0]
+    U = _absorbed(A, parameters)
+    return columns - U @ (U.T @ columns)
+
+
+def _absorbed(A: Floats, parameters: ParameterSet) -> Floats:
+    """Orthonormal basis of the columns of the nuisances in A, (M, P) -> (M, k)."""
+    return _range(A[:, parameters.free & parameters.nuisance])
 
 
 def _range(A: Floats) -> Floats:
@@ -296,13 +305,7 @@ def _predicted_count(s: Floats, along: Floats, square: float, dof: int) -> int:
 
     Directions enter from the best determined on; each lowers the residual that the
     next is judged by. Starting with few keeps a poor linearization from moving what
-    the data cannot hold.
-
-    Args:
-        s: Singular values, shape (m,), descending.
-        along: Residual along the left singular vectors, shape (m,).
-        square: Sum of squared residuals without any direction.
-        dof: Residual components minus the rank of the nuisances.
+    the data cannot hold. Residuals are given along the left singular vectors, (m,).
     """
     count = 0
     while count < min(len(s), dof - 1):

@@ -1,4 +1,4 @@
-"""What decides how far a calibration can be trusted, as plain data.
+"""Facts that decide how far a calibration can be trusted, as plain data.
 
 The modules that find these facts stand on their own; the verdict, the report and the
 files read them from here.
@@ -8,10 +8,14 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple
+from typing import Literal, NamedTuple, Protocol
+
+import numpy as np
+
+from calib_pin.kinematics.spatial import Floats
 
 VERDICTS = ("good", "no-gain", "unchecked", "untrusted")
-"""What a calibration can come to."""
+"""Verdicts on a calibration."""
 
 TRUSTED = ("good", "no-gain")
 """Those of a result that may be used: as it is, or to leave the robot as it is."""
@@ -21,7 +25,7 @@ Severity = Literal["info", "warning", "error"]
 
 @dataclass(frozen=True)
 class Finding:
-    """What is wrong with the data or the result, with the numbers that show it.
+    """A defect of the data or the result, with the numbers that show it.
 
     Attributes:
         code: What it is, a word for programs such as `known-distance`.
@@ -158,3 +162,56 @@ class ExpectedAccuracy:
     unmodeled: PoseErrors
     better: float
     share: float
+
+
+class ByCount(Protocol):
+    """The error of the tip by the number of measurements."""
+
+    @property
+    def curve(self) -> tuple[Floats, Floats]:
+        """Numbers of measurements, ascending, and errors [m], both of shape (K,)."""
+        ...
+
+
+@dataclass(frozen=True)
+class FoundCurve:
+    """A curve that was found before, as a file has it."""
+
+    curve: tuple[Floats, Floats]
+
+
+@dataclass(frozen=True)
+class TipAccuracy:
+    """The error of the tip that the noise of the measurements leaves.
+
+    It is the standard deviation of the tool in the measurement frame by the covariance
+    of what was estimated; what stayed at nominal is not in it, nor what no parameter
+    of the model describes.
+
+    Attributes:
+        q: Random configurations within the joint limits, shape (N, n) [rad, m].
+        points: Tool positions in the base link, shape (N, 3) [m].
+        position: Standard deviation of these, the root of the sum over the axes,
+            shape (N,) [m].
+        orientation: That of the rotation vectors, shape (N,) [rad].
+        of_robot: Root-mean-square of both with what a displacement of base and tool
+            can absorb taken away [m] and [rad].
+        by_count: Root-mean-square of `position` with fewer measurements.
+    """
+
+    q: Floats
+    points: Floats
+    position: Floats
+    orientation: Floats
+    of_robot: tuple[float, float]
+    by_count: ByCount
+
+    @property
+    def rms(self) -> tuple[float, float]:
+        """Of position [m] and orientation [rad] over the workspace."""
+        return rms(self.position), rms(self.orientation)
+
+
+def rms(sizes: Floats) -> float:
+    """The root-mean-square of sizes, shape (N,)."""
+    return float(np.sqrt(np.mean(sizes**2)))

@@ -1,21 +1,224 @@
-"""A fitted problem: parameters with all that is known of their errors."""
+"""A fitted problem: its parameters, and how far they can be off.
+
+A fit is off by noise, and by what gears and compliance did to it.
+About any references, the covariance follows from the residual rows linearized there. A
+fit moves by `theta - theta_true = A^+ (X g + e)` where g are the random effects of
+joints that the model lacks (`systematic`) and e is noise, part of which may be the same
+in all repetitions of a configuration (`variance_components`). At another configuration
+the tool is off by
+
+    J A^+ e + (J A^+ X - X_there) g,
+
+less than both terms by themselves: a fit absorbs what it can of the effects.
+"""
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
 
-from calib_pin.estimation.directions import Directions
+from calib_pin.estimation.directions import Directions, half_covariance
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
-from calib_pin.estimation.posterior import Posterior, posterior
 from calib_pin.estimation.problem import Problem, expecting
 from calib_pin.estimation.shrinkage import Evidence
+from calib_pin.estimation.solve import Solution
 from calib_pin.estimation.statistics.systematic import ROWS, Systematic
+from calib_pin.estimation.statistics.variance_components import (
+    REJECTED,
+    by_quantity,
+    current_units,
+    repetitions,
+)
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.solvers import EvolutionResult, LeastSquaresResult
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.solvers import LeastSquaresResult
+
+
+@dataclass(frozen=True)
+class Posterior:
+    """Deviations of a fit, about the references of its problem.
+
+    Attributes:
+        problem: The problem.
+        theta: Parameter values about its references, shape (P,).
+        by_noise: Deviations of the parameters by independent noises of deviation one,
+            shape (P, r).
+        by_effects: The same by the effects of gears and compliance, shape (P, S).
+        systematic: These effects; None for none.
+        noise: Variance of a measured value of each quantity at a new configuration,
+            relative to that of its row, shape (K,).
+    """
+
+    problem: Problem
+    theta: Floats
+    by_noise: Floats
+    by_effects: Floats
+    systematic: Systematic | None
+    noise: Floats
+
+    @property
+    def covariance(self) -> Floats:
+        """Covariance of the parameters, shape (P, P)."""
+        half = np.column_stack([self.by_noise, self.by_effects])
+        return np.asarray(half @ half.T)
+
+    def twists(self, error: ErrorModel, q: Floats, J: Floats) -> Floats:
+        """Deviations of the tool as body twists, shape (N, 6, r + S).
+
+        The squares of the last axis add up to variances. Frames, the columns 0 to 5 and
+        the last six of the error model, count as what they were fitted to be.
+
+        Args:
+            error: The error model about its solution, see `Model.rebased`.
+            q: Joint positions, shape (N, n) [rad, m].
+            J: Body twists there by the parameters about these references, shape
+                (N, 6, p).
+        """
+        count = J.shape[2]
+        parts = [J @ self.by_noise[:count]]
+        if self.systematic is not None:
+            there = self.systematic.twists(error, q)
+            parts.append(J @ self.by_effects[:count] - there)
+        return np.concatenate(parts, axis=2)
+
+
+def posterior(
+    problem: Problem,
+    theta: Floats,
+    directions: Directions,
+    components: Sequence[VarianceComponent] = (),
+    systematic: Systematic | None = None,
+    size: float | None = None,
+    known: tuple[Floats, Floats] | None = None,
+    effects: Floats | None = None,
+) -> Posterior:
+    """The deviations of a fit about any references.
+
+    Args:
+        problem: The problem about these references, in the units of the fit.
+        theta: The solution about them, shape (P,).
+        directions: The directions that were moved.
+        components: The noise of every quantity; default as the units say.
+        systematic: Random effects of gears and compliance, None for none.
+        size: Expected size of errors, in scales, see `shrinkage`; None where the rows
+            alone decide.
+        known: Whitened residual and Jacobian about these references, where they have
+            been computed.
+        effects: The same of `systematic.rows`.
+    """
+    fun, jac = problem.factorize(theta) if known is None else known
+    basis, held = _held(problem, directions, size)
+    half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
+    noise = np.ones(len(problem.measurement.quantities))
+    if systematic is not None:
+        noise = systematic.noise
+    shared = _shared(problem, components, noise)
+    core = np.eye(half.shape[1])
+    if systematic is not None or shared.any():
+        products = by_quantity(problem, theta, fun, jac, half)
+        prior = held @ half
+        core = prior.T @ prior + products.known[:-1, :-1]
+        core += np.tensordot(
+            (noise - shared) / current_units(problem) ** 2,
+            products.products[:, :-1, :-1],
+            axes=1,
+        )
+    if shared.any():
+        core += _by_configuration(problem, jac @ half, shared)
+    values, vectors = np.linalg.eigh(core)
+    by_effects = np.zeros((len(theta), 0))
+    if systematic is not None:
+        # Of very many rows a sample absorbs as much as all of them.
+        few, J, inverse = problem, jac, half
+        if len(problem.data) > ROWS:
+            few = replace(problem, data=problem.data.sample(ROWS))
+            _, J = few.linearize_rows(theta)
+            own = np.concatenate([J, held])
+            inverse = half_covariance(own, basis, problem.parameters)
+        X = systematic.rows(few, theta) if effects is None else effects
+        by_effects = inverse @ ((J @ inverse)[: len(X)].T @ X)
+    return Posterior(
+        problem=problem,
+        theta=theta,
+        by_noise=half @ (vectors * np.sqrt(np.maximum(values, 0.0))),
+        by_effects=by_effects,
+        systematic=systematic,
+        noise=noise,
+    )
+
+
+def _held(
+    problem: Problem, directions: Directions, size: float | None
+) -> tuple[Floats, Floats]:
+    """Moved directions, shape (P, k), and the rows of a prior on them, (p, P).
+
+    Under a prior all errors of the robot move, those too that nominal geometry hides:
+    away from it they show a little.
+    """
+    parameters = problem.parameters
+    if size is None:
+        return directions.basis, np.zeros((0, len(parameters)))
+    alone = parameters.free & ~parameters.nuisance & ~np.isfinite(parameters.priors)
+    rows = np.diag(1.0 / (size * parameters.scales))[alone]
+    return np.eye(len(parameters))[:, parameters.free], rows
+
+
+def _shared(
+    problem: Problem, components: Sequence[VarianceComponent], noise: Floats
+) -> Floats:
+    """Part of the variances of quantities that repetitions have in common, (K,)."""
+    result = np.zeros(len(noise))
+    if problem.many:
+        return result
+    current = current_units(problem)
+    for k, component in enumerate(components):
+        lacking = component.lack_of_fit
+        if component.pure is not None and lacking is not None and lacking < REJECTED:
+            pure = (component.pure / component.given / current[k]) ** 2
+            result[k] = max(float(noise[k]) - pure, 0.0)
+    return result
+
+
+def _by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
+    """Covariance of errors that repetitions have in common, shape (r, r).
+
+    By orthonormal columns U of the rows, (M, r), and their variances, (K,).
+    """
+    size, rank = problem.components, U.shape[1]
+    rows, label = repetitions(problem)
+    each = U[: len(problem.data) * size].reshape(-1, size, rank)
+    result = np.zeros((rank, rank))
+    weight = np.sqrt(problem.data.weight)[:, None, None]
+    alone = np.ones(len(each), bool)
+    alone[rows] = False
+    for k, quantity in enumerate(problem.measurement.quantities):
+        part = each[:, quantity.columns] * weight
+        summed = np.zeros((int(label.max(initial=-1)) + 1, *part.shape[1:]))
+        np.add.at(summed, label, part[rows])
+        for columns in (summed, part[alone]):
+            flat = columns.reshape(-1, rank)
+            result += shared[k] * flat.T @ flat
+    return result
+
+
+@dataclass(frozen=True)
+class RobustDecision:
+    """Measurements that robust estimation has set aside, or why it has not.
+
+    Attributes:
+        outliers: Measurements that do not fit, worst first, with their weights.
+        squared: The fit of all measurements alike, where some have lost weight.
+        disagreement: Part of the configurations that would have to be set aside, where
+            that is so much that none was: no solution has a majority.
+    """
+
+    outliers: tuple[Outlier, ...] = ()
+    squared: Fit | None = None
+    disagreement: float = 0.0
 
 
 @dataclass(frozen=True)
@@ -26,49 +229,40 @@ class Fit:
         problem: The problem about its registered references.
         before: Parameters with only the nuisances fitted, shape (P,).
         structure: Structural analysis at nominal geometry.
-        directions: The directions that were moved and those left at nominal.
-        result: Outcome of the solver.
+        directions: The directions that were moved and those held at nominal.
+        solution: Outcome of the solver, with the last evolution, if there was one.
         rank: Practical rank: nuisance and robot directions that were estimated.
         sigma0: Standard deviation of unit weight; NaN without redundancy.
-        noise: The noise of every quantity, as the measurements show it.
-        effects: What gears and compliance do that the model does not have; None where
-            nothing shows or nobody has looked, see `with_effects`.
-        evidence: What the rows say of the size of the robot's errors, and the prior
-            that follows; None where they are exact.
-        unit: Standard deviation of unit weight of the whitened rows; 1 where the noise
-            of the quantities is in the units of the problem.
+        evidence: Size of the robot's errors by the measurements, and the prior that
+            follows; None where they are exact.
+        unit: Standard deviation of unit weight of the whitened residuals; 1 where the
+            noise of the quantities is in the units of the problem.
         singular_values: Of the whitened, scaled Jacobian of the estimated robot
             directions at the solution with the nuisances projected out, descending.
-        revealed: Robot directions that nominal geometry hides and that were moved all
-            the same, shape (P, k); k is 0 for errors of the expected size.
-        solver: Name of the solver.
-        evaluator: What evaluated the rows, see `solve.Solution`.
-        evolution: The last evolution, if there was one.
-        outliers: Measurements that do not fit, worst first, with their weights.
-        squared: The fit of all rows alike, where some have lost weight.
-        disagreement: Part of the configurations that would have to be set aside, where
-            that is so much that none was: no solution has a majority.
+        noise: The noise of every quantity, as the measurements show it.
+        effects: Gears and compliance that the model does not have; None where nothing
+            shows or nobody has looked, see `fit.with_effects`.
+        robust: Measurements that were set aside.
     """
 
     problem: Problem
     before: Floats
     structure: Structure
     directions: Directions
-    result: LeastSquaresResult
+    solution: Solution
     rank: int
     sigma0: float
     evidence: Evidence | None
     unit: float
     singular_values: Floats
-    revealed: Floats
-    solver: str
-    evaluator: str
-    evolution: EvolutionResult | None
     noise: tuple[VarianceComponent, ...] = ()
     effects: Systematic | None = None
-    outliers: tuple[Outlier, ...] = ()
-    squared: Fit | None = None
-    disagreement: float = 0.0
+    robust: RobustDecision = RobustDecision()
+
+    @property
+    def result(self) -> LeastSquaresResult:
+        """The solution as the solver found it."""
+        return self.solution.result
 
     @property
     def theta(self) -> Floats:
@@ -81,13 +275,8 @@ class Fit:
         return self.problem.count - self.rank
 
     @property
-    def size(self) -> float | None:
-        """Expected size of errors, in scales; None where the rows alone decide."""
-        return None if self.evidence is None else self.evidence.expected.size
-
-    @property
     def held(self) -> tuple[Problem, LeastSquaresResult, Floats]:
-        """With the prior among the rows: problem, solution, and what moved, (P, k)."""
+        """With the prior as residual rows: problem, solution, moved basis (P, k)."""
         if self.evidence is None or not self.evidence.matters:
             return self.problem, self.result, self.directions.basis
         expected = self.evidence.expected
@@ -105,20 +294,12 @@ class Fit:
         With what the measurements leave open and the prior holds, and with what was
         absorbed of effects that the model does not have; NaN without redundancy.
         """
-        return self.deviations.covariance
+        return self.posterior.covariance
 
     @cached_property
-    def deviations(self) -> Posterior:
-        """How far it can be off, about the references of the problem."""
-        return self.posterior(self.problem, self.theta)
-
-    @cached_property
-    def likely(self) -> tuple[Posterior, ...]:
-        """The same for each of the likely sizes of errors, see `Evidence.sizes`."""
-        if self.evidence is None:
-            return (self.deviations,)
-        sizes = self.evidence.sizes.tolist()
-        return tuple(self.posterior(self.problem, self.theta, size) for size in sizes)
+    def posterior(self) -> Posterior:
+        """Deviations of the parameters about the references of the problem."""
+        return posterior_about(self, self.problem, self.theta)
 
     @cached_property
     def registered(self) -> tuple[Floats, Floats]:
@@ -126,38 +307,46 @@ class Fit:
         return self.problem.factorize(self.before)
 
     @cached_property
-    def settled(self) -> Posterior:
-        """How far it can be off, about its solution."""
-        return self.posterior(*self.problem.rebased(self.theta))
-
-    @cached_property
     def _by_effects(self) -> Floats | None:
-        """What effects that the model does not have add to its residuals, (M, S)."""
+        """Residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:
             return None
         few = replace(self.problem, data=self.problem.data.sample(ROWS))
         return self.effects.rows(few, self.theta)
 
-    def posterior(
-        self, problem: Problem, theta: Floats, size: float | None = None
-    ) -> Posterior:
-        """How far the fit can be off, about any references.
 
-        Args:
-            problem: The problem about these.
-            theta: The solution about them, shape (P,).
-            size: Expected size of errors in place of the likeliest one.
-        """
-        own = problem is self.problem
-        found = posterior(
-            problem,
-            theta,
-            self.directions,
-            self.noise,
-            self.effects,
-            self.size if size is None else size,
-            (self.result.fun, self.result.jac) if own else None,
-            self._by_effects if own else None,
-        )
-        # Without redundancy nobody knows.
-        return replace(found, by_noise=self.unit * found.by_noise)
+def posterior_about(
+    fitted: Fit, problem: Problem, theta: Floats, size: float | None = None
+) -> Posterior:
+    """Deviations of a fit about any references.
+
+    Args:
+        fitted: The fit.
+        problem: Its problem about these.
+        theta: The solution about them, shape (P,).
+        size: Expected size of errors, in scales, in place of the likeliest one.
+    """
+    own = problem is fitted.problem
+    if size is None and fitted.evidence is not None:
+        size = fitted.evidence.expected.size
+    found = posterior(
+        problem,
+        theta,
+        fitted.directions,
+        fitted.noise,
+        fitted.effects,
+        size,
+        (fitted.result.fun, fitted.result.jac) if own else None,
+        fitted._by_effects if own else None,
+    )
+    # Without redundancy nobody knows.
+    return replace(found, by_noise=fitted.unit * found.by_noise)
+
+
+def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:
+    """Posteriors for each of the likely sizes of errors, see `Evidence.sizes`."""
+    if fitted.evidence is None:
+        return (fitted.posterior,)
+    problem, theta = fitted.problem, fitted.theta
+    sizes = fitted.evidence.sizes.tolist()
+    return tuple(posterior_about(fitted, problem, theta, size) for size in sizes)

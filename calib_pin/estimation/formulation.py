@@ -1,4 +1,4 @@
-"""The problem that a setup and rows, or a setup alone, amount to."""
+"""The problem that a setup and measurements amount to, and variants of the setup."""
 
 from __future__ import annotations
 
@@ -14,7 +14,12 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.mount import Frame
 from calib_pin.observations import Measurements
-from calib_pin.parameterizations import NOTHING, frame_pose, required_keys
+from calib_pin.parameterizations import (
+    NOTHING,
+    beyond_geometry,
+    frame_pose,
+    required_keys,
+)
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
@@ -23,7 +28,7 @@ from calib_pin.setup import Setup
 def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
     """Error model, measurement model and data of a setup put together.
 
-    A measuring frame of its own exists for positions and poses. A ranger measures
+    A measurement frame exists for positions and poses. A laser distance sensor measures
     against a plane given in the base, which is known unless the setup frees it.
 
     Raises:
@@ -126,3 +131,38 @@ def _require_payloads(data: Measurements, setup: Setup) -> None:
             column="payload",
             allowed=", ".join(known[1:]),
         )
+
+
+def geometric_setup(chain: Chain, measurements: Measurements, setup: Setup) -> Setup:
+    """The setup of the geometry that a URDF can hold; without parameters for none.
+
+    The geometry of a fit with gears and compliance is no use without them: a gear ratio
+    and an offset may nearly cancel, say. It needs a fit of its own.
+
+    Args:
+        chain: The nominal chain.
+        measurements: The measurements to fit.
+        setup: What is estimated, what is known.
+    """
+    plain = replace(setup, learned=None)
+    beyond = beyond_geometry()
+    names = tuple(name for name in setup.parameters if name not in beyond)
+    if names == setup.parameters:
+        return plain
+    return with_parameters(chain, measurements, plain, names)
+
+
+def with_parameters(
+    chain: Chain, measurements: Measurements, setup: Setup, parameters: tuple[str, ...]
+) -> Setup:
+    """The setup with other parameterizations, and without parameters they lack."""
+    names = parameter_names(chain, measurements, setup, parameters)
+    return restricted(replace(setup, parameters=parameters), names)
+
+
+def parameter_names(
+    chain: Chain, measurements: Measurements, setup: Setup, parameters: tuple[str, ...]
+) -> tuple[str, ...]:
+    """Names of the parameters of some parameterizations, frames and instrument."""
+    plain = replace(setup, parameters=parameters, fixed=(), bounds={}, prior={})
+    return make_problem(chain, measurements, plain).parameters.names

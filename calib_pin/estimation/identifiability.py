@@ -66,7 +66,7 @@ class Combination:
 
 @dataclass(frozen=True)
 class Structure:
-    """What a robot measured in one way can reveal at all.
+    """Structural identifiability of a robot that is measured in one way.
 
     Attributes:
         singular_values: Of the scaled structural Jacobian, descending.

@@ -1,4 +1,4 @@
-"""What may be wrong with joint readings where nothing of the robot explains the rows.
+"""Wrong conventions of joint readings, where no robot explains the measurements.
 
 A controller counts a joint the other way, from another zero, or relative to the joint
 before it. Each of these leaves hundreds of millimeters that no calibration removes, and
@@ -24,7 +24,7 @@ from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
 
 ROWS = 60
-"""Rows that readings are tried on."""
+"""Measurements that readings are tried on."""
 
 MOST = 3
 """Things that may be wrong at once."""
@@ -71,7 +71,7 @@ class Reading:
         return np.asarray(self.sign * read + self.offset)
 
     def words(self, joints: Sequence[str]) -> str:
-        """What is wrong, in words."""
+        """The mistake in words."""
         what = []
         if self.coupled is not None:
             what.append(f"coupled to '{joints[self.coupled]}'")
@@ -82,7 +82,7 @@ class Reading:
         return f"joint '{joints[self.joint]}' is {' and '.join(what)}"
 
     def entry(self, joints: Sequence[str], columns: Sequence[str]) -> str:
-        """What mends it under `joints` in a setup file, of plain file columns."""
+        """Its entry under `joints` in a setup file, of plain file columns."""
         keys = [f"joint: {joints[self.joint]}"]
         if self.coupled is not None:
             keys.append(f"coupled: {{{columns[self.coupled]}: {self.factor}}}")
@@ -95,7 +95,7 @@ class Reading:
 
 @dataclass(frozen=True)
 class Suggestion:
-    """Readings with which the rows make sense.
+    """Readings with which the measurements make sense.
 
     Attributes:
         readings: What to change.
@@ -109,7 +109,7 @@ class Suggestion:
     after: float
 
     def text(self, joints: Sequence[str], maps: Mapping[str, JointMap]) -> str:
-        """What to do about it, for a message.
+        """Advice for a message.
 
         Args:
             joints: Names of the chain's joints.
@@ -209,7 +209,7 @@ def _read(rows: Measurements, readings: Mapping[int, Reading]) -> Measurements:
 def _misfit(chain: Chain, rows: Measurements, setup: Setup) -> float:
     """Error of the registered nominal robot, rms in standard deviations.
 
-    The closed form is enough to tell a robot from none; without a measuring frame
+    The closed form is enough to tell a robot from none; without a measurement frame
     there may be nothing in closed form, and it is fitted.
     """
     problem = make_problem(chain, rows, setup)

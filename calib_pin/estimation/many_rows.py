@@ -16,6 +16,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterator
 from dataclasses import replace
+from functools import partial
 
 import numpy as np
 
@@ -45,26 +46,17 @@ class ManyRows:
         self._segments = Segments.of(model.error)
         self._measurement, self._split = model.measurement, model.split
         self._threads = Threads()
-        self._chunks = list(
-            self._threads.map(
-                lambda start: _Chunk(self._segments, data, sigma, start),
-                range(0, len(data), CHUNK),
-            )
-        )
+        chunk = partial(_Chunk, self._segments, data, sigma)
+        self._chunks = list(self._threads.map(chunk, range(0, len(data), CHUNK)))
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, shape (N, d)."""
         chain, own = self._evaluated(theta)
-        return np.concatenate(
-            list(
-                self._threads.map(
-                    lambda chunk: self._measurement.residual(
-                        chunk.poses(chain), own, chunk.data
-                    ),
-                    self._chunks,
-                )
-            )
-        )
+
+        def errors(chunk: _Chunk) -> Floats:
+            return self._measurement.residual(chunk.poses(chain), own, chunk.data)
+
+        return np.concatenate(list(self._threads.map(errors, self._chunks)))
 
     def cost(self, theta: Floats, further: Floats) -> float:
         """Half the sum of squares of the whitened residuals and of further ones."""
@@ -118,15 +110,8 @@ class ManyRows:
                 [linear.J_instrument, linear.residual[:, :, None]], axis=2
             )
             result = np.empty((size, size))
-            kernel(
-                chain,
-                chunk.motion,
-                chunk.starts,
-                linear.J_pose,
-                others,
-                chunk.weights,
-                result,
-            )
+            rows = linear.J_pose, others, chunk.weights
+            kernel(chain, chunk.motion, chunk.starts, *rows, result)
             return result
 
         return self._threads.map(reduced, self._chunks)

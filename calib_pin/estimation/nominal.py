@@ -1,4 +1,8 @@
-"""The nominal robot: its frames fitted, and its structure at random configurations."""
+"""The nominal robot: its frames fitted, its structure, and whether its scale is known.
+
+A robot whose lengths are all longer by one factor moves like the nominal one, only
+larger. What it leaves at angles or in the sockets of a ball is the same.
+"""
 
 from __future__ import annotations
 
@@ -9,15 +13,24 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.configurations import asked, observable_configurations
-from calib_pin.estimation.directions import visible_directions
+from calib_pin.estimation.directions import nuisance_basis, visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
+from calib_pin.estimation.model import Configured, ToolPoses
 from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.estimation.registration import registered
-from calib_pin.estimation.scale import scale_observable
 from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.tool_poses import Configured
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.solvers import LeastSquaresResult
+
+EXPLAINED = 1e-6
+"""Part of a change of scale that rounding leaves where parameters express it."""
+
+UNKNOWN = 0.01
+"""Standard deviation of the scale from which it counts as unobservable.
+
+The tip of an arm of a meter is then off by a centimeter.
+"""
 
 
 @serial_blas
@@ -34,8 +47,7 @@ def register(problem: Problem, theta: Floats) -> tuple[Problem, LeastSquaresResu
     parameters = problem.parameters
     problem = registered(problem, theta)
     start = np.where(parameters.nuisance, 0.0, theta)
-    free = parameters.free & parameters.nuisance
-    return problem, least_squares(problem, start, np.diag(parameters.scales)[:, free])
+    return problem, least_squares(problem, start, nuisance_basis(parameters))
 
 
 @serial_blas
@@ -53,7 +65,7 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    # Mixed rows have only a part of the components each.
+    # Mixed measurements have only a part of the components each.
     least = min(
         q.columns.stop - q.columns.start for q in problem.measurement.quantities
     )
@@ -81,7 +93,8 @@ def structure_at(
     at = asked(problem, q, target)
     J = jacobian_at(problem, theta, at)
     found = structure(J[: len(J) - problem.priors], problem.parameters, len(q))
-    return replace(found, scaled=scale_observable(problem, theta, at, J)), J
+    scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
+    return replace(found, scaled=scaled), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
@@ -95,3 +108,84 @@ def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
     J = problem.jacobian(theta, at, sigma_at(problem, at.target))
     rows = J.reshape(-1, len(theta))
     return np.concatenate([rows, problem.further.jacobian(theta)])
+
+
+def scale_deviation(
+    problem: Problem, theta: Floats, at: Configured, J: Floats
+) -> float:
+    """Standard deviation of the logarithm of a robot's size.
+
+    Of all changes of the parameters that move the tool as if every length grew by one
+    factor, up to a fixed displacement of base and tool, the one is taken that the
+    residual rows (with known distances and priors) notice least. A robot whose lengths
+    are not all estimated cannot grow; its scale is known.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values with the robot at nominal, shape (P,).
+        at: Configurations that its instrument can measure.
+        J: The whitened Jacobian there, with all further rows, shape (M, P).
+
+    Returns:
+        The deviation; zero where the robot cannot grow, infinite where no row changes.
+    """
+    of_robot, _ = problem.split(theta)
+    free = problem.parameters.free
+    basis = problem.error.basis(at.q, at.payload)
+    poses = problem.error.linearize(at.q, of_robot, basis)
+    count = len(poses.T)
+    twists = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
+    by_parameters: Floats = np.zeros((6 * count, len(theta)))
+    by_parameters[:, : len(of_robot)] = twists.reshape(6 * count, -1)
+    scales = problem.parameters.scales
+    at_base = adjoint(invert(poses.to_base)).reshape(6 * count, 6)
+    at_tool = np.tile(np.eye(6), (count, 1))
+    moved = np.column_stack([(by_parameters * scales)[:, free], at_base, at_tool])
+    rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), 12))])
+    b = _grown(poses, poses.to_base).reshape(-1)
+    _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
+    rank = int((s > 1e-11 * s[0]).sum())
+    # Minimum-norm growth, and all that changes without moving the tool.
+    z = Vt[:rank].T @ ((Vt[:rank] @ (moved.T @ b)) / s[:rank] ** 2)
+    if np.linalg.norm(moved @ z - b) > EXPLAINED * np.linalg.norm(b):
+        return 0.0
+    still = rows @ Vt[rank:].T
+    noticed = rows @ z
+    noticed = noticed - still @ np.linalg.lstsq(still, noticed, rcond=1e-11)[0]
+    size = float(np.linalg.norm(noticed))
+    # What rounding leaves of large terms is nothing noticed.
+    least = EXPLAINED * float(np.linalg.norm(rows * z))
+    return 1.0 / size if size > least else np.inf
+
+
+def growth(problem: Problem, theta: Floats) -> Floats:
+    """Derivative of the whitened residuals by the logarithm of the robot's size.
+
+    All lengths from the base to the tip grow by one factor; base and tool stay.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+
+    Returns:
+        The derivative, component by component as in `Problem.sigma`, shape (N d,).
+    """
+    of_robot, instrument = problem.split(theta)
+    tool = ToolPoses(problem.error, problem.data).linearize(of_robot)
+    T, poses, start, begun = tool.T, tool.poses, tool.start, tool.begun
+    grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
+    if start is not None:
+        # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
+        begins = _grown(start, start.to_base @ invert(start.to_tip))
+        grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
+    J_pose = problem.measurement.linearize(T, instrument, problem.data).J_pose
+    changes = (J_pose @ grown[:, :, None])[:, :, 0] / problem.sigma
+    return np.asarray(changes.reshape(-1))
+
+
+def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:
+    """Body twists of the tool as a point on it, (N, 4, 4), leaves the base, (N, 6)."""
+    twists = np.zeros((len(to_point), 6))
+    R, p = poses.to_base[:, :3, :3], to_point[:, :3, 3]
+    twists[:, :3] = np.einsum("nji,nj->ni", R, p)
+    return twists

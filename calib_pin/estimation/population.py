@@ -118,10 +118,8 @@ class _Part:
     def costs(self, chains: Floats, amounts: Floats, instrument: Floats) -> Floats:
         """Half the sums of squares of these rows, shape (S,).
 
-        Args:
-            chains: Links of the members, shape (S, n + 1, 12).
-            amounts: Their joint corrections, shape (S, C).
-            instrument: Parameters of their instrument, shape (S, K).
+        By links of the members, (S, n + 1, 12), their joint corrections, (S, C), and
+        instruments, (S, K).
         """
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))
         if found.stand is not None and found.mount is not None:

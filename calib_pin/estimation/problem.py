@@ -5,22 +5,16 @@ from __future__ import annotations
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.evaluators import (
-    Evaluator,
-    RowByRow,
-    evaluator,
-    joined,
-    whitened,
-)
-from calib_pin.estimation.known_distances import KnownDistances
-from calib_pin.estimation.model import Model
-from calib_pin.estimation.row_blocks import Blocks, Expected, Priors
+from calib_pin.estimation.model import Model, ToolPoses, whitened_jacobian
+from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import Linearization
 from calib_pin.measurement_models.mixed import absent, assumed_sigma
 from calib_pin.observations import Measurements, states_sigmas
 from calib_pin.parameters import ParameterSet
@@ -32,6 +26,123 @@ SAMPLE = 10_000
 EXACT = 1e-6
 """Scatter, in standard deviations, below which measurements differ by rounding alone.
 """
+
+
+MANY = 1_000_000
+"""Entries of a Jacobian from which measurements go through the compiled kernels, in
+chunks.
+
+Below, Pinocchio takes less time than loading the kernels.
+"""
+
+
+class Evaluator(Protocol):
+    """The measurements as a function of all parameters theta, shape (P,)."""
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, predicted minus measured, shape (N, d)."""
+        ...
+
+    def cost(self, theta: Floats, further: Floats) -> float:
+        """Half the sum of squares of the whitened residuals and of further ones."""
+        ...
+
+    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (M,), and Jacobian, (M, P), good for a step."""
+        ...
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """The same to full precision, for decisions about ranks."""
+        ...
+
+
+class RowByRow:
+    """Measurements of a model by Pinocchio, a residual row for each value.
+
+    Args:
+        model: The model.
+        data: The measurements.
+        sigma: Standard deviations of the residual components, shape (N, d).
+    """
+
+    def __init__(self, model: Model, data: Measurements, sigma: Floats) -> None:
+        """Prepare nothing: what does not change is computed where it is needed."""
+        self._model, self._data, self._sigma = model, data, sigma
+
+    @cached_property
+    def _tool(self) -> ToolPoses:
+        return ToolPoses(self._model.error, self._data)
+
+    def errors(self, theta: Floats) -> Floats:
+        """Residuals in their units, shape (N, d)."""
+        of_robot, instrument = self._model.split(theta)
+        T = self._tool(of_robot)
+        return self._model.measurement.residual(T, instrument, self._data)
+
+    def residual(self, theta: Floats) -> Floats:
+        """Whitened residual, shape (N d,)."""
+        return whitened(self.errors(theta), self._data, self._sigma)
+
+    def cost(self, theta: Floats, further: Floats) -> float:
+        """Half the sum of squares of the whitened residuals and of further ones."""
+        r = joined(self.residual(theta), further)
+        return 0.5 * float(r @ r)
+
+    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Whitened residual, shape (N d,), and Jacobian, shape (N d, P)."""
+        of_robot, instrument = self._model.split(theta)
+        tool = self._tool.linearize(of_robot)
+        linear = self._model.measurement.linearize(tool.T, instrument, self._data)
+        known = Linearization(
+            linear.residual,
+            kept(linear.J_pose, self._data),
+            kept(linear.J_instrument, self._data),
+        )
+        J = whitened_jacobian(tool, known, self._sigma).reshape(-1, len(theta))
+        return whitened(linear.residual, self._data, self._sigma), J
+
+    factorize = linearize
+
+
+def evaluator(
+    model: Model, data: Measurements, sigma: Floats, parameters: int
+) -> Evaluator:
+    """Compiled kernels where a Jacobian would be too large to be handy.
+
+    Args:
+        model: The model.
+        data: The measurements.
+        sigma: Standard deviations of the residual components, shape (N, d).
+        parameters: Number of parameters P.
+    """
+    few = len(data) * model.components * parameters < MANY
+    if few or not model.error.geometric or model.measurement.declaration.relative:
+        return RowByRow(model, data, sigma)
+    from calib_pin.estimation.many_rows import ManyRows
+
+    return ManyRows(model, data, sigma)
+
+
+def whitened(errors: Floats, data: Measurements, sigma: Floats) -> Floats:
+    """Residuals in standard deviations, (N, d) -> (N d,)."""
+    return np.asarray((kept(errors, data) / sigma).reshape(-1))
+
+
+def kept(values: Floats, data: Measurements) -> Floats:
+    """Values with zeros for measurements that are set aside, shape (N, ...).
+
+    They may be so wrong that they cannot be predicted, and nothing times infinity is
+    not nothing.
+    """
+    if data.weight.all():
+        return values
+    aside = (data.weight == 0.0).reshape(-1, *[1] * (values.ndim - 1))
+    return np.where(aside, 0.0, values)
+
+
+def joined(rows: Floats, further: Floats) -> Floats:
+    """Rows with further ones behind them; without any, no copy."""
+    return np.concatenate([rows, further]) if len(further) else rows
 
 
 @dataclass(frozen=True)

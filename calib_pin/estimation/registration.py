@@ -49,12 +49,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
 
 
 def _require_loose(problem: Problem, start: int) -> None:
-    """Refuse fixed, bounds or prior on what has no reference to be about.
-
-    Args:
-        problem: The problem.
-        start: Position of the first instrument parameter.
-    """
+    """Refuse fixed, bounds or prior on what has no reference to be about."""
     references = problem.measurement.references
     for reference, part in zip(references, slices(references), strict=True):
         if reference.located:

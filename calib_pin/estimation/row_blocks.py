@@ -1,30 +1,28 @@
-"""Residual rows beside the measurements: known distances, expected sizes, priors."""
+"""Residual rows beside the measurements: known distances, expected sizes, priors.
+
+Known distances between points, those of a gauge or of the sockets of one plate, say
+nothing of the robot by themselves. A ball in two sockets a known distance apart is what
+gives a robot without any other length its scale.
+"""
 
 from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from typing import Protocol
+from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
-
-
-class RowBlock(Protocol):
-    """Whitened residual rows as a function of all parameters."""
-
-    def __len__(self) -> int:
-        """Number p of rows."""
-        ...
-
-    def residual(self, theta: Floats) -> Floats:
-        """The rows for one vector of parameters or for many, (..., P) -> (..., p)."""
-        ...
-
-    def jacobian(self, theta: Floats) -> Floats:
-        """Their derivative, (P,) -> (p, P)."""
-        ...
+from calib_pin.measurement_models.references import (
+    Anchor,
+    Point,
+    ReferenceObject,
+    Sphere,
+    slices,
+)
+from calib_pin.setup import DistanceSetup
 
 
 @dataclass(frozen=True)
@@ -79,13 +77,13 @@ class Priors:
 
 @dataclass(frozen=True)
 class Blocks:
-    """Several blocks one behind the other.
+    """Whitened residual rows of several kinds, one behind the other.
 
     Attributes:
         blocks: The blocks, none of them empty.
     """
 
-    blocks: Sequence[RowBlock]
+    blocks: Sequence[KnownDistances | Expected | Priors]
 
     def __len__(self) -> int:
         """Number p of rows."""
@@ -102,3 +100,98 @@ class Blocks:
         empty = np.empty((0, len(theta)))
         rows = [block.jacobian(theta) for block in self.blocks]
         return np.concatenate([empty, *rows])
+
+
+@dataclass(frozen=True)
+class KnownDistances:
+    """D distances between reference objects of a measurement model.
+
+    Attributes:
+        stated: The distances.
+        ends: Places of both ends about the references, shape (D, 2, 3) [m].
+        columns: Where the coordinates of both ends stand among the parameters, shape
+            (D, 2, 3); -1 where they are no parameters.
+    """
+
+    stated: tuple[DistanceSetup, ...]
+    ends: Floats
+    columns: NDArray[np.int64]
+
+    @staticmethod
+    def of(
+        distances: Sequence[DistanceSetup],
+        references: Sequence[ReferenceObject],
+        first: int = 0,
+    ) -> KnownDistances:
+        """Those of the distances whose both ends are among some references.
+
+        Args:
+            distances: What is known.
+            references: Those of a measurement model, in their order.
+            first: Position of the first instrument parameter among all.
+        """
+        found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
+        # A point of the tool yields its name to a place of the same name.
+        for reference, part in zip(references, slices(references), strict=True):
+            hidden = reference.section == "targets" and reference.name in found
+            if hidden or not isinstance(reference, Point | Sphere | Anchor):
+                continue
+            if reference.xyz is not None:
+                # The known points of a camera have no parameters.
+                columns = np.full(3, -1)
+                if part.stop > part.start:
+                    columns = first + part.start + np.arange(3)
+                found[reference.name] = reference.xyz, columns
+        known = tuple(d for d in distances if all(name in found for name in d.between))
+        ends = [[found[name][0] for name in d.between] for d in known]
+        positions = [[found[name][1] for name in d.between] for d in known]
+        return KnownDistances(
+            known,
+            np.array(ends).reshape(-1, 2, 3),
+            np.array(positions, np.int64).reshape(-1, 2, 3),
+        )
+
+    def __len__(self) -> int:
+        """Number of distances D."""
+        return len(self.stated)
+
+    def lengths(self, theta: Floats) -> Floats:
+        """The distances that the model predicts, (..., P) -> (..., D) [m].
+
+        Args:
+            theta: Parameter values, one vector or many.
+        """
+        return np.asarray(np.linalg.norm(self._vectors(theta), axis=-1))
+
+    def residual(self, theta: Floats) -> Floats:
+        """Whitened residuals, predicted minus known, (..., P) -> (..., D)."""
+        return np.asarray((self.lengths(theta) - self._values) / self._sigma)
+
+    def jacobian(self, theta: Floats) -> Floats:
+        """Derivative of the whitened residuals by the parameters, shape (D, P)."""
+        vectors = self._vectors(theta)
+        result = np.zeros((len(self), len(theta)))
+        for k, (vector, columns) in enumerate(zip(vectors, self.columns, strict=True)):
+            length = float(np.linalg.norm(vector))
+            # Points in one place have no direction to part in.
+            direction = vector / (length or np.inf) / self._sigma[k]
+            for end, sign in zip(columns, (-1.0, 1.0), strict=True):
+                if end[0] >= 0:
+                    result[k, end] = sign * direction
+        return result
+
+    @cached_property
+    def _values(self) -> Floats:
+        return np.array([distance.value for distance in self.stated])
+
+    @cached_property
+    def _sigma(self) -> Floats:
+        return np.array([distance.sigma for distance in self.stated])
+
+    def _vectors(self, theta: Floats) -> Floats:
+        """From one end to the other, shape (..., D, 3) [m]."""
+        # What is no parameter finds a zero behind the others.
+        padded = np.zeros((*theta.shape[:-1], theta.shape[-1] + 1))
+        padded[..., :-1] = theta
+        ends = self.ends + padded[..., self.columns]
+        return np.asarray(ends[..., 1, :] - ends[..., 0, :])

@@ -4,8 +4,8 @@
 
 Z turns about z or shifts along it. Whatever stands between two joint motions becomes
 one segment: constants multiplied together and moved to the left, and behind them the
-screws of the parameters in their order, each carried along by the adjoint. Joints that
-a chain passes backwards have their sign in the motion and inverted screws.
+screws of the parameters in their order, each transformed by the adjoint. Joints that a
+chain traverses from child to parent have their sign in the motion and inverted screws.
 """
 
 from __future__ import annotations
@@ -39,7 +39,7 @@ class Segments:
         screws: Screws in the order they apply; `place` is the segment, 0..n, and the
             twist acts at its end.
         parameter: Parameter of each screw, shape (P,).
-        signs: -1 for joints passed backwards, 1 for the others, shape (n,).
+        signs: -1 for joints traversed from child to parent, else 1, shape (n,).
         revolute: True for joints that turn, shape (n,).
     """
 
@@ -90,11 +90,7 @@ class Segments:
         return np.array([screw.twist for screw in self.screws]).reshape(-1, 6)
 
     def links(self, theta: Floats) -> Floats:
-        """Links of a population, shape (S, n + 1, 12).
-
-        Args:
-            theta: Parameter values of the members, shape (S, P).
-        """
+        """Links of a population of parameter values, (S, P) -> (S, n + 1, 12)."""
         from calib_pin.compiled import link_kernels
 
         result = np.empty((len(theta), *self.constants.shape))
@@ -104,11 +100,7 @@ class Segments:
         return result
 
     def columns(self, theta: Floats) -> Floats:
-        """Body twists at the ends of all segments by parameter, shape (6 n + 6, P).
-
-        Args:
-            theta: Parameter values, shape (P,).
-        """
+        """Body twists at the ends of all segments by parameter, shape (6 n + 6, P)."""
         count = len(self.constants)
         twists, _ = ordered_screws(self.screws, theta[self.parameter], count)
         result = np.zeros((6 * count, len(theta)))

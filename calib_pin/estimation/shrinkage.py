@@ -40,7 +40,7 @@ VISIBLE = 1e-9
 
 @dataclass(frozen=True)
 class Evidence:
-    """What a least-squares fit says of the size of the robot's errors.
+    """The size of the robot's errors by a least-squares fit.
 
     Attributes:
         expected: The prior.
@@ -97,7 +97,7 @@ def expected_errors(
     """The prior of the robot's directions by the evidence of a least-squares fit.
 
     Args:
-        directions: What the fit moved, and what it left at nominal.
+        directions: Directions that the fit moved, and those held at nominal.
         parameters: The parameters; what has a prior of its own has no other.
         theta: The solution, shape (P,).
         fun: Whitened residual there, shape (M,).

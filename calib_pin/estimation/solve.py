@@ -1,9 +1,9 @@
-"""Problems meet solvers: Gauss-Newton, two steps by turns, differential evolution.
+"""Problems meet solvers: Gauss-Newton, alternating steps, differential evolution.
 
 All move the parameters in given directions only. Gauss-Newton follows the derivative
-from a start, in all directions or by turns in those of the frames and of the robot;
-evolution searches a box around the nominal robot whose size the linear
-solution suggests, with the compiled kernels, and needs no derivative.
+from a start, in all directions or alternating between frames and robot; evolution
+searches a box around the nominal robot whose size the linear solution suggests, with
+the compiled kernels, and needs no derivative.
 """
 
 from __future__ import annotations
@@ -60,7 +60,7 @@ NEGLIGIBLE = 0.01
 
 
 @dataclass(frozen=True)
-class Solved:
+class Solution:
     """A solution, and how it was found.
 
     Attributes:
@@ -80,7 +80,7 @@ class Solver:
 
     Args:
         problem: A problem with the setup.
-        rng: Random generator of evolutions.
+        rng: Random generator of evolutions and of the configurations around them.
         progress: Told how far an evolution is.
 
     Raises:
@@ -95,7 +95,7 @@ class Solver:
     ) -> None:
         """Check the name and the options."""
         stated = problem.setup.solver
-        self._rng, self._progress = rng, progress
+        self.rng, self._progress = rng, progress
         self.name = stated.name
         try:
             require_known("solver", self.name, SOLVERS)
@@ -117,7 +117,7 @@ class Solver:
         directions: Directions,
         nominal: Floats,
         previous: Floats | None,
-    ) -> Solved:
+    ) -> Solution:
         """Minimize the cost in some directions.
 
         Args:
@@ -128,7 +128,16 @@ class Solver:
         """
         start = nominal if previous is None else previous
         if self.name == "two-step":
-            return alternating_least_squares(problem, directions, start)
+            # Base, tool and instrument alternate with the robot until they agree.
+            scales = problem.parameters.scales[:, None]
+            result = alternation(
+                problem.linearize,
+                problem.cost,
+                start,
+                scales * directions.nuisances,
+                scales * directions.robot,
+            )
+            return Solution(result, "kernel" if problem.many else "pinocchio")
         searches = self.searches and directions.count > 0
         if self.name == "de" and searches:
             return self._evolve(problem, directions, nominal, start)
@@ -148,7 +157,7 @@ class Solver:
 
     def _evolve(
         self, problem: Problem, directions: Directions, nominal: Floats, start: Floats
-    ) -> Solved:
+    ) -> Solution:
         """Differential evolution in a box around the nominal robot."""
         from calib_pin.estimation.population import PopulationCost
 
@@ -169,7 +178,7 @@ class Solver:
         found = differential_evolution(
             evaluate,
             bounds,
-            self._rng,
+            self.rng,
             self._options,
             x0=np.clip(first, *bounds.T),
         )
@@ -179,33 +188,18 @@ class Solver:
         result = LeastSquaresResult(
             x, fun, jac, found.fun, found.nit, found.nfev, status
         )
-        return Solved(result, costs.evaluator, found)
+        return Solution(result, costs.evaluator, found)
 
 
-def descend(problem: Problem, directions: Directions, start: Floats) -> Solved:
+def descend(problem: Problem, directions: Directions, start: Floats) -> Solution:
     """Gauss-Newton in some directions from a start, shape (P,)."""
     basis = problem.parameters.scales[:, None] * directions.basis
     result = least_squares(problem, start, basis)
-    return Solved(result, "kernel" if problem.many else "pinocchio")
-
-
-def alternating_least_squares(
-    problem: Problem, directions: Directions, start: Floats
-) -> Solved:
-    """Base, tool and instrument, then the robot, by turns until they agree."""
-    scales = problem.parameters.scales[:, None]
-    result = alternation(
-        problem.linearize,
-        problem.cost,
-        start,
-        scales * directions.nuisances,
-        scales * directions.robot,
-    )
-    return Solved(result, "kernel" if problem.many else "pinocchio")
+    return Solution(result, "kernel" if problem.many else "pinocchio")
 
 
 def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquaresResult:
-    """Gauss-Newton from a start; very many rows begin with a sample of them.
+    """Gauss-Newton from a start; very many measurements begin with a sample of them.
 
     Args:
         problem: The problem.
@@ -264,12 +258,7 @@ def _judged(problem: Problem, found: EvolutionResult, fun: Floats, A: Floats) ->
     """An evolution has converged where next to nothing is left to gain.
 
     A population can meet anywhere, and a limit of generations can come at a minimum.
-
-    Args:
-        problem: What it minimized.
-        found: The evolution.
-        fun: Residual at its best member, shape (M,).
-        A: Jacobian by its directions there, shape (M, k).
+    Residual, (M,), and Jacobian by directions, (M, k), are those of its best member.
     """
     if found.status not in (Status.GENERATIONS, Status.CONVERGED):
         return found.status

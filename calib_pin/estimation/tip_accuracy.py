@@ -1,4 +1,4 @@
-"""How well a fit knows where the tip is, over the workspace and by number of rows."""
+"""Predicted tool-point uncertainty, over the workspace and by measurements."""
 
 from __future__ import annotations
 
@@ -10,8 +10,8 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
-from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.predicted_tip import TipAccuracy, rms
+from calib_pin.estimation.evidence import TipAccuracy, rms
+from calib_pin.estimation.fitted import Fit, posterior_about
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
@@ -19,10 +19,10 @@ SAMPLES = 300
 """Configurations of the workspace."""
 
 ROWS = 400
-"""Rows among which the error is followed from few to many."""
+"""Measurements among which the error is followed from few to many."""
 
 COUNTS = 16
-"""Numbers of rows at which it is looked at."""
+"""Numbers of measurements at which it is looked at."""
 
 ROUNDING = 1e-7
 """Least singular value, of columns of unit length, with which they determine all: by
@@ -30,7 +30,7 @@ rounding it is up to 2e-8 where they do not."""
 
 
 LEVER = 1e-4
-"""What a radian weighs where frames are fitted to poses [m].
+"""Weight of a radian where frames are fitted to poses [m].
 
 So little that positions decide, and orientations only what positions leave open: where
 only positions were measured, orientations are known poorly or not at all.
@@ -118,7 +118,8 @@ def tip_accuracy(
     q = error.chain.random_configurations(SAMPLES, rng)
     T, J = error.jacobian(q, theta[:of_error])
     # Parameters are deviations from references, and so is their covariance.
-    twists = fitted.settled.twists(error, q, J)
+    settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
+    twists = settled.twists(error, q, J)
     position, orientation = _deviations(twists)
     alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)

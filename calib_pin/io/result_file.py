@@ -15,9 +15,10 @@ from calib_pin.estimation.evidence import (
     VERDICTS,
     ExpectedAccuracy,
     Finding,
+    FoundCurve,
     PoseErrors,
+    TipAccuracy,
 )
-from calib_pin.estimation.predicted_tip import FoundCurve, TipAccuracy
 from calib_pin.io.calibrated_model import model_of, reference_of
 from calib_pin.io.calibration_document import CURVE, SAMPLES
 from calib_pin.io.json_text import Json, typed

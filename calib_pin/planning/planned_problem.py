@@ -169,7 +169,6 @@ class Predicted:
         theta: Parameter values, all zero, shape (P,).
         covariance: Of the parameters, shape (P, P).
         directions: The directions that will be estimated, and those too weak for it.
-        revealed: None, shape (P, 0).
         position: Root-mean-square error of the tip over the test poses that noise
             leaves [m].
         orientation: The same of its orientation [rad].
@@ -178,7 +177,6 @@ class Predicted:
     theta: Floats
     covariance: Floats
     directions: Directions
-    revealed: Floats
     position: float
     orientation: float
 
@@ -210,7 +208,6 @@ def predict(
         theta=np.zeros(len(of)),
         covariance=basis @ covariance @ basis.T,
         directions=Directions(scaled[:, :f], robot[:, strong], robot[:, ~strong]),
-        revealed=np.zeros((len(of), 0)),
         position=float(np.sqrt(np.sum(tests.position * covariance))),
         orientation=float(np.sqrt(np.sum(tests.orientation * covariance))),
     )

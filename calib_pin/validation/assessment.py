@@ -14,7 +14,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.identifiability import Structure, everett_count, observability
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameters import ParameterSet
@@ -99,10 +99,6 @@ class Estimated(Protocol):
     def directions(self) -> Directions:
         """The directions that are estimated and those held at nominal."""
 
-    @property
-    def revealed(self) -> Floats:
-        """Directions that only large errors reveal, shape (P, k)."""
-
 
 def estimates(
     parameters: ParameterSet, structure: Structure, fitted: Estimated | None = None
@@ -152,7 +148,7 @@ def estimates(
             return "fixed"
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
-            moved = fitted is not None and fitted.revealed[k].any()
+            moved = fitted is not None and fitted.directions.hidden[k].any()
             return "weak" if moved else "unidentifiable"
         if k in alone:
             return "identifiable" if alone[k] else "weak"
@@ -185,7 +181,7 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
         ),
         rank=fitted.rank,
         weak=fitted.directions.weak.shape[1],
-        revealed=fitted.revealed.shape[1],
+        revealed=fitted.directions.revealed,
         correlated=tuple(_correlated(fitted)),
     )
 

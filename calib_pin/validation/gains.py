@@ -19,7 +19,7 @@ from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import spectrum
-from calib_pin.estimation.statistics.student import student_tail
+from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
 from calib_pin.validation.model_errors import ModelErrors

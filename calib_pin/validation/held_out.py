@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
+from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
 from calib_pin.estimation.problem import SAMPLE, Problem, distinct_values
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.chain import Chain

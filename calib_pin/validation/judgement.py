@@ -10,8 +10,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
-from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import FittedModel
+from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.joint_conventions import suggest_conventions
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import without_frames
@@ -86,7 +86,7 @@ def judge(
             held_out.gains,
             findings,
             workspace,
-            max(aside, fitted.disagreement),
+            max(aside, fitted.robust.disagreement),
             advice,
         )
     )
@@ -160,7 +160,7 @@ def expected_accuracy(
     own = without_frames(J * scales, J)[:, :, robot]
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
-        absorbed = fitted.deviations.by_effects[:count]
+        absorbed = fitted.posterior.by_effects[:count]
         absorbed = np.where(parameters.nuisance[:count, None], 0.0, absorbed)
         there = fitted.effects.twists(problem.error, q)
         effects = without_frames(J @ absorbed - there, J)
@@ -265,6 +265,7 @@ def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
     """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
     scales = fitted.problem.parameters.scales[: len(robot)][robot]
     halves = [
-        found.by_noise[: len(robot)][robot] / scales[:, None] for found in fitted.likely
+        found.by_noise[: len(robot)][robot] / scales[:, None]
+        for found in likely_posteriors(fitted)
     ]
     return np.array([half @ half.T for half in halves])

@@ -10,11 +10,11 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
+from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import FittedModel
-from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.registration import extended
+from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
@@ -275,7 +275,7 @@ def predicted_variance(
         Variances, shape (N, d); infinite for what a measurement lacks, NaN where the
         fit knows no covariance.
     """
-    sigma, deviations = problem.sigma, fitted.deviations
+    sigma, deviations = problem.sigma, fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
         return np.full(sigma.shape, np.nan)
     names = {name: k for k, name in enumerate(fitted.problem.parameters.names)}

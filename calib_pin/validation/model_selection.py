@@ -17,9 +17,9 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, nearest
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
+from calib_pin.estimation.fit import FittedModel, fit_model
+from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.setup_variants import parameter_names, with_parameters
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements

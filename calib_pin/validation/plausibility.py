@@ -23,9 +23,8 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.known_distances import KnownDistances
-from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.scale import growth
+from calib_pin.estimation.nominal import analyze_structure, growth
+from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
@@ -252,9 +251,9 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
         known.residual(instrument),
         _decided_by_others(fitted, known.jacobian(instrument)),
     )
-    if fitted.squared is not None and left.min() <= ROUNDING:
+    if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from _distances(fitted.squared)
+        yield from _distances(fitted.robust.squared)
         return
     w = np.abs(v) / np.sqrt(left)
     k = int(np.argmax(w))

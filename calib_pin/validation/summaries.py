@@ -13,9 +13,9 @@ from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Gain,
     Outlier,
+    TipAccuracy,
     VarianceComponent,
 )
-from calib_pin.estimation.predicted_tip import TipAccuracy
 
 
 class NamedArray(np.ndarray):
@@ -94,7 +94,7 @@ class SolverSummary:
 
     Attributes:
         name: Name of the solver.
-        evaluator: What evaluated the residuals, see `solve.Solved`.
+        evaluator: What evaluated the residuals, see `solve.Solution`.
         status: One of `solvers.Status`, in words.
         iterations: Steps of the solver.
         evaluations: Evaluations of the cost; an evolution counts its members.

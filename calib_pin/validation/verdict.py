@@ -17,7 +17,7 @@ from calib_pin.estimation.evidence import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile, f_tail
+from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
 from calib_pin.validation.gains import PRESS

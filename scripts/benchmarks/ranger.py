@@ -8,10 +8,10 @@ from __future__ import annotations
 
 import numpy as np
 import pinocchio as pin
-from calib_pin.measurement_models.planes import Plane
 
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.references import Plane
 
 DH = np.array(
     [

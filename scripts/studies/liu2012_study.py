@@ -17,7 +17,6 @@ from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
-from calib_pin.measurement_models.planes import Plane
 
 import calib_pin
 from calib_pin.estimation.fit import fit
@@ -26,6 +25,7 @@ from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.measurement_models.plane_distance import PlaneDistance
+from calib_pin.measurement_models.references import Plane
 from calib_pin.setup import SolverSetup
 from calib_pin.solvers import (
     DifferentialEvolution,

@@ -40,7 +40,7 @@ rng = np.random.default_rng(1)
 truth = calib_pin.draw_errors(problem.parameters, rng)
 rows = calib_pin.simulate(problem, truth, rng, count=50, noise=1e-4)
 found = fit(replace(problem, data=rows), np.random.default_rng(0))
-print(Threads().count, found.evolution.nit, found.theta.tobytes().hex())
+print(Threads().count, found.solution.evolution.nit, found.theta.tobytes().hex())
 """
 
 

@@ -10,8 +10,8 @@ import pytest
 import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.estimation.known_distances import KnownDistances
 from calib_pin.estimation.problem import distinct_values
+from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.references import (
     Anchor,

@@ -9,9 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit, with_effects
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, Posterior, posterior, posterior_about
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.posterior import Posterior, posterior
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
 from calib_pin.kinematics.spatial import Floats
@@ -77,7 +76,7 @@ def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Jo
     problem = replace(plain, data=replace(rows, sigma=None))
     fitted = with_effects(fit(problem, np.random.default_rng(0)))
     moved, at = fitted.problem.rebased(fitted.theta)
-    return Job(true, theta, fitted, fitted.effects, fitted.posterior(moved, at))
+    return Job(true, theta, fitted, fitted.effects, posterior_about(fitted, moved, at))
 
 
 def test_effects_are_found_and_their_noise_is_the_true_one() -> None:
@@ -136,7 +135,7 @@ def test_it_belongs_to_its_references() -> None:
         found.fitted,
         found.true.error.chain.random_configurations(5, np.random.default_rng(0)),
     )
-    every = fitted.deviations, found.posterior
+    every = fitted.posterior, found.posterior
     sizes = [np.sum(twists(p, q) ** 2, axis=2) for p in every]
     np.testing.assert_allclose(*sizes, rtol=1e-6)
 

@@ -11,8 +11,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.nominal import jacobian_at
-from calib_pin.estimation.scale import scale_deviation
+from calib_pin.estimation.nominal import jacobian_at, scale_deviation
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,

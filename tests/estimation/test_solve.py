@@ -98,7 +98,10 @@ def test_two_steps_by_turns_reach_the_joint_solution(case: str, noise: float) ->
     )
     problem = make_problem(study.problem.error.chain, rows, study.problem.setup)
     joint, turns = (solved(problem, name) for name in ("gauss-newton", "two-step"))
-    assert (turns.solver, turns.evaluator) == ("two-step", "pinocchio")
+    assert (turns.problem.setup.solver.name, turns.solution.evaluator) == (
+        "two-step",
+        "pinocchio",
+    )
     assert turns.result.status is Status.CONVERGED
     assert turns.rank == joint.rank == CASES[case].rank
     assert turns.result.cost == pytest.approx(joint.result.cost, rel=1e-9, abs=1e-12)
@@ -109,17 +112,26 @@ def test_two_steps_by_turns_reach_the_joint_solution(case: str, noise: float) ->
 def test_what_was_done_is_in_the_fit() -> None:
     problem, _ = ranger_problem(0, length=1e-3, angle=1e-3)
     plain = solved(problem, "gauss-newton")
-    assert (plain.solver, plain.evaluator, plain.evolution) == (
+    assert (
+        plain.problem.setup.solver.name,
+        plain.solution.evaluator,
+        plain.solution.evolution,
+    ) == (
         "gauss-newton",
         "pinocchio",
         None,
     )
     search = solved(problem, "de", population_size=20, maxiter=7)
-    assert (search.solver, search.evaluator) == ("de", "kernel")
-    assert search.evolution is not None
-    assert search.evolution.population.shape == (20, 24)
-    assert len(search.evolution.best_history) == 8
-    assert search.result.nfev > search.evolution.nfev  # The registration as well.
+    assert (search.problem.setup.solver.name, search.solution.evaluator) == (
+        "de",
+        "kernel",
+    )
+    assert search.solution.evolution is not None
+    assert search.solution.evolution.population.shape == (20, 24)
+    assert len(search.solution.evolution.best_history) == 8
+    assert (
+        search.result.nfev > search.solution.evolution.nfev
+    )  # The registration as well.
 
 
 class Unbatched(PlaneDistance):
@@ -135,7 +147,7 @@ def test_without_a_kernel_its_poses_do_the_same() -> None:
     slow = replace(problem, measurement=Unbatched(known.planes))
     options = {"population_size": 8, "maxiter": 3}
     fast, plain = (solved(p, "de", **options) for p in (problem, slow))
-    assert (fast.evaluator, plain.evaluator) == ("kernel", "kernel")
+    assert (fast.solution.evaluator, plain.solution.evaluator) == ("kernel", "kernel")
     np.testing.assert_allclose(plain.theta, fast.theta, rtol=1e-9, atol=1e-15)
 
 
@@ -144,9 +156,9 @@ def test_a_search_that_was_cut_short_is_not_trusted() -> None:
     chain, rows = problem.error.chain, problem.data
     short = replace(RANGER, solver=SolverSetup("de", {"maxiter": 5}))
     result = calib_pin.calibrate(chain, rows, short, validate=False)
-    assert result.status is Status.GENERATIONS
+    assert result.solver.status == Status.GENERATIONS.value
     assert result.verdict == "untrusted" and "hybrid" in result.reason
-    assert len(result.history) == 6
+    assert len(result.solver.history) == 6
 
 
 def test_a_target_ends_a_search_early() -> None:
@@ -154,8 +166,8 @@ def test_a_target_ends_a_search_early() -> None:
     least = solved(problem, "gauss-newton").result.cost
     found = solved(problem, "de", target=10.0 * least)
     assert found.result.status is Status.TARGET
-    assert found.evolution is not None
-    history = found.evolution.best_history
+    assert found.solution.evolution is not None
+    history = found.solution.evolution.best_history
     assert least < history[-1] <= 10.0 * least < history[-2] < history[0]
 
 
@@ -171,7 +183,7 @@ def test_a_population_that_met_far_from_a_minimum_is_not_trusted(
     result = calib_pin.calibrate(
         problem.error.chain, problem.data, setup, validate=False
     )
-    assert result.status is Status.COLLAPSED
+    assert result.solver.status == Status.COLLAPSED.value
     assert result.verdict == "untrusted" and "hybrid" in result.reason
 
 
@@ -202,7 +214,7 @@ def test_large_errors_reveal_directions_that_nominal_geometry_hides() -> None:
     assert solved(small, "gauss-newton").rank == 24
     found = solved(large, "hybrid")
     assert found.structure.rank == 24
-    assert found.rank == 24 + found.revealed.shape[1] > 24
+    assert found.rank == 24 + found.directions.revealed > 24
     assert found.sigma0 == pytest.approx(1.0, abs=0.4)
     # Fixed parameters stay exactly, and what moved is not called without effect.
     fixed = ~found.problem.parameters.free
@@ -210,7 +222,7 @@ def test_large_errors_reveal_directions_that_nominal_geometry_hides() -> None:
     values, _ = estimates(found.problem.parameters, found.structure, found)
     hidden = [p for p in values if p.status == "unidentifiable"]
     assert all(p.value == 0.0 for p in hidden)
-    assert fitted_ranks(found).revealed == found.revealed.shape[1]
+    assert fitted_ranks(found).revealed == found.directions.revealed
 
 
 def test_priors_and_few_rows_reveal_nothing() -> None:

@@ -12,8 +12,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
-from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted_model import fit_model
+from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats, invert

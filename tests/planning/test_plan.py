@@ -19,6 +19,7 @@ from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements
+from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
 from calib_pin.setup import FrameSetup, PlaneSetup, Region, Setup
@@ -92,7 +93,7 @@ def check_set(plan: Plan, count: int, chain: Chain, setup: Setup = SETUP) -> Non
         lower[0], upper[0] = setup.limits["joint_1"]
     assert (plan.q >= lower).all() and (plan.q <= upper).all()
     if setup.region is not None:
-        tool = calib_pin.estimation.problem.frame_pose(setup.tool_frame).homogeneous
+        tool = frame_pose(setup.tool_frame).homogeneous
         points = (chain.poses(plan.q) @ tool)[:, :3, 3]
         low, high = np.array(setup.region.box)
         assert (points >= low).all() and (points <= high).all()
@@ -195,7 +196,7 @@ def test_random_sets_are_those_of_the_candidates(criterion: str, chain: Chain) -
     values = []
     while len(values) < 40:
         q = chain.random_configurations(400, rng)
-        tool = calib_pin.estimation.problem.frame_pose(TOOL).homogeneous
+        tool = frame_pose(TOOL).homogeneous
         inside = REGION.contains((chain.poses(q) @ tool)[:, :3, 3])
         inside &= (q[:, 0] >= -1.0) & (q[:, 0] <= 2.0)
         q = q[inside][:COUNT]

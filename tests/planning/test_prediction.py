@@ -9,9 +9,8 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, posterior
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.posterior import posterior
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
@@ -101,14 +100,14 @@ def test_a_fit_knows_a_little_more_by_the_expected_size_of_errors() -> None:
     rows = calib_pin.simulate(problem, zero, rng, q=plan.q, target=plan.target)
     fitted = fit(replace(problem, data=rows), rng)
     assert all(noise.factor == 1.0 for noise in fitted.noise)
-    assert fitted.size is not None
+    assert fitted.evidence is not None
     scale = exact.problem.parameters.scales
     V = plan.predicted.directions.robot / scale[:, None]
     before, found = (
         np.linalg.eigvalsh(V.T @ C @ V)
         for C in (plan.predicted.covariance, fitted.covariance)
     )
-    expected = before / (1.0 + before / fitted.size**2)
+    expected = before / (1.0 + before / fitted.evidence.expected.size**2)
     assert before.max() > 1.05 * expected.max()
     # The fit is at the robot that it has found, noise away from the nominal one.
     np.testing.assert_allclose(found, expected, rtol=0.01)

@@ -8,9 +8,9 @@ from __future__ import annotations
 
 import numpy as np
 import pytest
-from calib_pin.measurement_models.planes import Plane
 
 import calib_pin
+from calib_pin.measurement_models.references import Plane
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.solvers.differential_evolution import TRADEOFF
 from calib_pin.validation.result import Identification

@@ -11,7 +11,7 @@ import calib_pin
 from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.student import student_tail
+from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.setup import FrameSetup, Setup

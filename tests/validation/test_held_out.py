@@ -10,7 +10,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
-from calib_pin.estimation.fitted_model import FittedModel, fit_model
+from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import concatenate

@@ -10,9 +10,8 @@ import pytest
 from numpy.typing import NDArray
 
 import calib_pin
-from calib_pin.estimation.fit import fit
+from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.fitted_model import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Measurements

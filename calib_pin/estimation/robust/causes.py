@@ -1,4 +1,4 @@
-"""What measurements that do not fit have in common."""
+"""Causes that outliers have in common."""
 
 from __future__ import annotations
 
@@ -47,12 +47,12 @@ def causes(
     found: Studentized,
     scale: Floats,
 ) -> dict[int, str]:
-    """What rows that do not fit share with each other, by row; most telling first.
+    """The cause that outliers share with each other, by row; most telling first.
 
     Args:
         problem: The fitted problem.
         theta: The solution, shape (P,).
-        out: The rows that do not fit, shape (N,).
+        out: The outliers, shape (N,).
         found: Residuals about the solution.
         scale: Their scale by quantity, shape (Q,).
     """

@@ -27,7 +27,7 @@ class ConsensusOptions:
     """Limits of the search for a consensus.
 
     Attributes:
-        trials: Most subsets; one in ten is free of spoiled configurations if four
+        trials: Most subsets; one in ten is free of wrong configurations if four
             of ten are.
         same: Relative difference in squares of two that agree: a nominal robot's
             errors make many minima close to the right one, and the wrong ones are
@@ -56,7 +56,8 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         rng: Random generator of the subsets.
     """
     few = replace(problem, data=problem.data.sample(OPTIONS.measurements))
-    targets = _targets(few)
+    names = np.array(few.data.target)
+    targets = [np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())]
     size = _subset(few, len(targets))
     best, least = problem, np.inf
     for _ in range(OPTIONS.trials):
@@ -75,11 +76,6 @@ def _concentrated(
     problem: Problem, rows: NDArray[np.intp], targets: list[NDArray[np.intp]]
 ) -> tuple[Problem | None, float]:
     """Register by some rows, then by the better half of each target, until it stands.
-
-    Args:
-        problem: The problem, with the robot at nominal.
-        rows: The rows to begin with.
-        targets: The rows of each target.
 
     Returns:
         The problem about its references, and the squares of its better half; None
@@ -105,12 +101,6 @@ def _better(squares: Floats, rows: NDArray[np.intp]) -> NDArray[np.intp]:
     """The half of some rows that has the smaller squares, and at least three."""
     count = max(ceil(0.5 * len(rows)), min(len(rows), 3))
     return rows[np.argsort(squares[rows], kind="stable")[:count]]
-
-
-def _targets(problem: Problem) -> list[NDArray[np.intp]]:
-    """The rows of each target."""
-    names = np.array(problem.data.target)
-    return [np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())]
 
 
 def _subset(problem: Problem, targets: int) -> int:

@@ -21,7 +21,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import inverse_root
 from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
+from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 
@@ -122,7 +122,7 @@ class Studentized:
         )
 
     def limit(self, tail: float) -> Floats:
-        """What z^2 of each configuration exceeds with a probability, shape (G,)."""
+        """Quantile of z^2 of each configuration at a tail probability, shape (G,)."""
         return _quantiles(self.counts.sum(axis=1), tail)
 
 

@@ -1,4 +1,4 @@
-"""Fits that measurements which are wrong cannot spoil.
+"""Fits that wrong measurements cannot corrupt.
 
 Every configuration has a weight, for all that is measured in one fails together. The
 weights minimize a truncated cost,
@@ -15,14 +15,13 @@ sequence of weighted least squares with the weights of Geman and McClure (equati
 from a cost that is nearly convex to one that redescends. What is graduated is the scale
 of z, their mu: it is estimated anew at every step, from the millimeters of the nominal
 robot down to the noise, and the first step starts from a registration by consensus.
-What comes out decides which configurations are accepted; the final fit is the ordinary
+The outcome decides which configurations are accepted; the final fit is the ordinary
 least squares of these, so all that is said of it holds, and the decision is repeated
 about it until it stands.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,7 +29,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import require_known
 from calib_pin.estimation.evidence import Outlier
-from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.fitted import Fit, RobustDecision
 from calib_pin.estimation.problem import EXACT, SAMPLE, Problem, distinct_values
 from calib_pin.estimation.robust.causes import causes
 from calib_pin.estimation.robust.consensus import consensus
@@ -40,6 +39,8 @@ from calib_pin.estimation.robust.studentized import (
     studentized,
 )
 from calib_pin.estimation.row_blocks import Expected
+from calib_pin.estimation.solve import Solver
+from calib_pin.estimation.unit_weights import balanced
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 
@@ -59,7 +60,7 @@ class RobustOptions:
             others. Of one component in a hundred this is 5.3 deviations.
         stated_chance: The same where noise is all there is, as measurements state
             it.
-        spoiled: Root mean square by robust scale from which few carry much of
+        carried: Root mean square by robust scale from which few carry much of
             chi-square. With normal noise and forty configurations of one component
             it is above once in ten jobs; real robots, with tails, have up to 1.1.
         held: Scale, in stated deviations, up to which there is no more than noise.
@@ -67,7 +68,7 @@ class RobustOptions:
             sought.
         bent: Probability of a good configuration beyond where Huber's loss bends.
         breakdown: Share of configurations beyond which those set aside may as well
-            be the right ones. Medians hold up to one half; with four of ten spoiled
+            be the right ones. Medians hold up to one half; with four of ten wrong
             a few good ones may go as well.
         size: Expected errors of the robot while the solution is sought, in scales:
             it holds what measurements do not tell, and hardly anything else.
@@ -86,7 +87,7 @@ class RobustOptions:
 
     chance: float = 1e-5
     stated_chance: float = 0.01
-    spoiled: float = 1.2
+    carried: float = 1.2
     held: float = 1.3
     cut: float = 0.01
     bent: float = 0.1
@@ -104,54 +105,58 @@ class RobustOptions:
 OPTIONS = RobustOptions()
 
 
-def robustly(
-    problem: Problem, fit_once: Callable[[Problem], Fit], rng: np.random.Generator
-) -> Fit:
+def robustly(problem: Problem, solver: Solver) -> Fit:
     """Fit a problem with the loss of its setup.
 
     Without anything to set aside it is the least-squares fit itself.
 
     Args:
         problem: The problem, not registered.
-        fit_once: Least squares of a problem by the weights of its rows, registration
-            and all.
-        rng: Random generator of the subsets of the registration.
+        solver: The solver; its generator draws the subsets of the registration.
 
     Raises:
         OptionError: If the setup names a loss that does not exist.
     """
     loss = problem.setup.loss
     require_known("loss", loss, LOSSES)
-    squared = fit_once(problem)
+    squared = balanced(problem, solver)
     if not squared.sigma0 > EXACT:
         # Without redundancy, or without errors, every measurement is met.
         return squared
     found = _judged(squared, np.ones(problem.data.configurations, bool))
     scale = found.robust_scale()
 
-    def plain() -> Fit:
-        return replace(squared, outliers=_outliers(squared, found, scale))
+    def plain(disagreement: float = 0.0) -> Fit:
+        outliers = _outliers(squared, found, scale)
+        robust = RobustDecision(outliers, disagreement=disagreement)
+        return replace(squared, robust=robust)
 
     if loss == "squared" or (loss == "auto" and not _suspicious(squared, found, scale)):
         return plain()
-    about, theta, weight = _sought(problem, loss, squared.rank, rng)
+    about, theta, weight = _sought(problem, loss, squared.rank, solver.rng)
     if loss == "huber":
-        return _bent(problem, squared, weight, fit_once)
-    accepted = _selected(about, theta, weight)
-    for _ in range(OPTIONS.rounds):
-        if not _enough(squared, accepted):
-            return replace(plain(), disagreement=float(1.0 - accepted.mean()))
-        if accepted.all():
+        if (weight == 1.0).all():
             return squared
-        fitted = fit_once(_weighted(problem, accepted))
-        about_it = _judged(fitted, accepted)
-        its_scale = _scale(about_it, accepted)
-        passed = _passed(about_it, its_scale)
-        if np.array_equal(passed, accepted):
-            break
-        accepted = passed
-    outliers = _outliers(fitted, about_it, its_scale)
-    return replace(fitted, outliers=outliers, squared=squared)
+        fitted = balanced(_weighted(problem, weight), solver)
+        found = _judged(fitted, weight > 0.0)
+        scale = found.robust_scale()
+    else:
+        accepted = _selected(about, theta, weight)
+        for _ in range(OPTIONS.rounds):
+            if not _enough(squared, accepted):
+                return plain(float(1.0 - accepted.mean()))
+            if accepted.all():
+                return squared
+            fitted = balanced(_weighted(problem, accepted), solver)
+            about_it = _judged(fitted, accepted)
+            its_scale = _scale(about_it, accepted)
+            passed = _passed(about_it, its_scale)
+            if np.array_equal(passed, accepted):
+                break
+            accepted = passed
+        found, scale = about_it, its_scale
+    outliers = _outliers(fitted, found, scale)
+    return replace(fitted, robust=RobustDecision(outliers, squared))
 
 
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
@@ -161,10 +166,8 @@ def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
 
 
 def _plain(problem: Problem) -> Problem:
-    """The problem with all rows at full weight."""
-    return replace(
-        problem, data=replace(problem.data, weight=np.ones(len(problem.data)))
-    )
+    """The problem with all measurements at full weight."""
+    return _weighted(problem, np.ones(problem.data.configurations))
 
 
 def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
@@ -177,12 +180,7 @@ def _judged(fitted: Fit, accepted: NDArray[np.bool_]) -> Studentized:
 
 
 def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
-    """The configurations whose residuals may be chance, shape (G,).
-
-    Args:
-        found: Residuals about a fit.
-        scale: Their scale by quantity, shape (Q,).
-    """
+    """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
     stated = bool((scale <= OPTIONS.held * found.least).all())
     tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
         len(found.squares), 1
@@ -200,7 +198,7 @@ def _scale(found: Studentized, accepted: NDArray[np.bool_]) -> Floats:
 
 
 def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
-    """Whether a least-squares fit may have been spoiled by some configurations.
+    """Whether a least-squares fit may have been corrupted by some configurations.
 
     A few stand out against the median, or carry the most of chi-square together, or so
     much is left that they may hide.
@@ -208,7 +206,7 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     every = np.ones(len(found.squares), bool)
     if (
         not _passed(found, scale).all()
-        or (found.scale(every) > OPTIONS.spoiled * scale).any()
+        or (found.scale(every) > OPTIONS.carried * scale).any()
     ):
         return True
     problem = fitted.problem
@@ -232,11 +230,7 @@ def _sought(
 ) -> tuple[Problem, Floats, Floats]:
     """The solution of a robust loss over the whole model, by consensus and steps.
 
-    Args:
-        problem: The problem, not registered.
-        loss: `huber` or a redescending one.
-        rank: Number of directions that the rows determine.
-        rng: Random generator of the consensus.
+    The measurements determine as many directions as the rank says.
 
     Returns:
         The problem about the consensus, with the scales that were found in its units
@@ -311,10 +305,7 @@ def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
 def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.bool_]:
     """The configurations that agree with a solution, judged without themselves, (G,).
 
-    Args:
-        problem: The problem with scales in its units.
-        theta: The solution, shape (P,).
-        weight: Weight of each configuration, shape (G,).
+    The problem has scales in its units, the weights are those of configurations, (G,).
     """
     parameters = problem.parameters
     basis = np.diag(parameters.scales)[:, parameters.free]
@@ -340,28 +331,10 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
     return accepted
 
 
-def _bent(
-    problem: Problem,
-    squared: Fit,
-    weight: Floats,
-    fit_once: Callable[[Problem], Fit],
-) -> Fit:
-    """The fit with the weights of Huber's loss, shape (G,)."""
-    if (weight == 1.0).all():
-        return squared
-    fitted = fit_once(_weighted(problem, weight))
-    found = _judged(fitted, weight > 0.0)
-    outliers = _outliers(fitted, found, found.robust_scale())
-    return replace(fitted, outliers=outliers, squared=squared)
-
-
 def _outliers(fitted: Fit, found: Studentized, scale: Floats) -> tuple[Outlier, ...]:
     """The measurements of the configurations that do not fit, worst first.
 
-    Args:
-        fitted: The fit; the weights are in its data.
-        found: Residuals about it.
-        scale: Their scale by quantity, shape (Q,).
+    The weights are in the data of the fit; the scale is by quantity, shape (Q,).
     """
     problem = fitted.problem
     data = problem.data

@@ -1,4 +1,4 @@
-"""What gears and compliance do that the model does not have.
+"""Effects of gears and compliance that the model does not have.
 
 Real residuals are not noise: an eccentric gear or a joint that gives under load moves
 the tool in the same way whenever the joint stands there again, and a fit bends its
@@ -54,13 +54,14 @@ SPARE = 10
 MOST = 1.5
 """Largest squares that effects may leave in residuals, in those that are found there.
 
-What disturbs a real robot is only in part what gears and compliance do, and likelihood
-makes these as large as the rest of it needs. Without a limit, errors on unseen rows are
-predicted three to five times too large on a UR10 and a UR5; with it within 10 %.
+Gears and compliance are only a part of what disturbs a real robot, and likelihood makes
+them as large as the rest of it needs. Without a limit, errors on held-out measurements
+are predicted three to five times too large on a UR10 and a UR5; with it within 10 %.
 """
 
 ROWS = 2000
-"""Rows that sizes are estimated from; more tell no more of a few dozen amplitudes."""
+"""Measurements that sizes are estimated from; more tell no more of a few dozen
+amplitudes."""
 
 
 @dataclass(frozen=True)
@@ -204,11 +205,8 @@ def _significant(
 ) -> Systematic | None:
     """The effects that raise the likelihood enough, with their estimated sizes.
 
-    Args:
-        problem: The problem.
-        effects: All effects, in their expected sizes.
-        groups: Its rows by quantity, in the columns of what was moved, of the effects
-            and of the residual.
+    The groups are residual rows by quantity, in the columns of what was moved, of all
+    effects in their expected sizes and of the residual.
     """
     names = [effects.error.screws[k].parameter.name for k in effects.columns]
     kind_of = np.array([name.rsplit(".", 2)[1] for name in names])
@@ -259,12 +257,8 @@ def _shares(
 ) -> tuple[float, float]:
     """Squares that noise leaves to effects, and those that effects should leave.
 
-    Args:
-        groups: As for `_significant`.
-        noise: Variances of the quantities, shape (K,).
-        squares: Variances of the effects that are kept, shape (s,).
-        kept: Which these are, shape (S,).
-        current: Variances in whose units the fit was made, shape (K,).
+    By variances of the quantities, shape (K,), and of the effects that are kept, (s,);
+    the fit was made in units of the current variances, (K,).
     """
     first = groups.known.shape[0] - 1 - len(kept)
     products = groups.products / current[:, None, None]
@@ -281,13 +275,7 @@ def _shares(
 def _with_effects(
     groups: Groups, kind_of: NDArray[np.str_], kinds: tuple[str, ...]
 ) -> Groups:
-    """Groups with some kinds of effects as pseudo-observations, the others left out.
-
-    Args:
-        groups: Rows by quantity in all columns.
-        kind_of: Kind of each effect, shape (S,).
-        kinds: Those to keep.
-    """
+    """Groups with some kinds of effects as pseudo-observations, the others left out."""
     width = groups.known.shape[0]
     first = width - 1 - len(kind_of)
     of_effects = first + np.arange(len(kind_of))

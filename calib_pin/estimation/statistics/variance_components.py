@@ -1,27 +1,30 @@
 """The noise of each quantity, as the residuals of a fit show it.
 
-What rows state of their standard deviations, or what is assumed, gives the ratio of
-the rows of one quantity among each other. Of every quantity the standard deviation of
+Standard deviations, stated or assumed, give the ratio of the measurements of one
+quantity among each other. Of every quantity the standard deviation of
 unit weight is estimated, so that position and orientation, pixels and millimeters are
 balanced by the data (Helmert, Foerstner; see `restricted_likelihood`). Known distances,
 priors and expected sizes keep the standard deviations that they have.
 
-Where configurations are repeated, the scatter of the repetitions is the pure error, and
-what a fit leaves between configurations beyond it is lack of fit (see `repetitions`).
+Where configurations are repeated, the scatter of the repetitions is the pure error;
+residuals between configurations beyond it are lack of fit (see `PureError`).
 """
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.problem import Problem
-from calib_pin.estimation.statistics.chi_square import chi_square_quantile
-from calib_pin.estimation.statistics.repetitions import PureError, pure_errors
+from calib_pin.estimation.problem import Problem, repeated
+from calib_pin.estimation.statistics.distributions import (
+    chi_square_quantile,
+    chi_square_tail,
+    f_tail,
+)
 from calib_pin.estimation.statistics.restricted_likelihood import (
     Groups,
     Variances,
@@ -29,7 +32,12 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
 )
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.solvers import LeastSquaresResult
+
+REPEATED = 4
+"""Degrees of freedom from which repetitions tell the pure error, to a factor of two."""
+
 
 REJECTED = 0.05
 """Probability at which a stated standard deviation is rejected by mistake."""
@@ -167,11 +175,6 @@ def _tested(
 ) -> tuple[Variances, Floats]:
     """Estimate the variances of all quantities, and choose those to use.
 
-    Args:
-        groups: The quantities.
-        stated: Which have a stated variance, shape (K,).
-        start: First guesses of the variances, shape (K,).
-
     Returns:
         Estimates of all quantities relative to what is given, and the factors of the
         standard deviations to use, shape (K,): one where what is stated stands.
@@ -208,7 +211,7 @@ def _tested(
 
 
 def variance_interval(variance: float, dof: float) -> tuple[float, float]:
-    """What holds a variance in 95 of 100 cases, by its estimate."""
+    """The 95 % interval of a variance by its estimate."""
     if dof < 0.5:
         return 0.0, np.inf
     tails = 0.5 * REJECTED, 1.0 - 0.5 * REJECTED
@@ -224,15 +227,10 @@ def _component(
     counts: Floats,
     pure: PureError | None,
 ) -> VarianceComponent:
-    """What is known of the noise of quantity k.
+    """The noise of quantity k, by variances of all relative to what is given.
 
-    Args:
-        problem: The problem.
-        k: Position of the quantity.
-        found: Estimated variances of all, relative to what is given.
-        factor: Factor of the standard deviation that is used.
-        counts: Measured values of each quantity, shape (K,).
-        pure: Pure error of its repetitions, None where there are too few.
+    The standard deviation is used with the factor; the counts are the measured values
+    of each quantity, shape (K,).
     """
     quantity = problem.measurement.quantities[k]
     given = problem.given_sigma[:, quantity.columns]
@@ -268,3 +266,110 @@ def _component(
         lack_of_fit=lack,
         pure_test=None if pure is None else pure.test,
     )
+
+
+@dataclass(frozen=True)
+class PureError:
+    """The pure error of a quantity, relative to the variance that is given.
+
+    Repetitions tell noise from what the model lacks. With squares and degrees of
+    freedom of the residuals (S, f) and of the repetitions among themselves (S_p, f_p),
+    noise alone makes
+
+        F = (S - S_p) / (f - f_p) / (S_p / f_p)
+
+    a value of Fisher's F; far larger values are lack of fit (Draper and Smith, Applied
+    Regression Analysis). What the model lacks is the same in all repetitions, a random
+    effect of the configuration with the variance u of `E[S] = s f + u tr(Z^T R Z)`,
+    where s is the pure variance, R projects on the residuals and Z sums over
+    repetitions.
+
+    Attributes:
+        variance: Its variance.
+        dof: Its degrees of freedom.
+        trace: `tr(Z^T R Z)`, what a unit variance of configurations adds to squares.
+    """
+
+    variance: float
+    dof: float
+    trace: float
+
+    @property
+    def test(self) -> float:
+        """Probability of a value so far from the given one by chance, two-sided."""
+        above = chi_square_tail(self.variance * self.dof, self.dof)
+        return 2.0 * min(above, 1.0 - above)
+
+    def lack_of_fit(self, squares: float, redundancy: float) -> float | None:
+        """Probability that noise leaves more; None where nothing is left over.
+
+        Args:
+            squares: Sum of squares of all residuals.
+            redundancy: Their degrees of freedom.
+        """
+        between = redundancy - self.dof
+        if between < 1.0 or self.variance <= 0.0:
+            return None
+        excess = max(squares - self.variance * self.dof, 0.0)
+        return f_tail(excess / between / self.variance, between, self.dof)
+
+    def unmodeled(self, squares: float, redundancy: float) -> float:
+        """Variance of what configurations have in common; arguments as above."""
+        excess = max(squares - self.variance * redundancy, 0.0)
+        return excess / self.trace if self.trace > 0.0 else 0.0
+
+
+def pure_errors(
+    problem: Problem, theta: Floats, leverages: Floats
+) -> tuple[PureError | None, ...]:
+    """The pure error of every quantity; None where too few values are repeated.
+
+    Contacts are not measured but made, and say nothing by being repeated.
+
+    Args:
+        problem: The problem.
+        theta: Its solution, shape (P,).
+        leverages: Leverage of every measured value, shape (N, d).
+    """
+    quantities = problem.measurement.quantities
+    used, label = repetitions(problem)
+    sizes = np.bincount(label)
+    if not (sizes > 1).any():
+        return (None,) * len(quantities)
+    present = np.isfinite(problem.given_sigma)
+    weight = problem.data.weight[:, None] * present
+    residual = problem.errors(theta) / problem.given_sigma
+    found: list[PureError | None] = []
+    for quantity in quantities:
+        columns = quantity.columns
+        r, w = residual[used, columns], weight[used, columns]
+        total = _sums(label, w)
+        mean = _sums(label, w * r) / np.where(total > 0.0, total, 1.0)
+        squares = float(np.sum(w * (r - mean[label]) ** 2))
+        dof = float((w > 0.0).sum() - (total > 0.0).sum())
+        # The columns of Z are as long as repetitions are many.
+        many = np.ones(len(present))
+        many[used] = sizes[label]
+        trace = weight[:, columns].sum() - many @ leverages[:, columns].sum(axis=1)
+        enough = dof >= REPEATED
+        found.append(PureError(squares / dof, dof, float(trace)) if enough else None)
+    return tuple(found)
+
+
+def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+    """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
+    labels = repeated(problem.data)
+    used = problem.data.weight > 0.0
+    used &= ~contact_rows(problem.measurement, problem.data.target)
+    if problem.data.start.size:
+        # From another start it is another distance.
+        used &= ~np.isfinite(problem.data.start[:, 0])
+    rows = np.flatnonzero(used)
+    return rows, np.unique(labels[rows], return_inverse=True)[1]
+
+
+def _sums(label: NDArray[np.intp], values: Floats) -> Floats:
+    """Sums of rows with one label, shape (n, d) -> (groups, d)."""
+    result = np.zeros((int(label.max(initial=-1)) + 1, values.shape[1]))
+    np.add.at(result, label, values)
+    return result

@@ -64,8 +64,11 @@ class Job:
     def named(self, fitted: Fit) -> NDArray[np.bool_]:
         """The rows that were set aside, which are those that are named."""
         aside = fitted.problem.data.weight == 0.0
-        assert sorted(o.row for o in fitted.outliers) == np.flatnonzero(aside).tolist()
-        assert all(outlier.weight == 0.0 for outlier in fitted.outliers)
+        assert (
+            sorted(o.row for o in fitted.robust.outliers)
+            == np.flatnonzero(aside).tolist()
+        )
+        assert all(outlier.weight == 0.0 for outlier in fitted.robust.outliers)
         return aside
 
 
@@ -111,7 +114,11 @@ def test_clean_rows_give_the_least_squares_fit(loss: str) -> None:
     found, squared = clean.fit(loss), clean.fit("squared")
     np.testing.assert_array_equal(found.theta, squared.theta)
     np.testing.assert_array_equal(found.covariance, squared.covariance)
-    assert (found.outliers, found.squared, found.disagreement) == ((), None, 0.0)
+    assert (found.robust.outliers, found.robust.squared, found.robust.disagreement) == (
+        (),
+        None,
+        0.0,
+    )
 
 
 @pytest.mark.parametrize(
@@ -157,17 +164,17 @@ def test_one_wrong_measurement_of_sixty(millimeters: float, stated: bool) -> Non
     sigma = np.full(values.shape, 1e-4) if stated else None
     rows = replace(found.rows, values=values, sigma=sigma)
     fitted = found.fit(rows=rows)
-    assert [outlier.row for outlier in fitted.outliers] == [17]
+    assert [outlier.row for outlier in fitted.robust.outliers] == [17]
     # What it would be with it.
-    assert fitted.squared is not None
-    assert found.ahead(fitted.squared) > 3.0 * found.ahead(fitted)
+    assert fitted.robust.squared is not None
+    assert found.ahead(fitted.robust.squared) > 3.0 * found.ahead(fitted)
     without = found.fit("squared", rows.rows(np.arange(60) != 17))
     assert found.ahead(fitted) == pytest.approx(found.ahead(without), rel=1e-6)
     # Told to, it counts like the others, and is named all the same.
     squared = found.fit("squared", rows)
     assert (squared.problem.data.weight == 1.0).all()
-    assert squared.outliers[0].row == 17
-    assert squared.outliers[0].weight == 1.0
+    assert squared.robust.outliers[0].row == 17
+    assert squared.robust.outliers[0].weight == 1.0
 
 
 def test_huber_gives_less_weight() -> None:
@@ -186,12 +193,12 @@ def test_what_has_no_majority_is_left_alone() -> None:
     q = found.rows.q * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]
     fitted = found.fit(rows=replace(found.rows, q=q))
     assert (fitted.problem.data.weight == 1.0).all()
-    assert fitted.squared is None
+    assert fitted.robust.squared is None
 
 
 def causes(found: Job, values: Floats) -> dict[int, str]:
     rows = replace(found.rows, values=values)
-    return {o.row: o.cause for o in found.fit(rows=rows).outliers}
+    return {o.row: o.cause for o in found.fit(rows=rows).robust.outliers}
 
 
 def test_exchanged_rows_are_named() -> None:

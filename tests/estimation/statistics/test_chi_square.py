@@ -5,7 +5,7 @@ from __future__ import annotations
 import pytest
 from scipy.special import chdtrc, chdtri, fdtrc
 
-from calib_pin.estimation.statistics.chi_square import (
+from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
     f_tail,

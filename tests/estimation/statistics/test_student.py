@@ -6,7 +6,7 @@ import math
 
 import pytest
 
-from calib_pin.estimation.statistics.student import student_tail
+from calib_pin.estimation.statistics.distributions import student_tail
 
 
 @pytest.mark.parametrize("dof", [1, 2, 3, 5, 10, 47, 300, 10_000, 1_000_000])

@@ -9,14 +9,16 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation import problem as problem_module
+from calib_pin.estimation import unit_weights
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.variance_components import variance_components
-from calib_pin.estimation.unit_weights import balanced
+from calib_pin.estimation.unit_weights import balanced, bounded
 from calib_pin.kinematics.spatial import Floats, so3_exp, to_quaternion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 
@@ -31,22 +33,20 @@ class Solve:
     def __init__(self) -> None:
         self.calls = 0
 
-    def __call__(self, problem: Problem) -> Fit:
+    def __call__(self, problem: Problem, solver: Solver | None = None) -> Fit:
         self.calls += 1
-        plain = replace(problem, setup=replace(problem.setup, loss="squared"))
-        with pytest.MonkeyPatch.context() as patch:
-            patch.setattr(
-                "calib_pin.estimation.fit.balanced", lambda some, solve, _: solve(some)
-            )
-            return fit(plain, np.random.default_rng(0))
+        return bounded(problem, Solver(problem, np.random.default_rng(0)))
 
     def balanced(self, problem: Problem) -> Fit:
         """Fits by turns with estimates of the units, each of them from the start."""
-        return balanced(
-            problem,
-            self,
-            lambda fitted, units: self(replace(fitted.problem, units=units)),
-        )
+        with pytest.MonkeyPatch.context() as patch:
+            patch.setattr(unit_weights, "bounded", self)
+            patch.setattr(
+                unit_weights,
+                "fit_in_units",
+                lambda fitted, units: self(replace(fitted.problem, units=units)),
+            )
+            return balanced(problem, Solver(problem, np.random.default_rng(0)))
 
 
 def poses(

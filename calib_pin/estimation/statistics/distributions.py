@@ -1,11 +1,11 @@
-"""Quantiles and tails of chi-square, tails of Fisher's F.
+"""Quantiles and tails of chi-square, tails of Fisher's F and of Student's t.
 
 `scipy.special` has them too, but to load it takes as long as to load Pinocchio.
 """
 
 from __future__ import annotations
 
-from math import exp, inf, lgamma, log, log1p
+from math import exp, inf, isnan, lgamma, log, log1p, nan
 
 EPSILON = 2.0**-52
 
@@ -20,7 +20,7 @@ TINY = 1e-300
 
 
 def chi_square_quantile(dof: float, tail: float) -> float:
-    """What chi-square exceeds with a given probability.
+    """The value that chi-square exceeds with a given probability.
 
     Args:
         dof: Degrees of freedom, positive, whole or not.
@@ -154,3 +154,30 @@ def _tails(a: float, x: float) -> tuple[float, float, float]:
         fraction *= change
     upper = density * x * fraction
     return upper, 1.0 - upper, density
+
+
+def student_tail(t: float, dof: int) -> float:
+    """Probability that Student's t exceeds a value.
+
+    `P(T > t) = I_x(dof / 2, 1 / 2) / 2` for t > 0, with `x = dof / (dof + t^2)` and the
+    regularized incomplete beta function (Abramowitz and Stegun 26.7.1).
+
+    Args:
+        t: The value.
+        dof: Degrees of freedom, 1 or more.
+
+    Example:
+        >>> round(student_tail(2.0, 10), 6)
+        0.036694
+    """
+    if isnan(t):
+        return nan
+    if t < 0.0:
+        return 1.0 - student_tail(-t, dof)
+    if t == inf:
+        return 0.0
+    a, square = 0.5 * dof, t * t
+    x, y = dof / (dof + square), square / (dof + square)
+    if x < (a + 1.0) / (a + 2.5):
+        return 0.5 * incomplete_beta(a, 0.5, x, y)
+    return 0.5 * (1.0 - incomplete_beta(0.5, a, y, x))

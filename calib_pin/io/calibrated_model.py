@@ -249,8 +249,13 @@ def _error_model(
 
 
 def _kind(name: str) -> str:
-    """The kind in `<owner>.<kind>.<component>`; an owner may contain points."""
-    return name.rsplit(".", 2)[1]
+    """The kind in `<owner>.<kind>.<component>`; an owner may contain points.
+
+    Raises:
+        ValueError: If it is no such name.
+    """
+    _, kind, _ = name.rsplit(".", 2)
+    return kind
 
 
 def _read_frame(entry: Mapping[str, Any]) -> tuple[pin.SE3, bool]:

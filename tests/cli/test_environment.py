@@ -25,7 +25,7 @@ ENVIRONMENTS = (
 )
 
 TIMES = re.compile(
-    r'"seconds": [^\n]*|"created": [^\n]*|<dt>(written|time)</dt><dd>[^<]*'
+    r'"seconds": [^\n]*|"created": [^\n]*|<dt>(created|time)</dt><dd>[^<]*'
 )
 
 

@@ -1,4 +1,4 @@
-"""Whole files in and out, with errors that name the file and the reason."""
+"""Read and write whole files, with errors that name the file and the reason."""
 
 from __future__ import annotations
 
@@ -28,11 +28,11 @@ from calib_pin.io.journal import (
 
 @contextmanager
 def write_files(contents: Mapping[Path, bytes], *, force: bool) -> Iterator[None]:
-    """Put files in place when the block ends well, and none of them otherwise.
+    """Write all files if the block succeeds, and none of them otherwise.
 
     Args:
-        contents: What each of them shall contain; folders that are missing are made.
-        force: Replace those that exist.
+        contents: Content by file; missing folders are made.
+        force: Replace existing files.
 
     Raises:
         OptionError: If one exists and `force` is false.
@@ -62,14 +62,14 @@ def write_folder(
     force: bool,
     notice: Callable[[str], None],
 ) -> Iterator[None]:
-    """The same for the files of one folder, whatever kills the process meanwhile.
+    """As `write_files`, for a folder, and safe if the process is killed meanwhile.
 
     Args:
-        folder: The folder.
+        folder: The folder; a journal in it completes the set after a crash.
         contents: As for `write_files`; some may lie outside the folder.
-        removed: Files of the folder that go.
-        force: Replace those that exist.
-        notice: Told what could not be put in place yet.
+        removed: Files of the folder to remove.
+        force: Replace existing files.
+        notice: Called with one sentence for each file that could not be replaced yet.
 
     Raises:
         OptionError: If one exists and `force` is false.
@@ -88,7 +88,7 @@ def write_folder(
         with signals_deferred():
             with _writing(journal):
                 temporary(journal).replace(journal)
-            # This was the decision: whatever fails from here on, the new set stands.
+            # The commit point: whatever fails from here on, the new set stands.
             pending.clear()
             with suppress(OSError):
                 sync(folder)
@@ -97,7 +97,7 @@ def write_folder(
 
 
 def reason_of(error: Exception) -> str:
-    """The system's words without the error number and the file names."""
+    """Message of a system error without the error number and the file names."""
     if isinstance(error, FileExistsError):
         return "a file stands in the place of its folder"
     return (error.strerror if isinstance(error, OSError) else None) or str(error)
@@ -105,10 +105,11 @@ def reason_of(error: Exception) -> str:
 
 @contextmanager
 def _staged(contents: Mapping[Path, bytes], force: bool) -> Iterator[set[Path]]:
-    """Files complete beside their destinations, in folders that no other run writes to.
+    """Write complete files beside their destinations, and lock their folders.
 
     Yields:
-        These files; those that are still among them at the end are discarded.
+        The destinations; the staged files of those still among them at the end are
+        discarded.
     """
     pending, made = set[Path](), list[Path]()
     with ExitStack() as locks:
@@ -118,7 +119,7 @@ def _staged(contents: Mapping[Path, bytes], force: bool) -> Iterator[set[Path]]:
                 with _writing(path):
                     made += _make(path)
                     folders.add(path.parent.resolve())
-            for folder in sorted(folders):  # Two runs wait in the same order.
+            for folder in sorted(folders):  # One order for all runs: no deadlock.
                 settle(folder, locks.enter_context(locked(folder)))
             for path, data in contents.items():
                 with _writing(path):
@@ -142,7 +143,7 @@ def _staged(contents: Mapping[Path, bytes], force: bool) -> Iterator[set[Path]]:
 
 @contextmanager
 def _writing(path: Path) -> Iterator[None]:
-    """Name the file that cannot be written."""
+    """Turn system errors into an `OutputError` that names the file."""
     try:
         yield
     except (OSError, ValueError) as error:
@@ -150,7 +151,7 @@ def _writing(path: Path) -> Iterator[None]:
 
 
 def _make(path: Path) -> list[Path]:
-    """Make the folders above a file; those that were missing, outermost first."""
+    """Make the folders above a file; returns the new ones, outermost first."""
     if path.is_dir():
         raise IsADirectoryError(errno.EISDIR, "it is a directory")
     missing = [folder for folder in path.parents if not folder.exists()]
@@ -168,10 +169,10 @@ def _write(path: Path, data: bytes) -> None:
 
 
 def _put_in_place(paths: Sequence[Path]) -> None:
-    """Rename, and take everything back where one cannot be renamed.
+    """Rename all staged files; undo everything if one cannot be renamed.
 
     Raises:
-        OutputError: If one cannot be.
+        OutputError: If one cannot be renamed.
     """
     done: list[tuple[Path, Path | None]] = []
     try:
@@ -191,14 +192,14 @@ def _put_in_place(paths: Sequence[Path]) -> None:
 
 
 def _kept(path: Path) -> Path | None:
-    """A second name for what is in the place of a file; None where nothing is."""
+    """A second link to the existing file, to restore it; None if there is none."""
     if not (path.exists() or path.is_symlink()):
         return None
     second = temporary(path, "old")
     second.unlink(missing_ok=True)
     try:
         second.hardlink_to(path)
-    except OSError:  # Some file systems have no such names.
+    except OSError:  # Some file systems have no hard links.
         shutil.copy2(path, second, follow_symlinks=False)
     return second
 
@@ -252,8 +253,8 @@ def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
     """Write a file so that it is either complete or untouched.
 
     Args:
-        path: The file; folders that are missing above it are made.
-        data: What it shall contain.
+        path: The file; missing folders above it are made.
+        data: Its content.
         force: Replace an existing file.
 
     Raises:
@@ -272,7 +273,7 @@ def write_atomically(path: Path, data: bytes, *, force: bool) -> None:
 
 
 def _nearest_sibling(path: Path) -> str:
-    """A hint at a file of a similar name; the same ending alone is no similarity."""
+    """A hint at a file of a similar name, compared without the endings; or empty."""
     try:
         stems = {file.stem: file.name for file in path.parent.iterdir()}
     except (OSError, ValueError):

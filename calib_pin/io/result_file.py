@@ -1,4 +1,4 @@
-"""A result as `calibration.json` and the files beside it tell of it."""
+"""Read a calibration result from `calibration.json` and the files beside it."""
 
 from __future__ import annotations
 
@@ -65,7 +65,7 @@ LATER: Mapping[str, Json] = {
     | {"condition": None, "singular_values": [], "observability": {}}
     | {"parameters": 0, "rank": 0, "structural_rank": 0},
 }
-"""Keys that older files lack, by their section."""
+"""Defaults of keys that older files lack, by section."""
 
 
 def document_file(path: str | Path) -> Path:
@@ -75,18 +75,18 @@ def document_file(path: str | Path) -> Path:
 
 
 def read_result(path: str | Path) -> CalibrationResult:
-    """The whole result of a calibration: of a folder, or of a `calibration.json`.
+    """Read the whole result of a calibration.
 
-    Without `measurements.csv`, as older versions wrote it, the errors of the
+    If `measurements.csv` is missing, as in folders of older versions, the errors of the
     measurements are unknown (NaN).
 
     Args:
-        path: The folder or the file.
+        path: The folder of the result, or its `calibration.json`.
 
     Raises:
-        InputError: If the file is not such a document or of a later version, the
-            robot has changed, or the files beside it are of another run.
-        OutputError: If another program does not let go of the folder.
+        InputError: If the file is not such a document or is of a later version, the
+            robot has changed, or the files beside it belong to another run.
+        OutputError: If another program keeps the folder locked.
         RobotError: If the robot cannot be found.
 
     Example:
@@ -103,7 +103,7 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
     """A result, and the document that it was read from.
 
     Args:
-        path: The folder or the file.
+        path: The folder of the result, or its `calibration.json`.
 
     Raises:
         InputError, OutputError, RobotError: As `read_result`.
@@ -117,7 +117,7 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
 
 
 def read_suggestions(document: Json) -> tuple[Suggestion, ...]:
-    """The suggested measurements that a document holds."""
+    """The suggested measurements in a document."""
     stated = document["identifiability"].get("remedies", ())
     return typed(tuple[Suggestion, ...], stated)
 
@@ -155,7 +155,7 @@ def _result(
         fitted=fitted,
         held_out=held_out,
         files=tuple(typed(str, entry["file"]) for entry in about["files"]),
-        model_selection=_ladder(document.get("model_ladder")),
+        model_selection=_model_selection(document.get("model_ladder")),
         urdf=None
         if urdf is None
         else UrdfResult(
@@ -187,8 +187,7 @@ def _estimates(
     for value, sigma in values + [(e.value, e.sigma) for e in groups]:
         numbers([value], 1)
         if sigma is not None and not sigma >= 0.0:
-            reason = "stands in the place of a standard deviation"
-            raise ValueError(f"{sigma!r} {reason}")
+            raise ValueError(f"{sigma!r} is no standard deviation")
     for group in groups:
         numbers([term.coefficient for term in group.terms], len(group.terms))
     return tuple(parameters), tuple(groups)
@@ -231,20 +230,21 @@ def _tip(entry: Mapping[str, Any], joints: int) -> TipAccuracy:
     return TipAccuracy(q, points, position, orientation, alone, by_count)
 
 
-def _ladder(entry: Mapping[str, Any] | None) -> ModelSelection | None:
+def _model_selection(entry: Mapping[str, Any] | None) -> ModelSelection | None:
     if entry is None:
         return None
-    rungs = tuple(
+    candidates = tuple(
         typed(
             Candidate,
             {
-                **rung,
+                **candidate,
                 "errors": [
                     (name, error["unit"], error["mean"])
-                    for name, error in rung["errors"].items()
+                    for name, error in candidate["errors"].items()
                 ],
             },
         )
-        for rung in entry["rungs"]
+        for candidate in entry["rungs"]
     )
-    return ModelSelection(rungs, [rung.name for rung in rungs].index(entry["chosen"]))
+    names = [candidate.name for candidate in candidates]
+    return ModelSelection(candidates, names.index(entry["chosen"]))

@@ -1,4 +1,4 @@
-"""Files of targets, or of joint motions, in; files of joint commands out."""
+"""Read files of targets or of joint motions; write files of joint commands."""
 
 from __future__ import annotations
 
@@ -33,20 +33,21 @@ from calib_pin.measurement_models.position import Position
 from calib_pin.setup import JointMap
 
 ROW = "row"
-"""Column that holds the line of a target."""
+"""Column with the line number of a target in its file."""
 
 
 @dataclass(frozen=True)
 class Targets:
-    """The targets or the motion that a file asks of a robot with n joints.
+    """The targets or the joint motion in a file, for a robot with n joints.
 
     Attributes:
-        table: The file.
-        sources: The columns of the joints.
+        table: Cells of the file.
+        sources: Columns of the joints.
         q: Joint positions, shape (N, n) [rad, m]; None where the file has none.
-        T: Poses, identity for what is not stated, shape (N, 4, 4); None where the file
-            holds joint positions only, which is a motion of the nominal robot.
-        oriented: Whether orientations are stated.
+        T: Poses of the N targets, with identity rotation where the file states no
+            orientation, shape (N, 4, 4); None where the file holds joint positions
+            only, which is a motion of the nominal robot.
+        oriented: Whether the file states orientations.
     """
 
     table: Table
@@ -57,7 +58,7 @@ class Targets:
 
     @property
     def lines(self) -> NDArray[np.int64]:
-        """Line of each target, shape (N,)."""
+        """Line number of each target in the file, shape (N,)."""
         return self.table.lines
 
 
@@ -69,19 +70,22 @@ def read_target_file(
     base: Floats | None = None,
     notice: Callable[[str], None] | None = None,
 ) -> Targets:
-    r"""Read targets or a motion.
+    r"""Read targets or a joint motion.
 
     Args:
-        path: CSV file with positions, perhaps orientations, or all joints, or both.
+        path: CSV file with target positions (orientations are optional), all joint
+            positions, or both.
         chain: Chain whose joints the file may hold.
-        joints: How file columns become joints; others are taken by their own name.
-        base: Base of the chain in the frame of the targets, shape (3,) [m]; default
-            its origin.
-        notice: Called with one sentence that lists columns without a meaning.
+        joints: Mapping of file columns to joints; a joint without one is read from the
+            column of its own name.
+        base: Origin of the base of the chain in the frame of the targets, shape (3,)
+            [m]; default zero.
+        notice: Called with one sentence that lists the ignored columns.
 
     Raises:
-        InputError: If the file holds neither, or a value cannot be; names the file
-            and, where it can, the line, the column and the value.
+        InputError: If the file holds neither targets nor joint positions, or a value is
+            invalid; names the file and, where it can, the line, the column and the
+            value.
 
     Example:
         >>> import calib_pin, tempfile
@@ -96,17 +100,17 @@ def read_target_file(
     table = read_table(path)
     sources = joint_sources(chain, joints)
     oriented = any(name in table for kinds in ORIENTATIONS for name in kinds)
-    placed = oriented or any(name in table for name in POSITION)
-    joined = any(name in table for source in sources for name in source.kinds)
-    if not placed and not joined:
+    has_targets = oriented or any(name in table for name in POSITION)
+    has_joints = any(name in table for source in sources for name in source.kinds)
+    if not has_targets and not has_joints:
         names = ", ".join(source.column for source in sources)
         raise table.error(
             "neither targets nor joint positions; targets need x, y, z and may have an "
             f"orientation, a motion needs the joints {names}"
         )
-    q = read_positions(table, chain, sources) if joined else None
+    q = read_positions(table, chain, sources) if has_joints else None
     used = {name for source in sources for name in source.kinds}
-    if not placed:
+    if not has_targets:
         if table.unnamed and notice is not None:
             notice(f"{table.file}: columns without a name are left out")
         return Targets(table, sources, q, None, False)
@@ -134,14 +138,14 @@ def encode_commands(
 ) -> bytes:
     r"""Joint commands as a CSV file.
 
-    Joint columns have the names and units of the file of targets, if it has any. For
-    targets there is a column `row` with the line of each; in a motion the other columns
+    Joint columns keep the names and units of the target file, if it has any. For
+    targets, a column `row` holds the line number of each; in a motion the other columns
     stay as they are.
 
     Args:
-        targets: What was asked for.
-        q: Commands of some rows, shape (K, n) [rad, m].
-        rows: These rows, shape (K,).
+        targets: The requested targets or motion.
+        q: Joint commands for K of the targets, shape (K, n) [rad, m].
+        rows: Indices of these targets, shape (K,).
         comments: Lines for the head of the file.
 
     Raises:
@@ -182,6 +186,11 @@ def command_columns(
 ) -> dict[str, tuple[str, Sequence[object]]]:
     """Header and cells of the joint columns, by name.
 
+    Args:
+        targets: The requested targets or motion.
+        q: Joint commands for K of the targets, shape (K, n) [rad, m].
+        rows: Indices of these targets, shape (K,).
+
     Raises:
         InputError: If the joint map cannot be undone.
         OutputError: If a name would not read back.
@@ -192,8 +201,8 @@ def command_columns(
             name: (column_name(name), column.tolist())
             for name, column in values.items()
         }
-    # What changes is added to what stands there, so that coupled columns of joints
-    # outside the chain (an external axis) keep their part.
+    # The change is added to the value in the file, so that a column coupled with a
+    # joint outside the chain (an external axis) keeps the contribution of that joint.
     before = column_values(targets.q[rows], targets.sources)
     result: dict[str, tuple[str, Sequence[object]]] = {}
     own = {source.column for source in targets.sources}

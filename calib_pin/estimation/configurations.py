@@ -1,7 +1,8 @@
 """Random configurations at which an instrument can measure.
 
-A camera must see its points and a beam must meet its plane, so they are drawn until
-enough can be measured. A tool that must touch something is brought there.
+A camera must see its points and a beam must meet its plane, so configurations are drawn
+until enough of them can be measured. For a contact measurement, the tool is brought
+into contact.
 """
 
 from __future__ import annotations
@@ -20,19 +21,19 @@ from calib_pin.measurement_models.mixed import contact_rows, relative_rows
 from calib_pin.observations import Measurements
 
 DRAWS = 50
-"""Times that configurations are drawn anew."""
+"""Largest number of rounds of random draws."""
 
 AT_ONCE = 4
-"""Draws for each row that is drawn anew; never fewer in all than there are rows."""
+"""Candidates per round for each missing configuration; at least K in all."""
 
 PATIENCE = 25
-"""Draws after which a row looks at other targets."""
+"""Rounds after which a missing configuration tries other targets."""
 
 NEWTON = 15
-"""Steps to a contact; a random start needs five to ten."""
+"""Largest number of Newton steps to a contact; a random start needs five to ten."""
 
 TOUCHING = 1e-13
-"""Gap at which the tool touches: nothing but rounding [m]."""
+"""Gap below which the tool touches: numerically zero [m]."""
 
 FARTHEST = 0.5
 """Longest step of a joint on the way to a contact [rad, m]."""
@@ -45,15 +46,15 @@ def asked(
     payload: Sequence[str] = (),
     start: Floats | None = None,
 ) -> Configurations:
-    """Configurations at which to ask the model of a problem.
+    """Configurations at which to evaluate the measurement model of a problem.
 
     Args:
         problem: The problem; its measurements name the payloads.
         q: Joint positions, shape (K, n) [rad, m].
         target: Target of each.
-        payload: What the robot carries in each; default `payloads_in_turn`.
-        start: Where relative measurements start, shape (K, n); default the
-            configuration before each.
+        payload: Payload of each; default `payloads_in_turn`.
+        start: Start configurations of relative measurements, shape (K, n) [rad, m];
+            default the configuration before each.
     """
     if problem.measurement.declaration.relative and start is None:
         start = np.roll(q, 1, axis=0)
@@ -67,9 +68,10 @@ def asked(
 
 
 def payloads_in_turn(data: Measurements, count: int) -> tuple[str, ...]:
-    """Payloads of configurations for which none is given: those of the data in turn.
+    """Default payloads: those of the data in turn, length `count`.
 
-    Each stays for as many configurations as there are targets, so that all meet.
+    Each stays for as many configurations as there are targets, so that every payload
+    meets every target.
     """
     names = tuple(dict.fromkeys(data.payload)) or ("",)
     targets = len(set(data.target)) or 1
@@ -81,7 +83,7 @@ def observable_configurations(
 ) -> tuple[Floats, tuple[str, ...]]:
     """Random configurations within the limits at which the instrument can measure.
 
-    Those of a contact are brought to where the tool touches.
+    Configurations of contact measurements are moved until the tool touches.
 
     Args:
         problem: Chain, frames, instrument; its data only name the targets.
@@ -90,10 +92,10 @@ def observable_configurations(
         rng: Random generator.
 
     Returns:
-        Joint positions, shape (K, n), and the target of each, in turn.
+        Joint positions, shape (K, n) [rad, m], and the target of each.
 
     Raises:
-        InputError: If hardly any configuration can be measured.
+        InputError: If too few configurations can be measured.
     """
     names = tuple(dict.fromkeys(problem.data.target)) or ("",)
     target = [names[i % len(names)] for i in range(count)]
@@ -104,10 +106,10 @@ def observable_configurations(
     while len(left) and tries < DRAWS:
         tries += 1
         if tries > PATIENCE:
-            # Some targets are hardly ever seen; the others will do.
+            # Some targets are hardly ever observable; others take their place.
             for i in left:
                 target[i] = names[(i + tries) % len(names)]
-        # Where hardly any draw will do, those that do are shared out.
+        # More candidates than missing ones: the observable ones are shared out below.
         some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
         drawn += len(some)
         q = chain.random_configurations(len(some), rng)
@@ -155,15 +157,16 @@ def brought_to_contact(
         problem: Chain, frames, instrument.
         theta: Parameter values, shape (P,).
         q: Configurations, shape (N, n) [rad, m].
-        target: What each touches.
-        rows: Which of them touch something, shape (N,).
-        gap: Residual that is left, shape (N, d); default none.
-        payload: What the robot carries in each; default `payloads_in_turn`.
+        target: Target of each.
+        rows: Mask of contact measurements, shape (N,); the others stay.
+        gap: Residual to leave, shape (N, d); default zero.
+        payload: Payload of each; default `payloads_in_turn`.
 
     Returns:
-        The configurations, and which of them touch and lie within the limits.
+        The configurations, shape (N, n) [rad, m], and the mask of those that lie within
+        the joint limits and touch if they are to, shape (N,).
     """
-    of_robot, instrument = problem.split(theta)
+    robot, instrument = problem.split(theta)
     chain, measurement = problem.error.chain, problem.measurement
     q, touches = q.copy(), ~rows
     payload = payload or payloads_in_turn(problem.data, len(q))
@@ -171,14 +174,14 @@ def brought_to_contact(
     for _ in range(NEWTON):
         names = [target[int(k)] for k in left]
         loads = [payload[int(k)] for k in left]
-        T, J_q = problem.error.kinematics(q[left], of_robot, loads)
+        T, J_q = problem.error.kinematics(q[left], robot, loads)
         linear = linearized_at(chain, measurement, T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True
-        # A stretched arm turns around its singularity and never gets there.
-        on = (size >= TOUCHING) & np.isfinite(size)
-        left, short, J = left[on], short[on], (linear.J_pose @ J_q)[on]
+        # Not finite: an arm at its stretched singularity never reaches contact.
+        moving = (size >= TOUCHING) & np.isfinite(size)
+        left, short, J = left[moving], short[moving], (linear.J_pose @ J_q)[moving]
         if not len(left):
             break
         damped = J @ np.swapaxes(J, 1, 2)

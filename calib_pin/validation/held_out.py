@@ -1,9 +1,9 @@
-"""Check a fitted model on measurements that were held out, and say what that is worth.
+"""Validation of a fitted model on held-out measurements, with its significance.
 
 Only measurements that the fit has not used count: those that repeat a fitted
 configuration are left out, an instrument that was moved is registered anew, and
-measurements that were set aside count neither before nor after. Where too little is
-left there is no check.
+rejected measurements count for neither the nominal nor the calibrated robot. If too
+few are left there is no check.
 """
 
 from __future__ import annotations
@@ -44,9 +44,9 @@ class HeldOut:
         measurements: The measurements that the positions of the parts belong to.
         parts: Errors of held-out measurements; empty without a check.
         method: `set`, `file`, `holdout`, `5-fold`, ..., or `none`.
-        gains: Paired tests of these, then those by the hat matrix.
-        findings: What is wrong with the held-out measurements.
-        skipped: Why folds of a cross-validation were left out.
+        gains: Paired tests on the parts, then those by the hat matrix (PRESS).
+        findings: Defects of the held-out measurements.
+        skipped: Reason for each skipped fold of a cross-validation.
     """
 
     measurements: Measurements
@@ -58,7 +58,7 @@ class HeldOut:
 
     @property
     def counted(self) -> tuple[ModelErrors, ...]:
-        """The parts without measurements that are set aside."""
+        """The parts without rejected measurements (weight zero)."""
         return tuple(part.counted(self.measurements.weight) for part in self.parts)
 
 
@@ -80,14 +80,14 @@ def check(
     Args:
         chain: The nominal chain.
         training: The measurements that were fitted.
-        setup: What was estimated, what is known.
+        setup: Setup of the fit.
         model: The model that was fitted to all of them.
         seed: Seed of the split and of further fits.
         validation: Validation measurements; None for a cross-validation.
-        method: How these were chosen.
-        validate: Whether to check at all; if not there is the hat matrix alone.
-        parts: A cross-validation that was made before.
-        progress: Told the stage and how much is done.
+        method: How the validation measurements were chosen; see `HeldOut.method`.
+        validate: Whether to validate; if not, only the hat matrix is used.
+        parts: Errors of a cross-validation with the same folds; None to run it.
+        progress: Told the stage and the fraction done.
     """
     fitted = model.fit
     training = model.weighted(training)
@@ -106,7 +106,7 @@ def check(
         parts = tuple(
             cross_validate(chain, training, setup, masks, seed, fitted, progress)
         )
-    # A fold without which nothing fits tells nothing of the robot.
+    # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
     if not _enough(training, kept):
         kept = ()
@@ -138,12 +138,12 @@ def cross_validate(
         masks: The parts, each of shape (N,).
         seed: As for `fit_model`.
         whole: The fit of all measurements.
-        progress: Told the stage and how much of all is done.
+        progress: Told the stage and the fraction done of all parts.
     """
     for k, mask in enumerate(masks):
         stage = f"check {k + 1} of {len(masks)}"
         tell = portion(named(progress, stage), k / len(masks), 1.0 / len(masks))
-        # What the fit of all measurements has set aside stays there.
+        # Measurements that the fit of all has rejected stay rejected.
         kept = ~mask & (measurements.weight > 0.0)
         some = measurements.rows(kept)
         model = fit_model(chain, some, setup, seed, tell, part_of=(whole, kept))
@@ -155,10 +155,10 @@ def cross_validate(
         try:
             found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
         except InputError as error:
-            # Of a place all else may be set aside.
+            # All other measurements of a reference may be rejected.
             none = np.zeros((0, model.problem.components))
-            nowhere = np.zeros(0, np.intp)
-            yield ModelErrors(nowhere, none, none, none, reason=error.reason)
+            positions = np.zeros(0, np.intp)
+            yield ModelErrors(positions, none, none, none, reason=error.reason)
         else:
             yield replace(found, reason=reason)
 
@@ -218,39 +218,44 @@ def _enough(measurements: Measurements, parts: Sequence[ModelErrors]) -> bool:
 
 
 MOVED = 4.0
-"""Errors with the station of the fit, by those with one of their own, of an
-instrument that was moved. UR10 Series B by the stand of Series A has 6 500; the second
-day of TIAGo, which counts as it is, 1.14, other rows of one stand 1.0 to 1.1."""
+"""Smallest ratio of RMS errors that shows that the instrument was moved.
+
+The ratio is that of the errors with the station of the fit to those with a station of
+their own. UR10 Series B with the station of Series A has 6 500; the second day of
+TIAGo, which counts as not moved, 1.14; other measurements from one station 1.0 to 1.1.
+"""
 
 ALIKE = 0.5
-"""Largest difference of the moves that nominal and calibrated robot see, by the move.
+"""Largest difference of the displacements seen by both robots, relative to them.
 
-A robot that errs in another corner of its workspace looks displaced as well, with
-ratios of 2 to 8 between corners of 0.4 rad, but each robot in its own way.
+Both are the nominal and the calibrated robot. A robot that errs in another corner of
+its workspace looks displaced as well, with ratios as in `MOVED` of 2 to 8 between
+corners of 0.4 rad, but then the two displacements differ.
 """
 
 FEWEST = 5
-"""Distinct configurations without which a registration on itself checks nothing."""
+"""Fewest distinct configurations for a check."""
 
 
 def registered_if_moved(
     model: FittedModel, errors: ModelErrors, problem: Problem
 ) -> tuple[ModelErrors | None, Finding | None]:
-    """Errors of validation measurements, registered on themselves if it was moved.
+    """Errors of validation measurements, registered anew if the instrument was moved.
 
-    With S the sum of squared errors as it is and S' registered, of M values and k
-    unknowns of the station, it has moved if `S / M > MOVED^2 S' / (M - k)` for the
-    calibrated robot and the nominal one sees about the same move. The F test of the
-    same hypothesis, `(S - S') / k` against `S' / (M - k)`, then is far beyond chance.
+    Let S be the sum of squared errors with the station of the fit, S' that with a new
+    station, of M values and with k unknowns of the station. The instrument was moved if
+    `S / M > MOVED^2 S' / (M - k)` for the calibrated robot and the nominal robot sees
+    about the same displacement. The F test of the same hypothesis, `(S - S') / k`
+    against `S' / (M - k)`, is then far beyond chance.
 
     Args:
         model: The fitted model.
-        errors: The errors as they are.
+        errors: The errors with the station of the fit.
         problem: Problem of these measurements, for their standard deviations.
 
     Returns:
-        The errors, None where the measurements say no more than where the instrument
-        stood; and a finding, None where it stood where it did for the fit.
+        The errors, None if the measurements suffice for no more than the registration;
+        and a finding, None if the instrument was not moved.
     """
     rows = problem.data
     before = _registered(model.fit.problem, model.fit.before, rows)
@@ -294,16 +299,16 @@ def registered_if_moved(
 def _registered(
     problem: Problem, theta: Floats, rows: Measurements
 ) -> Registered | None:
-    """A fitted problem with a station by other measurements; None where it is known.
+    """A fitted problem with the station estimated anew from other measurements.
 
-    The base and the instrument's references beside it are estimated; tool and robot
-    stay.
+    The base and the stationary references of the instrument are estimated; tool and
+    robot stay. None if nothing of the station is free.
     """
     there = registered(problem, theta, rows)
     moved, values = there.problem.rebased(there.theta)
     parameters = moved.parameters
     outer = np.array([p.outer for p in parameters], bool)
-    # The base comes first; what stands on the tool stays with the robot.
+    # The base comes first; references on the tool stay with the robot.
     outer[:6] |= parameters.nuisance[:6]
     _, J = moved.linearize(values)
     free = np.flatnonzero(outer & parameters.nuisance & parameters.free & J.any(axis=0))
@@ -318,13 +323,13 @@ def _registered(
     result, start = min(
         found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
     )
-    # Known distances count again; they are found, not fitted.
+    # Known distances count again: they were left out of this fit only.
     start = replace(start, setup=moved.setup)
     return Registered(start, result.x, there.new, tuple(free.tolist()))
 
 
 def _from_afar(problem: Problem, theta: Floats) -> Problem:
-    """The problem about a closed-form base, the tool where it is."""
+    """The problem with a closed-form base; the tool stays."""
     few = problem.data.sample(SAMPLE)
     F = problem.error.tip_poses(few.q, problem.split(theta)[0], few.payload)
     tool = problem.error.tool
@@ -337,7 +342,7 @@ def _from_afar(problem: Problem, theta: Floats) -> Problem:
 
 
 def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
-    """Whether both robots see about the same move, in the median measurement."""
+    """Whether both robots see about the same displacement, in the median."""
     unit = np.where(np.isfinite(problem.sigma), problem.sigma, np.inf)
     with np.errstate(invalid="ignore"):
         nominal, calibrated = (

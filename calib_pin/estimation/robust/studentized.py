@@ -1,15 +1,16 @@
-"""How far each configuration is from a fit, in standard deviations of just that.
+"""Studentized residuals: distance of each configuration from a fit.
 
-A residual of a fit is smaller than the error behind it, for the fit has followed it,
-and the more so the higher its leverage. With the hat matrix H of the accepted rows, the
-residuals `r_g` of configuration g have the covariance `I - H_gg`, and those of one that
-was not fitted `I + H_gg` (Huber and Ronchetti, Robust Statistics, 2009, 7.2). All
-targets and repetitions of a configuration fail together, so it is judged as a whole:
+A residual of a fitted row is smaller than its error, because the fit has followed the
+error; the higher the leverage, the smaller the residual. With the hat matrix H of the
+accepted rows, the whitened residuals `r_g` of an accepted configuration g have the
+covariance `I - H_gg`, and those of one that was not fitted `I + H_gg` (Huber and
+Ronchetti, Robust Statistics, 2009, 7.2). All targets and repetitions of a configuration
+fail together, so it is judged as a whole:
 
     z_g^2 = r_g^T (I -+ H_gg)^-1 r_g
 
-is chi-square distributed, and says of an accepted one how far it would be from a fit
-without it.
+is chi-square distributed. For an accepted configuration it is the distance from a fit
+without that configuration.
 """
 
 from __future__ import annotations
@@ -26,13 +27,13 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import states_sigmas
 
 LEAST = 1e-6
-"""Smallest scale in stated or assumed deviations: below, there is only rounding."""
+"""Smallest scale in stated or assumed deviations: less is numerically zero."""
 
 ALONE = 1e-6
-"""Part of a residual's variance below which the fit meets it whatever it is."""
+"""Part of a residual's variance below which its leverage is one: the fit meets it."""
 
 COUNTED = 0.5
-"""Components from which a configuration says something of the noise."""
+"""Fewest independent components of a configuration that is used to estimate noise."""
 
 
 @dataclass(frozen=True)
@@ -42,11 +43,11 @@ class Studentized:
     Attributes:
         labels: Configuration of each row, shape (N,).
         components: Squares of the normalized residuals, independent with unit
-            variance if the deviations of the rows were right, shape (N, d).
+            variance if the standard deviations of the rows are right, shape (N, d).
         squares: Their sums by configuration and quantity, shape (G, Q).
-        counts: How many independent ones there are, shape (G, Q).
+        counts: Number of independent components in each, shape (G, Q).
         columns: Quantity of each component, shape (d,).
-        least: Smallest scale that is believed, by quantity, shape (Q,).
+        least: Smallest credible scale, by quantity, shape (Q,).
     """
 
     labels: NDArray[np.int64]
@@ -63,7 +64,7 @@ class Studentized:
         Args:
             problem: The problem.
             components: The squares, shape (N, d); infinite where nothing is predicted.
-            counts: What each counts, 0 to 1, shape (N, d).
+            counts: Degrees of freedom of each, 0 to 1, shape (N, d).
         """
         quantities = problem.measurement.quantities
         columns = np.empty(problem.components, np.int64)
@@ -80,31 +81,31 @@ class Studentized:
             np.add.at(total[:, k], labels, counts[:, own].sum(axis=1))
         least = np.full(len(quantities), LEAST)
         if states_sigmas(problem.data):
-            # What the rows state is not contradicted by residuals that are smaller.
+            # Residuals smaller than the stated sigma do not contradict it.
             least[columns] = 1.0 / (problem.units if len(problem.units) else 1.0)
         return cls(labels, components, squares, total, columns, least)
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
 
-        Consistent with normal noise whatever the number of components, and right to a
-        factor as long as half of the configurations are.
+        Consistent for normal noise whatever the number of components, and correct
+        within a factor while at least half of the configurations are good.
 
         Args:
-            share: Part of the configurations that counts, where that is not one half.
+            share: Quantile of the configurations that is used; 0.5 is the median.
         """
         result = self.least.copy()
         for k, (squares, counts) in enumerate(
             zip(self.squares.T, self.counts.T, strict=True)
         ):
-            told = counts >= COUNTED
-            if told.any():
-                ratios = np.sort(squares[told] / _quantiles(counts[told], 1.0 - share))
+            used = counts >= COUNTED
+            if used.any():
+                ratios = np.sort(squares[used] / _quantiles(counts[used], 1.0 - share))
                 result[k] = np.sqrt(ratios[int(share * (len(ratios) - 1))])
         return np.maximum(result, self.least)
 
     def scale(self, accepted: NDArray[np.bool_]) -> Floats:
-        """Scale by the squares of accepted configurations, shape (G,) -> (Q,)."""
+        """Scale by the mean square of accepted configurations, shape (G,) -> (Q,)."""
         squares, counts = self.squares[accepted], self.counts[accepted]
         with np.errstate(invalid="ignore", divide="ignore"):
             scale = np.sqrt(squares.sum(axis=0) / counts.sum(axis=0))
@@ -116,7 +117,7 @@ class Studentized:
             return np.asarray((self.squares / scale**2).sum(axis=1))
 
     def sizes(self, scale: Floats) -> Floats:
-        """Size z of each row by itself at a scale by quantity, shape (N,)."""
+        """Normalized residual z of each row at a scale by quantity, shape (N,)."""
         return np.asarray(
             np.sqrt((self.components / scale[self.columns] ** 2).sum(axis=1))
         )
@@ -131,7 +132,7 @@ def studentized(
 ) -> Studentized:
     """Normalized residuals of all rows about a fit of some of them.
 
-    Of very many rows none has a leverage worth mentioning, so they are not linearized.
+    With very many rows every leverage is negligible, so they are not linearized.
 
     Args:
         problem: The problem with all its rows at full weight.
@@ -178,7 +179,14 @@ def studentized(
 
 
 def spectrum(B: Floats) -> tuple[Floats, Floats]:
-    """Eigenvectors and eigenvalues of B B^T that matter, (G, m, k) -> .., (G, l)."""
+    """Eigenvectors and eigenvalues of B B^T that span the range of B.
+
+    Args:
+        B: Factors, shape (G, m, k).
+
+    Returns:
+        Eigenvectors, shape (G, m, l), and eigenvalues, shape (G, l), l = min(m, k).
+    """
     if B.shape[1] <= B.shape[2]:
         eigenvalues, U = np.linalg.eigh(B @ np.swapaxes(B, 1, 2))
         return U, eigenvalues
@@ -193,7 +201,7 @@ def squared_or_infinite(r: Floats) -> Floats:
 
 
 def _quantiles(counts: Floats, tail: float) -> Floats:
-    """Chi-square quantiles by rounded degrees of freedom; infinite for none."""
+    """Chi-square quantiles by rounded degrees of freedom; infinite for zero."""
     rounded = np.round(counts).astype(np.int64)
     table = {
         dof: chi_square_quantile(dof, tail) if dof > 0 else np.inf

@@ -1,6 +1,6 @@
-"""Members of families that other packages add, found by their entry points.
+"""Plug-ins: members of families from other packages, found by their entry points.
 
-A package names its members in its own metadata:
+A package declares them in its own metadata:
 
     [project.entry-points."calib_pin.measurement_models"]
     theodolite = "my_package:Theodolite"
@@ -17,17 +17,17 @@ from calib_pin.errors import CalibPinError
 T = TypeVar("T")
 
 upper: dict[str, Callable[..., Any]] = {}
-"""Functions of upper rooms that lower ones call by name; the package sets them."""
+"""Functions of upper layers that lower ones call by name; `calib_pin` sets them."""
 
 
 @cache
 def extensions(group: str) -> Mapping[str, Any]:
-    """The objects of all entry points of a group, by name and in its order.
+    """The objects of all entry points of a group, by name in alphabetical order.
 
     Raises:
         CalibPinError: If one cannot be loaded, or two have the same name.
     """
-    # Its import takes a tenth of a second, and not every command asks.
+    # Imported here: it takes a tenth of a second, and not every command needs it.
     from importlib.metadata import entry_points
 
     found: dict[str, Any] = {}
@@ -57,7 +57,7 @@ def extensions(group: str) -> Mapping[str, Any]:
 class Members(Mapping[str, T]):
     """The members of a family by name: the bundled ones, then those of entry points.
 
-    Entry points are loaded at the first look at the mapping, not before: their modules
+    Entry points are loaded when the mapping is first read, not before: their modules
     import the family that they extend.
     """
 
@@ -72,8 +72,8 @@ class Members(Mapping[str, T]):
         Args:
             group: Group of the entry points, such as `calib_pin.measurement_models`.
             bundled: The members that come with calib-pin.
-            fault: Says of a name and an object of another package why this cannot be a
-                member; empty where it can.
+            fault: Reason why an object from another package cannot be a member, given
+                its name and the object; empty if it can.
         """
         self._group = group
         self._bundled = bundled
@@ -85,7 +85,7 @@ class Members(Mapping[str, T]):
 
         Raises:
             CalibPinError: If an entry point cannot be loaded, has the name of another
-                member, or is none.
+                member, or cannot be a member.
         """
         outside = extensions(self._group)
         if not outside:
@@ -104,7 +104,7 @@ class Members(Mapping[str, T]):
 
     def __getitem__(self, name: str) -> T:
         """The member of a name."""
-        # What is bundled needs no other package, broken or not.
+        # A bundled member must not fail because of a broken package.
         return self._bundled[name] if name in self._bundled else self._all[name]
 
     def __iter__(self) -> Iterator[str]:

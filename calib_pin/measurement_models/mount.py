@@ -1,4 +1,4 @@
-"""An instrument with a stand and a mount of its own, among others."""
+"""One of several instruments, with its own base frame and its own mount on the tool."""
 
 from __future__ import annotations
 
@@ -27,13 +27,13 @@ from calib_pin.setup import FrameSetup
 
 @dataclass(frozen=True)
 class Frame(ReferenceObject):
-    """A frame of an instrument that is one among others.
+    """The base frame or the mount of one of several instruments.
 
     Attributes:
         name: Name of the instrument.
-        kind: `base` for where it stands, `tool` for its mount on the tool.
-        pose: Reference; None until it is registered.
-        estimate: Whether it is estimated.
+        kind: `base` for its stand, `tool` for its mount on the tool.
+        pose: Pose D or E as in `Mounted`; None until it is registered.
+        estimate: Whether the pose is estimated.
     """
 
     name: str
@@ -53,18 +53,18 @@ class Frame(ReferenceObject):
 
     @property
     def outer(self) -> bool:
-        """Whether it is where the instrument stands."""
+        """Whether it is the stand, and not the mount."""
         return self.kind == "base"
 
     @property
     def components(self) -> Iterable[tuple[str, str, bool]]:
-        """Screws x..rz in their order, as those of the two frames of the robot."""
+        """Name, unit and freedom of the screws, in the order of the robot's frames."""
         names = ("x", "y", "z", "rx", "ry", "rz")
         units = ("m",) * 3 + ("rad",) * 3
         return ((c, u, self.estimate) for c, u in zip(names, units, strict=True))
 
     def rebased(self, values: Floats) -> Frame:
-        """Moved by the screws."""
+        """The frame moved by screws, shape (6,) [m, rad]."""
         assert self.pose is not None
         pose = self.pose
         for k in np.flatnonzero(values):
@@ -72,7 +72,7 @@ class Frame(ReferenceObject):
         return replace(self, pose=pose)
 
     def moved(self, values: Floats) -> Floats:
-        """Links (R | p) at many values of the screws, shape (S, 6) -> (S, 12)."""
+        """Poses (R | p) by rows at S values of the screws, shape (S, 6) -> (S, 12)."""
         from calib_pin.compiled import link_kernels
 
         assert self.pose is not None
@@ -91,7 +91,7 @@ class Frame(ReferenceObject):
         return result
 
     def stated(self) -> FrameSetup:
-        """Its pose."""
+        """Its pose as a setup file states it."""
         assert self.pose is not None
         roll, pitch, yaw = map(float, pin.rpy.matrixToRpy(self.pose.rotation))
         xyz = triple(self.pose.translation)
@@ -100,14 +100,15 @@ class Frame(ReferenceObject):
 
 @dataclass(frozen=True)
 class Mounted(MeasurementModel):
-    """A model that sees the poses `D T E` where others see T.
+    """A model that measures the poses `D T E` instead of the tool poses T.
 
-    It stands in the measurement frame of the others, and has a tool frame of its own.
+    T is the pose of the common tool frame in the common measurement frame; the model
+    has a measurement frame and a tool frame of its own.
 
     Attributes:
         model: The model.
-        stand: Pose D of the measurement frame in that of the model.
-        mount: Pose E of the model's tool frame in the tool frame.
+        stand: Pose D of the common measurement frame in that of the model.
+        mount: Pose E of the model's tool frame in the common tool frame.
     """
 
     model: MeasurementModel
@@ -123,17 +124,17 @@ class Mounted(MeasurementModel):
 
     @property
     def declaration(self) -> Declaration:
-        """That of the model, which is no longer external."""
+        """Declaration of the model, which is no longer external."""
         return replace(self.model.declaration, external=False)
 
     @property
     def missing(self) -> str:
-        """Things that the model lacks."""
+        """Inputs that the model lacks in a study without data; empty if none."""
         return self.model.missing
 
     @property
     def targets(self) -> Sequence[str]:
-        """Those of the model."""
+        """Targets of the model."""
         return self.model.targets
 
     def disturb(self, values: Floats, noise: Floats) -> Floats:
@@ -142,11 +143,11 @@ class Mounted(MeasurementModel):
 
     @property
     def references(self) -> Sequence[ReferenceObject]:
-        """Those of the model, the stand and the mount."""
+        """References of the model, then the stand and the mount."""
         return (*self.model.references, self.stand, self.mount)
 
     def with_references(self, references: Sequence[ReferenceObject]) -> Mounted:
-        """The same about other references."""
+        """The same model with other references, in the order of `references`."""
         *inner, stand, mount = references
         assert isinstance(stand, Frame) and isinstance(mount, Frame)
         return Mounted(self.model.with_references(inner), stand, mount)
@@ -169,24 +170,24 @@ class Mounted(MeasurementModel):
     def linearize(
         self, T: Floats, instrument: Floats, data: Measurements
     ) -> Linearization:
-        """Twists of the stand and of the tool are carried to the model's tool."""
+        """Linearization at `D T E`, with twists of T and of the stand transformed."""
         inner, D, E = self._split(instrument)
         TE = T @ E
         linear = self.model.linearize(D @ TE, inner, data)
-        # D = D_0 Exp(d), so that a twist d stands before T E.
-        at_stand = linear.J_pose @ adjoint(invert(TE))
-        by_stand = at_stand @ self.stand.twists(instrument[-12:-6])
-        by_mount = linear.J_pose @ self.mount.twists(instrument[-6:])
+        # D = D_0 Exp(d): the adjoint of (T E)^-1 transforms the twist d to the tool.
+        J_d = linear.J_pose @ adjoint(invert(TE))
+        J_stand = J_d @ self.stand.twists(instrument[-12:-6])
+        J_mount = linear.J_pose @ self.mount.twists(instrument[-6:])
         return replace(
             linear,
             J_pose=linear.J_pose @ adjoint(invert(E[None])),
             J_instrument=np.concatenate(
-                [linear.J_instrument, by_stand, by_mount], axis=2
+                [linear.J_instrument, J_stand, J_mount], axis=2
             ),
         )
 
     def batches(self, data: Measurements, weights: Floats) -> Sequence[Batch]:
-        """Those of the model, with both frames around the chain."""
+        """Batches of the model, with both frames around the chain."""
         if not isinstance(self.model, BatchedModel):
             return []
 
@@ -207,7 +208,7 @@ class Mounted(MeasurementModel):
     def register(
         self, F: Floats, data: Measurements, base: pin.SE3 | None, tool: pin.SE3 | None
     ) -> tuple[Mounted, pin.SE3, pin.SE3]:
-        """As the model does with frames of its own, which are then put behind T."""
+        """Register the model with its own frames, and derive stand and mount."""
         base, tool = base or pin.SE3.Identity(), tool or pin.SE3.Identity()
         D, E = self.stand.pose, self.mount.pose
         model, model_base, model_tool = self.model.register(
@@ -224,7 +225,7 @@ class Mounted(MeasurementModel):
         )
 
     def _split(self, instrument: Floats) -> tuple[Floats, Floats, Floats]:
-        """Parameters of the model, and both frames, shape (4, 4)."""
+        """Parameters of the model, and the poses D and E, shape (4, 4)."""
         stand, mount = (
             self.stand.rebased(instrument[-12:-6]),
             self.mount.rebased(instrument[-6:]),

@@ -1,7 +1,7 @@
-"""Measurements of several models in one table: joined, told apart, and looked up.
+"""Measurements of several models in one table: joined, split by model, and looked up.
 
-Values and residuals of the models stand side by side, in the columns that each of them
-declares; a target has the name of its model before it.
+Each model declares its columns of values and of residual components; the table holds
+those of all models side by side. A target is prefixed with the name of its model.
 """
 
 from __future__ import annotations
@@ -22,13 +22,16 @@ from calib_pin.observations import (
 )
 
 Parts = Mapping[str, tuple[NDArray[np.intp], Measurements]]
-"""By model the rows that are of it, and these in its own columns with plain targets."""
+"""By model: its row indices, and these rows in its own columns with plain targets.
+
+A plain target is the name of a target without the prefix of its model.
+"""
 
 
 def concatenate(parts: Sequence[Measurements]) -> Measurements:
     """Join measurements of the same chain, of one model or of several.
 
-    Of several models, a row keeps what belongs to its own; see `Measurements`.
+    With several models, a row fills only the columns of its own; see `Measurements`.
 
     Raises:
         InputError: If the joints differ, or only some rows of one model have standard
@@ -40,11 +43,13 @@ def concatenate(parts: Sequence[Measurements]) -> Measurements:
 
 
 def among(data: Measurements, model: str) -> Measurements:
-    """The same measurements in the columns of several models, where theirs are some.
+    """The same measurements in the columns of several models.
+
+    They are returned unchanged if one of their own models is not among these.
 
     Args:
         data: The measurements.
-        model: Names of the models with a plus between them.
+        model: Names of the models, joined by plus signs.
     """
     names = model.split(PLUS)
     if data.model == model or not set(data.parts) <= set(names):
@@ -58,13 +63,13 @@ def among(data: Measurements, model: str) -> Measurements:
 
 
 def by_part(data: Measurements) -> Parts:
-    """The measurements of each model that has some.
+    """The measurements split by model; a model without measurements has no entry.
 
-    They are told apart once: a fit asks at every evaluation.
+    The split is cached in the measurements: a fit asks for it at every evaluation.
     """
     known: dict[str, Parts] = vars(data)
     if "_by_part" not in known:
-        known["_by_part"] = _told_apart(data)
+        known["_by_part"] = _split(data)
     return known["_by_part"]
 
 
@@ -83,23 +88,24 @@ def targets_of(data: Measurements, model: str) -> tuple[str, ...]:
 def repeated_targets(data: Measurements) -> tuple[str, ...]:
     """The plain target of each row whose target needs several configurations.
 
-    Such is a socket: its rows tell something only together. Empty in the other rows.
+    An example is a socket: its rows are informative only together. Empty in the other
+    rows.
     """
     result = ("",) * len(data)
     for model in data.parts:
         if declared(model).naming.configurations > 1:
-            of = targets_of(data, model)
-            result = tuple(a or b for a, b in zip(result, of, strict=True))
+            targets = targets_of(data, model)
+            result = tuple(a or b for a, b in zip(result, targets, strict=True))
     return result
 
 
 def _layout(model: str) -> tuple[int, int]:
-    """Columns of the values and components of the residual of a model."""
+    """Number of value columns and of residual components of a model."""
     stated = declared(model)
     return len(stated.values), len(stated.components)
 
 
-def _told_apart(data: Measurements) -> Parts:
+def _split(data: Measurements) -> Parts:
     if len(data.parts) == 1:
         return {data.model: (np.arange(len(data)), data)} if len(data) else {}
     rows = rows_by_part(data.target)
@@ -142,8 +148,8 @@ def _side_by_side(parts: Sequence[Measurements]) -> list[Measurements]:
             (a, b), (c, d) = at[name]
             values[rows, a:c] = alone.values
             sigma[rows, b:d] = np.nan if alone.sigma is None else alone.sigma
-            told = alone.sigma is not None
-            require_alike(part, stated.setdefault(name, told) == told)
+            has_sigma = alone.sigma is not None
+            require_alike(part, stated.setdefault(name, has_sigma) == has_sigma)
         target = part.target
         if len(part.parts) == 1:
             target = tuple(f"{part.model}{PART}{name}" for name in target)

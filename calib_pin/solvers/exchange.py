@@ -1,10 +1,10 @@
-"""Exchange methods that choose some of many candidates.
+"""Exchange methods that choose a subset of candidates.
 
 `greedy` adds the best candidate until there are enough. `exchange` is DETMAX (Mitchell
 1974, doi 10.1080/00401706.1974.10489175): from a subset of the wanted size it makes
-excursions that add some candidates and then remove as many members, or the other way
-round, each step the best one. An excursion of one exchange that finds nothing better is
-followed by a longer one; when the longest fails in both directions, nothing improves.
+excursions that add some candidates and then remove as many members, or the reverse,
+each step the best one. If an excursion finds nothing better, the next one is longer by
+one exchange; the search ends when the longest fails in both directions.
 """
 
 from __future__ import annotations
@@ -17,20 +17,20 @@ from calib_pin.errors import OptionError
 from calib_pin.solvers.status import Status
 
 LONGEST = 6
-"""Exchanges of the longest excursion, as Mitchell has it."""
+"""Exchanges of the longest excursion, as in Mitchell (1974)."""
 
 GAIN = 1e-9
 """Gain in the cost below which two subsets count as equally good."""
 
 Callback = Callable[[int, float], bool | None]
-"""Told the number of steps and the best cost; True stops the search."""
+"""Called with the number of steps and the best cost; True stops the search."""
 
 
 class Subset(Protocol):
-    """A subset of candidates whose cost follows every change.
+    """A mutable subset of candidates that keeps its cost up to date.
 
     Attributes:
-        chosen: The members, in the order in which they came.
+        chosen: Indices of the members, in the order in which they were added.
     """
 
     chosen: list[int]
@@ -46,11 +46,11 @@ class Subset(Protocol):
         ...
 
     def best_to_add(self) -> tuple[int, float]:
-        """The candidate whose addition costs least, and the cost after it."""
+        """The candidate whose addition gives the least cost, and that cost."""
         ...
 
     def best_to_remove(self) -> tuple[int, float]:
-        """The member whose removal costs least, and the cost after it."""
+        """The member whose removal gives the least cost, and that cost."""
         ...
 
     def add(self, candidate: int) -> None:
@@ -62,7 +62,7 @@ class Subset(Protocol):
         ...
 
     def reset(self, chosen: list[int]) -> None:
-        """Become another subset."""
+        """Replace all members."""
         ...
 
 
@@ -71,9 +71,9 @@ class ExchangeResult:
     """Outcome of an exchange method.
 
     Attributes:
-        chosen: The members, in the order in which they came.
+        chosen: Indices of the members, in the order in which they were added.
         cost: Their cost.
-        nit: Number of candidates that were added or removed on the way.
+        nit: Number of additions and removals.
         status: How the search ended.
     """
 
@@ -119,13 +119,13 @@ def exchange(
         max_steps: Limit on the additions and removals.
 
     Raises:
-        OptionError: If the longest excursion has no exchange.
+        OptionError: If `longest` is less than 1.
     """
     if longest < 1:
         raise OptionError(
             "excursions are too short", value=longest, allowed="1 or more"
         )
-    best, least = list(subset.chosen), subset.cost
+    best, best_cost = list(subset.chosen), subset.cost
     steps, length = 0, 1
     status = Status.CONVERGED
     while length <= longest:
@@ -135,21 +135,22 @@ def exchange(
                 continue
             _excursion(subset, length, first_add)
             steps += 2 * length
-            if subset.cost < least - GAIN:
-                best, least, improved = list(subset.chosen), subset.cost, True
+            if subset.cost < best_cost - GAIN:
+                best, best_cost, improved = list(subset.chosen), subset.cost, True
             else:
                 subset.reset(best)
-            if callback is not None and callback(steps, least):
-                return ExchangeResult(tuple(best), least, steps, Status.STOPPED)
-        # A gain may make short excursions worth while again.
+            if callback is not None and callback(steps, best_cost):
+                return ExchangeResult(tuple(best), best_cost, steps, Status.STOPPED)
+        # After a gain, short excursions may succeed again.
         length = 1 if improved else length + 1
         if steps >= max_steps:
             status = Status.ITERATIONS
             break
-    return ExchangeResult(tuple(best), least, steps, status)
+    return ExchangeResult(tuple(best), best_cost, steps, status)
 
 
 def _excursion(subset: Subset, length: int, first_add: bool) -> None:
+    """Add and then remove `length` candidates, or remove and then add them."""
     for add in (first_add, not first_add):
         for _ in range(length):
             if add:

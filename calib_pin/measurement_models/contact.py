@@ -242,11 +242,11 @@ def planes_of_setup(setup: Setup, names: Sequence[str]) -> tuple[Plane, ...]:
 def rays(
     p: Floats, sites: Sequence[ReferenceObject], site: Indices, values: Floats
 ) -> tuple[Floats, Floats]:
-    """Directions and lengths from the centers of spheres or anchors to points.
+    """Directions and lengths from centers of spheres or reference points to points.
 
     Args:
         p: Points in the measurement frame, shape (N, 3) [m].
-        sites: The spheres or anchors.
+        sites: The spheres or fixed reference points.
         site: Position of each row's, shape (N,).
         values: Its parameters, the coordinates first, shape (N, k).
     """
@@ -254,7 +254,7 @@ def rays(
 
 
 def rounds(sites: Sequence[ReferenceObject], added: Floats) -> Floats:
-    """Centers of L spheres or anchors, and what is added to distances, (L, 4)."""
+    """Centers of L spheres or reference points, and distance offsets, (L, 4)."""
     return np.column_stack([_centers(sites), added])
 
 

@@ -1,7 +1,8 @@
-"""Closed-form registration of what a tool point touches, or is measured from.
+"""Closed-form registration of references that a tool point touches or is measured from.
 
-Sockets, planes, spheres and the anchors of wires, and the point itself, on nominal
-kinematics and without a first guess; the results start the least-squares fit.
+Sockets, planes, spheres and fixed reference points of distances, and the tool point
+itself, on nominal kinematics and without a first guess; the results start the
+least-squares fit.
 """
 
 from __future__ import annotations

@@ -1,4 +1,4 @@
-"""Distances of a tool point: draw wire, ball bar, laser interferometer."""
+"""Distances of a tool point: draw-wire encoder, ball bar, laser interferometer."""
 
 from __future__ import annotations
 
@@ -46,11 +46,12 @@ QUANTITIES = (Quantity("distance", "m", slice(0, 1), 1e-4),)
 
 @dataclass(frozen=True)
 class PointDistance(SiteModel):
-    """`h = |p - a| + b`, from an anchor a to the tool point, with a bias b [m]."""
+    """`h = |p - a| + b`, from a fixed point a to the tool point, with a bias b [m]."""
 
     declaration = Declaration(
         name="point-distance",
-        help="distances of a tool point from anchors: draw wire, ball bar",
+        help="distances of a tool point from fixed reference points: draw-wire "
+        "encoder, ball bar",
         components=("distance",),
         quantities=QUANTITIES,
         naming=Naming("anchor", "all or none"),
@@ -61,7 +62,7 @@ class PointDistance(SiteModel):
 
     @classmethod
     def sites_of_setup(cls, setup: Setup, names: Sequence[str]) -> tuple[Anchor, ...]:
-        """The anchors."""
+        """The fixed reference points."""
         stated = setup.anchors.items()
         return tuple(
             Anchor(name, xyz_or_none(a.xyz), a.bias, a.estimate, a.estimate_bias)
@@ -77,7 +78,7 @@ class PointDistance(SiteModel):
         return PointMeasurement(reading[:, None], e[:, None], by_anchor[:, None])
 
     def seen(self, values: Floats) -> Floats:
-        """Anchors and biases."""
+        """Positions of the reference points, and biases."""
         return rounds(self.sites, self._biases) + values.reshape(len(values), -1, 4)
 
     @property
@@ -85,13 +86,13 @@ class PointDistance(SiteModel):
         return np.array([a.bias for a in self.sites if isinstance(a, Anchor)])
 
     def bend(self, p: Floats, site: Indices, values: Floats) -> PointCurvature:
-        """As round as the point is far from the anchor."""
+        """Curvature of a sphere about the reference point."""
         return round_bend(*rays(p, self.sites, site, values))
 
     def fit_site(
         self, F: Floats, data: Measurements, point: Floats | None, site: ReferenceObject
     ) -> tuple[Floats, Anchor]:
-        """The anchor at these distances from the points, with an unknown bias."""
+        """The reference point at these distances, with its bias."""
         assert isinstance(site, Anchor)
         bias = None if site.estimate_bias else site.bias
         reached = register_distances(F, data.values[:, 0], point, bias)

@@ -60,14 +60,14 @@ def calibrate(
     Args:
         chain: The nominal chain.
         measurements: Measurements; those marked for validation are not fitted.
-        setup: What is estimated and what is known; default six errors of every joint
+        setup: Estimated and known quantities; default six errors of every joint
             placement with base and tool unknown.
         validation: Further measurements, for validation.
         holdout: Part of the measurements, 0 to 1, that is held out for validation.
         validate: Whether to check the fit on held-out measurements; without any of the
             above by cross-validation.
-        ladder: Select among models from joint offsets to a learned correction by
-            cross-validation, and calibrate with the simplest of the best; see
+        ladder: Whether to select among models from joint offsets to a learned
+            correction by cross-validation, and to use the simplest of the best; see
             `model_selection.select_model`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.

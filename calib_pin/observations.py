@@ -211,8 +211,8 @@ class Measurements:
     def groups(self) -> Indices:
         """Label rows that must stay together when data are split, shape (N,).
 
-        Rows of one configuration are repetitions: with one of them fitted the others
-        are no longer unseen. Labels count from 0 and are read-only.
+        Rows of one configuration are repetitions: if one of them is fitted, the others
+        are no longer held out. Labels count from 0 and are read-only.
         """
         return self._groups
 

@@ -65,7 +65,7 @@ def simulate(
             something is brought there; or else
         target: The target of each of them; default all targets in turn. Relative
             distances of one name start at its first configuration, which is no row.
-        payload: What the robot carries in each of them; default all payloads in turn.
+        payload: Payload of each of them; default all payloads in turn.
         count: Number K of random configurations at which the instrument can measure.
         noise: Standard deviation of every component [m, rad]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
@@ -167,7 +167,7 @@ def exact_problem(
         target: Target of each measurement.
         start: Where relative measurements start, shape (K, n); default the
             configuration before each.
-        payload: What the robot carries in each; default `payloads_in_turn`.
+        payload: Payload of each; default `payloads_in_turn`.
     """
     at = asked(problem, q, target, payload, start)
     data = Measurements(
@@ -197,7 +197,7 @@ def _relative(
 ) -> tuple[Floats, tuple[str, ...], tuple[str, ...], Floats]:
     """Rows without those that others start from, which are the first of each name.
 
-    What is carried at the start is carried to the end.
+    The payload at the start stays to the end.
 
     Raises:
         InputError: If a name has nothing but its start.

@@ -65,7 +65,7 @@ def check_results(
 ) -> None:
     """Complain about results that must not be written, before the work is done.
 
-    What an earlier run wrote there goes, and so must be no input either.
+    Files of an earlier run there are removed, so none of them may be an input.
 
     Raises:
         OptionError: See `cli.files.check_outputs`.
@@ -136,8 +136,8 @@ def write_results(
 ) -> Iterator[None]:
     """Put the files of a result in place when the block ends well.
 
-    What is there of an earlier run and not written now would pass for a result of this
-    one, so it is removed.
+    Files of an earlier run that are not rewritten would pass for a result of this
+    one, so they are removed.
     """
     from calib_pin.io.files import write_folder
     from calib_pin.io.journal import listed

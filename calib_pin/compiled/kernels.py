@@ -170,7 +170,7 @@ def population_costs(
         chains: Links of the members, shape (S, n + 1, 12).
         amounts: Their joint corrections, shape (S, C).
         points: Points of the tool, shape (S, J, 3) [m].
-        sites: What these are compared with, shape (S, L, w).
+        sites: References that these are compared with, shape (S, L, w).
         rows: The rows.
         costs: Filled, shape (S,).
     """

@@ -151,7 +151,7 @@ class Threads:
         """About equal slices of a length, one for each thread.
 
         Args:
-            length: What is to be sliced.
+            length: Length to be sliced.
             least: Length below which a slice is not worth a thread.
         """
         count = max(1, min(self.count, length // max(least, 1)))

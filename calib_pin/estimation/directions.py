@@ -154,7 +154,7 @@ def pruned(
     """The directions that a fit has confirmed; the others join the weak ones.
 
     Args:
-        directions: What the fit moved.
+        directions: Directions that were fitted.
         J: Whitened Jacobian at its solution, shape (M, P).
         parameters: The parameters.
         sigma0: Standard deviation of unit weight of the fit.
@@ -238,7 +238,7 @@ def robot_singular_values(
     """Singular values of the moved robot directions, the nuisances projected out.
 
     Args:
-        directions: What the fit moved.
+        directions: Directions that were fitted.
         J: Whitened Jacobian at its solution, shape (M, P).
         parameters: The parameters.
     """

@@ -28,11 +28,11 @@ class Finding:
     """A defect of the data or the result, with the numbers that show it.
 
     Attributes:
-        code: What it is, a word for programs such as `known-distance`.
+        code: Its identifier for programs, such as `known-distance`.
         severity: `error` takes the trust; `warning` and `info` do not.
         message: One sentence with numbers.
         evidence: The numbers by name, SI units.
-        remedy: What to do about it; empty where there is nothing to do.
+        remedy: Advice on how to correct it; empty if there is none.
     """
 
     code: str
@@ -50,9 +50,9 @@ class Outlier:
         place: Where it stands, `file:line`.
         row: Its position among the training rows.
         size: Size of its residual in standard deviations.
-        weight: What robust estimation left it, 0 to 1; 0 is set aside.
-        cause: What it shares with others that were set aside, such as `target a` or
-            `lines 40 to 52`; empty where it stands alone.
+        weight: Its weight after robust estimation, 0 to 1; 0 is rejected.
+        cause: Property shared with other rejected measurements, such as `target a` or
+            `lines 40 to 52`; empty if there is none.
     """
 
     place: str
@@ -76,13 +76,13 @@ class VarianceComponent:
             one was not contradicted and is used.
         estimate: Estimated standard deviation of a component [unit]; NaN where there
             is no redundancy.
-        interval: What holds it in 95 of 100 cases [unit].
+        interval: Its 95 % confidence interval [unit].
         redundancy: Share of the measured values that is left over to estimate it.
         values: Number of measured values.
         contradicted: Whether the test at 5 % rejects the given one.
         pure: Standard deviation among repetitions of a configuration [unit]; None
             where too few are repeated.
-        unmodeled: What no noise explains, standard deviation of a component [unit];
+        unmodeled: Unmodeled error, standard deviation of a component [unit];
             None where nothing tells it from noise.
         lack_of_fit: Probability that noise alone leaves more than this between
             configurations; None without repetitions.
@@ -149,7 +149,7 @@ class ExpectedAccuracy:
     Attributes:
         nominal: Of the nominal robot.
         calibrated: Of the corrected robot.
-        bound: What `calibrated` stays below in 95 of 100 cases.
+        bound: Upper bound of `calibrated` with 95 % confidence.
         unmodeled: The part of both that no parameter describes.
         better: Probability that the corrected robot is better over all of them.
         share: Part of the configurations at which it is better with a probability of

@@ -72,7 +72,7 @@ def fit(
 def refitted(fitted: Fit, kept: NDArray[np.bool_]) -> Fit | None:
     """A fit of some of the measurements of another, from where that stands.
 
-    What all of them say of noise, directions and the size of errors holds for it.
+    Noise, directions and sizes of errors are taken from the fit of all of them.
 
     Args:
         fitted: The fit.
@@ -168,7 +168,7 @@ def fit_model(
     Args:
         chain: The nominal chain.
         measurements: The measurements to fit.
-        setup: What is estimated, what is known, what is learned.
+        setup: Estimated, known and learned quantities.
         seed: Seed of random configurations, searches and starts.
         progress: Told how much is done, 0 to 1.
         part_of: A fit of more measurements with the same setup, and which of them these

@@ -142,7 +142,7 @@ def geometric_setup(chain: Chain, measurements: Measurements, setup: Setup) -> S
     Args:
         chain: The nominal chain.
         measurements: The measurements to fit.
-        setup: What is estimated, what is known.
+        setup: Estimated and known quantities.
     """
     plain = replace(setup, learned=None)
     beyond = beyond_geometry()

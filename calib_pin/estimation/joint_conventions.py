@@ -52,7 +52,7 @@ class Reading:
     Attributes:
         joint: Position j of the joint in the chain.
         sign: 1, or -1 where it counts the other way.
-        offset: What is added [rad].
+        offset: Added offset [rad].
         coupled: Position k of a joint whose reading is added; None for none.
         factor: 1 or -1 times that.
     """
@@ -98,7 +98,7 @@ class Suggestion:
     """Readings with which the measurements make sense.
 
     Attributes:
-        readings: What to change.
+        readings: The suggested changes.
         before: Error of the registered nominal robot as it is read now, root mean
             square in standard deviations.
         after: The same read so.
@@ -142,7 +142,7 @@ def suggest_conventions(
     Args:
         chain: The nominal chain.
         rows: The rows as they are read.
-        setup: What is known of frames and instrument.
+        setup: Known quantities of frames and instrument.
         progress: Told how much is done, 0 to 1.
 
     Returns:

@@ -229,7 +229,7 @@ def whitened_jacobian(
 
     Args:
         tool: Tool poses.
-        linear: What is measured of them.
+        linear: Linearized measurements of them.
         sigma: Standard deviations of the residual components, shape (N, d).
     """
     weight = 1.0 / sigma[:, :, None]

@@ -243,7 +243,7 @@ class Problem(Model):
     def masked_errors(self, theta: Floats) -> Floats:
         """Residuals as `errors`, with NaN for absent components, shape (N, d).
 
-        What cannot be predicted is infinite.
+        Unpredictable values are infinite.
         """
         errors = self.errors(theta)
         errors = np.where(np.isnan(errors), np.inf, errors)

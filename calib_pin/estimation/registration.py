@@ -20,8 +20,8 @@ from calib_pin.setup import FrameSetup
 def registered(problem: Problem, theta: Floats) -> Problem:
     """A problem about closed-form frames and instrument references.
 
-    What the setup gives for a frame stands, as known or as a first guess; so does
-    the identity for a frame that is partly fixed, bounded or has a prior.
+    A pose in the setup is kept, as known or as a first guess; so is the identity for a
+    frame that is partly fixed, bounded or has a prior.
 
     Args:
         problem: The problem.
@@ -70,8 +70,8 @@ def _require_loose(problem: Problem, start: int) -> None:
 def _given(parameters: ParameterSet, frame: FrameSetup, part: slice) -> pin.SE3 | None:
     """The pose that a frame starts from, None for a closed-form estimate.
 
-    What is fixed, bounded or has a prior is so about the pose of the setup file,
-    not about an estimate.
+    Fixed components, bounds and priors refer to the pose of the setup file,
+    not to an estimate.
     """
     lower, upper = parameters.bounds
     tied = np.isfinite([lower[part], upper[part], parameters.priors[part]]).any()

@@ -126,7 +126,7 @@ class KnownDistances:
         """Those of the distances whose both ends are among some references.
 
         Args:
-            distances: What is known.
+            distances: Known distances.
             references: Those of a measurement model, in their order.
             first: Position of the first instrument parameter among all.
         """

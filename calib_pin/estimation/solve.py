@@ -65,7 +65,7 @@ class Solution:
 
     Attributes:
         result: The solution, with the steps and evaluations of all stages.
-        evaluator: What evaluated the rows: `pinocchio`, the compiled `kernel`, or for
+        evaluator: Evaluator of the rows: `pinocchio`, the compiled `kernel`, or for
             an evolution the `loop` over members where there is no kernel.
         evolution: The evolution, if there was one.
     """
@@ -122,7 +122,7 @@ class Solver:
 
         Args:
             problem: The problem.
-            directions: What may move.
+            directions: Directions to fit.
             nominal: Registered parameters of the nominal robot, shape (P,).
             previous: The solution in other directions, within these, shape (P,).
         """

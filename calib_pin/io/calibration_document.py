@@ -41,7 +41,7 @@ def calibration_document(
 ) -> Json:
     """A result as the JSON document of version 1.
 
-    What is measurement by measurement stands beside it, see `io.measurement_errors`.
+    Errors of single measurements stand beside it, see `io.measurement_errors`.
 
     Args:
         result: The result.

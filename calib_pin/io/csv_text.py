@@ -23,7 +23,7 @@ class Stretch:
 
     Attributes:
         file: Path of the file, for messages.
-        separator: What stands between two cells.
+        separator: Separator of two cells.
         numbers: Number of each line, counted from 1.
         lines: Their text.
     """
@@ -85,7 +85,7 @@ class CsvText:
         file: Path as the caller gave it.
         size: Number of its bytes.
         data: These, where they cannot be read again; else None.
-        separator: What stands between two cells.
+        separator: Separator of two cells.
     """
 
     file: str

@@ -123,7 +123,7 @@ def stated(kind: str, version: int = 1) -> Json:
     """The first keys of a document.
 
     Args:
-        kind: What it is of, such as `plan`.
+        kind: Kind of the document, such as `plan`.
         version: Version of its format.
     """
     return {"format": f"calib-pin/{kind}", "version": version}

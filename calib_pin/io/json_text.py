@@ -76,7 +76,7 @@ def require_format(
 
     Args:
         document: The content of the file.
-        what: What it is called in messages.
+        what: Its name in messages.
         name: Name of the format.
         newest: Newest version that can be read.
         file: The file.

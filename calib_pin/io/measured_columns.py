@@ -304,7 +304,7 @@ def check_spread(
     Args:
         table: The file, with columns x, y and z.
         chain: The chain.
-        positions: What these columns hold, shape (N, 3) [m].
+        positions: Values of these columns, shape (N, 3) [m].
         base: Where the chain stands among them, shape (3,) [m]; None if unknown.
 
     Raises:

@@ -176,7 +176,7 @@ def _one_of(table: Table, names: Sequence[str]) -> str:
 def _fits(table: Table, name: str, names: Sequence[str]) -> bool:
     """Whether a file may be of a model, as far as its columns tell.
 
-    What measures less than another of the names gives way to it: position to pose, and
+    A model that measures less than another gives way to it: position to pose, and
     contacts to all.
     """
     columns = set(needed(name))

@@ -208,7 +208,7 @@ def write_measurements(
 
     Args:
         path: File to write.
-        measurements: What to write; quaternions of unit length with qw >= 0, as
+        measurements: Measurements to write; quaternions of unit length with qw >= 0, as
             `read_measurements` gives them, come back unchanged. So do rows of several
             models where those of each stand together, and the targets of relative
             distances where every start has one of its own.
@@ -228,8 +228,8 @@ def write_measurements(
         ...     ("lift",), np.array([[0.25]]), "plane-distance", np.array([[1.5]])
         ... )
         >>> with tempfile.TemporaryDirectory() as folder:
-        ...     file = Path(folder) / "ranger.csv"
-        ...     write_measurements(file, data, ["a ranger on a lift"])
+        ...     file = Path(folder) / "sensor.csv"
+        ...     write_measurements(file, data, ["a sensor on a lift"])
         ...     file.read_text().split()[-2:]
         ['lift,distance', '0.25,1.5']
     """

@@ -179,7 +179,7 @@ def opened(path: str | Path) -> Iterator[Read]:
         path: The `calibration.json`.
 
     Yields:
-        What gives the bytes of the files in it.
+        A function that returns the bytes of the files in it.
 
     Raises:
         InputError: If a run was killed that cannot be completed.

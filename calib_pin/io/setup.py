@@ -71,7 +71,7 @@ def read_setup(path: str | Path) -> Setup:
         path: YAML file; an empty one states nothing.
 
     Returns:
-        What it states, and defaults for the rest.
+        Its values, and defaults for the rest.
 
     Raises:
         InputError: If the file is not YAML, or a key or value cannot be used; names

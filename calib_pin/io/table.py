@@ -126,7 +126,7 @@ class Table:
 
         Args:
             name: Name of the column, which must exist.
-            kind: What it holds; decides about the units.
+            kind: Quantity in the column; determines the allowed units.
             positive: Whether every number must be greater than zero.
 
         Raises:
@@ -166,7 +166,7 @@ class Table:
             name: Name of the column.
             row: Row of the value.
             value: The value in SI units.
-            kind: What the column holds.
+            kind: Quantity in the column.
             why: How it shows, where that is not the value alone.
         """
         unit = self.columns[name].unit or kind.si
@@ -183,10 +183,10 @@ class Table:
 
         Args:
             name: Name of the column.
-            values: What it holds in SI units, shape (N,).
-            kind: What the column holds.
+            values: Its values in SI units, shape (N,).
+            kind: Quantity in the column.
             largest: Largest absolute value that is plausible.
-            why: What else the reader should know, for the message.
+            why: Further explanation for the message.
 
         Raises:
             InputError: If a value is larger; blames the largest.

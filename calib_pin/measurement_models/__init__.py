@@ -55,7 +55,7 @@ def measurement_model(
 
     Args:
         name: Name of the model, such as `position` or `position+fixed-point`.
-        setup: What the user states about it, such as its planes.
+        setup: The setup of the user, such as its planes.
         targets: The targets that measurements name; of several models qualified by
             theirs, see `mixed.qualified`.
 

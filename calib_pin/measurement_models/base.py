@@ -170,7 +170,7 @@ class DeclaredModel(MeasurementModel):
         """The model as a setup states it.
 
         Args:
-            setup: What the user states.
+            setup: The setup of the user.
             targets: The targets that measurements name, each once.
 
         Raises:
@@ -184,9 +184,9 @@ class Geometry:
 
     Attributes:
         points: Points that are carried through the chain, shape (S, J, 3) [m].
-        sites: What these are compared with, shape (S, L, w), see `kernels`.
-        stand: What stands before the chain, links (R | p), shape (S, 12).
-        mount: The same behind it.
+        sites: References that these are compared with, shape (S, L, w), see `kernels`.
+        stand: Transform before the chain, links (R | p), shape (S, 12).
+        mount: Transform behind it, in the same form.
     """
 
     points: Floats
@@ -204,7 +204,7 @@ class Batch:
         rows: Positions of the N rows in the data, shape (N,).
         point: Which point of the references each looks at, shape (N,).
         site: Which site that is compared with, shape (N,).
-        values: What was measured, shape (N, D).
+        values: Measured values, shape (N, D).
         weights: Reciprocal standard deviations of the residual, shape (N, d).
         geometry: That of members, from the model's parameters (S, K).
         inward: Whether points are carried from the base to the tool.

@@ -84,7 +84,7 @@ class CameraModel(DeclaredModel):
         """The camera of a setup and the points that it looks at.
 
         Args:
-            setup: What the user states; points are known unless it says otherwise.
+            setup: The setup of the user; points are known unless it says otherwise.
             targets: The targets that measurements name, for where the setup has none.
 
         Raises:

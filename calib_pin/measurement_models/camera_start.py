@@ -55,7 +55,7 @@ class Rays:
         F: The chain, from the end at the camera to that at the points, (N, 4, 4).
         points: The points P by position, shape (J, 3) [m].
         index: Position of each ray's point, shape (N,).
-        rays: What the camera sees, shape (N, 2).
+        rays: Rays that the camera sees, shape (N, 2).
         image: Number of each ray's image, shape (N,).
     """
 
@@ -164,7 +164,7 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
 
     Args:
         points: Points in a frame of their own, shape (N, 3) [m].
-        rays: What the camera sees of them, shape (N, 2).
+        rays: Rays that the camera sees of them, shape (N, 2).
 
     Returns:
         The pose (R, t) of their frame in the camera, shape (4, 4), or None where they
@@ -211,7 +211,7 @@ def carried_points(
     Args:
         F: Tip poses (R_i, p_i), shape (N, 4, 4).
         label: Which of the points each row sees, shape (N,).
-        rays: What the camera sees, shape (N, 2).
+        rays: Rays that the camera sees, shape (N, 2).
         points: The points in a frame of their own, shape (J, 3) [m].
         camera: The pose (R, t) of the chain in the camera where it is known, (4, 4).
 

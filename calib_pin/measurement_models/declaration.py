@@ -56,7 +56,7 @@ class Naming:
     """The objects that the `target` of measurements names.
 
     Attributes:
-        noun: What it is called in messages, such as `socket`.
+        noun: Its name in messages, such as `socket`.
         required: Whether every measurement has to name one, all or none of a file, or
             whether that is left to the model.
         configurations: Configurations that every unknown target needs to tell anything.
@@ -75,7 +75,7 @@ class Inference:
     the file does is the one.
 
     Attributes:
-        phrase: What such a file has, as in "both a position and a distance".
+        phrase: Content of such a file, as in "both a position and a distance".
         complete: Whether only all columns together show it: of names as short as `u`
             one may stand for something else.
     """
@@ -101,9 +101,9 @@ class Declaration:
             so that poses are those of the tool in the tool at its start.
         external: Whether the instrument stands outside, with a measurement frame of its
             own. Then the base frame is unknown unless the setup says otherwise.
-        tracks: What of the tool an external instrument follows; empty for none. One
+        tracks: Part of the tool that an external instrument follows, or empty. One
             that follows nothing (a camera) keeps frames of its own among others.
-        naming: What `target` names.
+        naming: Meaning of `target`.
         inference: How columns show this model; None where only its name does.
         yardstick: Where measured lengths come from; empty where none are measured.
         unmeasurable: Why a configuration cannot be measured, after a colon.

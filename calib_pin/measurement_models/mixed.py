@@ -54,7 +54,7 @@ class Mixed(MeasurementModel):
     def create(parts: Mapping[str, MeasurementModel]) -> Mixed:
         """Mix models; one that follows nothing (a camera) gets frames of its own.
 
-        What several of them name has the parameters of all of them: a point that is
+        A name shared by several of them has the parameters of all: a point that is
         known to a camera and estimated by a tracker is estimated.
         """
         mixed = Mixed(
@@ -226,7 +226,7 @@ class Mixed(MeasurementModel):
     ) -> tuple[Mixed, pin.SE3, pin.SE3]:
         """Part by part: each takes over what those before it have located.
 
-        What has a measurement frame of its own comes first, since sites stand in it.
+        A model with its own measurement frame comes first, since sites stand in it.
         """
         mixed = self
 

@@ -22,7 +22,7 @@ def split_names(
     """The point and the place that each row names.
 
     Args:
-        target: What the rows say.
+        target: Target of each row.
         sites: Whether there are places; else a name is that of a point.
 
     Example:
@@ -41,7 +41,7 @@ def named_points(
     """The points that a setup states, or else those that rows name.
 
     Args:
-        stated: What the setup says of points by name.
+        stated: Points of the setup by name.
         names: Names that rows give, empty ones among them.
         kind: Kind of the points.
 

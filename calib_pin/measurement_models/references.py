@@ -263,7 +263,7 @@ class Anchor(ReferenceObject):
     Attributes:
         name: Name that measurements give as their target.
         xyz: Place in the measurement frame, shape (3,) [m]; None until registered.
-        bias: What is added to every true distance [m].
+        bias: Offset added to every true distance [m].
         estimate: Whether the place is estimated.
         estimate_bias: Whether the bias is.
     """
@@ -326,7 +326,7 @@ def locate(
     Args:
         names: Name of each row.
         references: The reference objects.
-        what: What they are called in messages.
+        what: Their name in messages.
         data: Tells where a wrong name stands.
         alone: Whether the name may be left out where there is one.
 

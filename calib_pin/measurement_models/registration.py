@@ -141,7 +141,7 @@ def register_plane(points: Floats) -> tuple[Floats, float]:
 def fit_pose(here: Floats, there: Floats) -> pin.SE3:
     """The pose that brings points there, `there = R here + t` (Arun et al. 1987).
 
-    What the points leave open of the rotation is not turned.
+    Undetermined components of the rotation are zero.
 
     Args:
         here: Points, shape (K, 3) [m].

@@ -85,7 +85,7 @@ class PointsAndSites(DeclaredModel):
         """The sites of a setup; empty where points are measured by themselves.
 
         Args:
-            setup: What the user states.
+            setup: The setup of the user.
             names: The names behind points that measurements give.
         """
         return ()
@@ -369,7 +369,7 @@ class _View:
         of_place: Parameters of the place, shape (N, k).
         p: The point in the measurement frame, shape (N, 3) [m].
         by_offset: Derivative of p by the offset, shape (N, 3, 3).
-        touch: What is measured of it.
+        touch: The point measurement.
     """
 
     point: Indices

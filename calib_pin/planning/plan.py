@@ -147,12 +147,12 @@ def plan(
         chain: The nominal chain.
         model: Name of the measurement model.
         count: Number K of configurations.
-        setup: What is estimated and what is known, limits, region, noise.
+        setup: Estimated and known quantities, limits, region, noise.
         criterion: `condition`, `O1` to `O5`, or `prediction`.
         method: One of `search.METHODS`.
         measured: Measurements that are there already; the plan adds to them, about
             the frames that they show.
-        collisions: What must not touch.
+        collisions: Collisions to avoid.
         candidates: Number of quasi-random configurations to choose from.
         distance: Least distance between configurations: the largest difference of a
             joint [rad, m].

@@ -96,7 +96,7 @@ def identification(
 
     Args:
         problem: The problem at nominal geometry.
-        candidates: What may be measured; only that can show anything.
+        candidates: Measurements that may be made; only these are informative.
         measured: Rows that are there already.
 
     Returns:

@@ -59,7 +59,7 @@ class IdentificationRows:
         problem: The problem about its registered references.
         basis: Columns in parameters, each a direction times the scales, shape (P, m).
         nuisances: How many of them, the first ones, are directions of nuisances.
-        measurement: What is measured, if not the problem's own: it gives the rows of
+        measurement: Measurement model, if not the problem's own: it gives the rows of
             the tip's position, say, in the same columns.
         sigma: Standard deviation of each component, shape (d,).
     """

@@ -78,7 +78,7 @@ class Search:
     Args:
         rows: The rows of a configuration.
         workspace: The constraints of configurations.
-        criterion: What is to be small.
+        criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
         candidates: Configurations to choose from.
         count: Size K of the set.

@@ -21,7 +21,7 @@ class Selection:
     Args:
         rows: Rows of the candidates, shape (C, d, m).
         nuisances: Number of leading columns that are projected out.
-        criterion: What is to be small.
+        criterion: Criterion to minimize.
         known: Information that is there already, shape (m, m).
         chosen: Candidates to begin with.
         measured: Number of rows that the known information comes from.

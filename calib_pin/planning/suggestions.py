@@ -37,7 +37,7 @@ class Suggestion:
     """A change of what is measured or known, and what it would identify.
 
     Attributes:
-        change: What is to be done.
+        change: Suggested change, in the imperative.
         count: Number of independent errors of the robot that can be known then.
         parameters: Names of those of its parameters that become identifiable.
         complete: Whether no measurement of the tool tells more: what is in sums then
@@ -80,7 +80,7 @@ def suggestions(
     Args:
         chain: The nominal chain.
         model: Name of the measurement model.
-        setup: What is estimated and what is known; of a fit see `calibrated_setup`.
+        setup: Estimated and known quantities; of a fit see `calibrated_setup`.
         found: The identifiability now.
         seed: Seed of the random configurations.
 

@@ -79,7 +79,7 @@ class Workspace:
         lower: Lower position limits, shape (n,) [rad, m].
         upper: Upper position limits, shape (n,) [rad, m].
         point: The measured point in the tip, whose place the region limits, SE3.
-        collisions: What must not touch; None where nothing is known of shapes.
+        collisions: Collisions to avoid; None if no shapes are known.
         distance: Least distance between two configurations of a set: the largest
             difference of a joint [rad, m].
     """
@@ -102,7 +102,7 @@ class Workspace:
 
         Args:
             problem: Chain, frames and instrument.
-            collisions: What must not touch.
+            collisions: Collisions to avoid.
             distance: Least distance between configurations [rad, m].
             point: The measured point in the tip; default the origin of the tool.
 

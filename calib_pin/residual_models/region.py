@@ -85,7 +85,7 @@ class TrainedRegion:
 
     Near means two things: closer to some training configuration than these are to each
     other, as points (sin, cos); and every joint within the arc of the circle that it
-    covered, because a joint that hardly moved is not seen in the distance.
+    covered, because a joint that hardly moved has no part in the distance.
 
     Attributes:
         angles: Joint positions as angles.

@@ -126,7 +126,7 @@ class Names(Constraint):
 
     Attributes:
         known: The names of the members.
-        joined: What may stand between several names; empty for a single name.
+        joined: Separator of several names; empty for a single name.
     """
 
     known: Collection[str]

@@ -1,4 +1,4 @@
-"""References of measurements: frames, planes, points, spheres, anchors, cameras."""
+"""References of measurements: frames, planes, points, spheres, cameras."""
 
 from __future__ import annotations
 
@@ -232,7 +232,8 @@ class DistanceSetup(Section):
     """A known distance between two points, which counts as a measurement.
 
     Attributes:
-        between: Names of two sockets, spheres or anchors, or of two points of the tool.
+        between: Names of two sockets, spheres or fixed reference points, or of
+            two points of the tool.
         value: Distance [m].
         sigma: Its standard deviation [m].
     """

@@ -76,7 +76,7 @@ class Number(Constraint):
         least: Least value.
         most: Largest value.
         below: Limit that it must stay under.
-        words: What is allowed, for a number beyond its limits.
+        words: Allowed values, for the message on a number beyond its limits.
         nonzero: Whether 0 is refused.
     """
 
@@ -113,7 +113,7 @@ class Positive(Constraint):
     Attributes:
         unit: Unit of the number; empty if pure, or if the name says it.
         most: Largest value.
-        words: What is allowed, for a larger number.
+        words: Allowed values, for the message on a larger number.
         always: Whether the words answer every other wrong value as well.
     """
 
@@ -143,7 +143,7 @@ class Vector(Constraint):
 
     Attributes:
         count: How many.
-        words: What is allowed, for whatever else stands there.
+        words: Allowed values, for the message on any other value.
         unit: Unit of the numbers; empty if they have none, or several.
         above: Limit that each must exceed.
         least: Least value of each.

@@ -18,7 +18,7 @@ wants F of 0.7 to 0.8, or l-shade.
 
 References:
     Liu, Ni, Liu, Xu 2012, doi 10.1007/s11771-012-1095-1: calibration of a robot with a
-    laser ranger; rand/1, best/1 and the "tradeoff" mutation (eq. 16).
+    laser distance sensor; rand/1, best/1 and the "tradeoff" mutation (eq. 16).
     Storn, Price 1997, doi 10.1023/A:1008202821328: differential evolution.
     Tanabe, Fukunaga 2014, doi 10.1109/CEC.2014.6900380: L-SHADE.
 """

@@ -191,7 +191,7 @@ class Box:
     def repair(self, trials: Floats, parents: Floats, rng: np.random.Generator) -> None:
         """Bring components that left the box back into it, in place, (S, D).
 
-        They go anywhere between the parent and the bound that they crossed. Clipped to
+        They go anywhere between the parent and the bound that they violate. Clipped to
         the bound instead, members would pile up there, and where all members agree
         no difference of members leads away again.
         """

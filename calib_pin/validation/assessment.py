@@ -44,7 +44,7 @@ def identify(
     Args:
         chain: The nominal chain.
         model: Name of the measurement model.
-        setup: What is estimated and what is known.
+        setup: Estimated and known quantities.
         seed: Seed of the random configurations.
 
     Raises:

@@ -171,7 +171,8 @@ class Comparison:
         second: The other.
         same_nominal: Whether the nominal robots are the same. Otherwise parameters
             deviate from different robots and are not compared.
-        differences: What both know of the robot, most significant first.
+        differences: Differences of robot parameters known to both, the most significant
+            first.
         alone: Names of the robot's parameters that have a standard deviation of their
             own in the first calibration only, and in the second only.
         sums_alone: Number of sums of the robot's parameters that only the first, and

@@ -39,7 +39,7 @@ def evaluate(
     Args:
         robot: A chain, nominal or corrected, or a calibrated model.
         measurements: The measurements.
-        setup: What is known of frames and instrument, for a chain.
+        setup: Known quantities of frames and instrument, for a chain.
         registration: Register a calibrated model on these measurements.
 
     Raises:
@@ -100,7 +100,7 @@ def prepared(
     Args:
         robot: A chain, whose frames are always registered, or a calibrated model.
         rows: The measurements.
-        setup: What is known of frames and instrument, for a chain.
+        setup: Known quantities of frames and instrument, for a chain.
         registration: Whether those of a calibrated model are registered as well.
 
     Raises:

@@ -55,7 +55,7 @@ def judge(
         chain: The nominal chain.
         model: The model.
         fitted_errors: Errors of the measurements that were fitted.
-        held_out: What held-out measurements say of it.
+        held_out: Its check on held-out measurements.
         seed: Seed of configurations.
         progress: Told how far the search for other joint conventions is.
     """
@@ -190,8 +190,8 @@ def _sizes(
     Args:
         mean: The estimated errors, shape (p,).
         J: Derivative by the scaled errors of the robot, shape (N, 3, p).
-        effects: What independent effects do that the model does not have, beyond what
-            the fit has absorbed of them, shape (N, 3, S).
+        effects: Errors by independent effects that the model lacks, beyond the part
+            that the fit has absorbed, shape (N, 3, S).
         scatter: Variance of each component that is left beside these.
         C: Covariances of the errors for several sizes of them, shape (S, p, p).
         rng: Random generator of the bound.

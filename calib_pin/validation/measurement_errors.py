@@ -22,7 +22,7 @@ class MeasurementErrors:
 
     Attributes:
         rows: The measurements.
-        quantities: What the columns of the errors are.
+        quantities: Quantities of the error columns.
         before: With base, tool and instrument fitted and the robot nominal, shape
             (N, d); NaN for what one does not have, infinite where nothing can be
             predicted.

@@ -81,7 +81,8 @@ def select_model(
     Args:
         chain: The nominal chain.
         measurements: The measurements to fit.
-        setup: What is known; its geometric parameterizations make the second candidate.
+        setup: Known quantities; its geometric parameterizations make the second
+            candidate.
         seed: Seed of configurations, splits, and starts.
         progress: Told the stage and the part that is done, 0 to 1.
 

@@ -40,9 +40,9 @@ class PlausibilityOptions:
     Attributes:
         largest_growth: Part by which all lengths may be wrong before the trust
             goes. Real robots are right to 0.001. Errors that no parameter
-            describes, 3 mrad of the gears seen by a draw wire within half a radian
-            of one configuration, have passed for 0.009 in one of four cases, for up
-            to 0.006 else.
+            describes, 3 mrad of the gears seen by a draw-wire encoder within half
+            a radian of one configuration, have passed for 0.009 in one of four cases,
+            for up to 0.006 else.
         doubtful_growth: Part from which there is a warning.
         significant: Standard deviations from which a common scale, or a distance
             missed, is no chance. By chance one in 150 000 is. Of 20 robots with
@@ -56,8 +56,8 @@ class PlausibilityOptions:
             harm.
         bought: By what factor the errors must grow when such a correction is made
             small again. A joint that is mounted askew grows them at least tenfold;
-            where unmodeled errors of 3 to 10 mrad, seen by a draw wire from few
-            configurations, had moved joints by 22 to 46 expected sizes, they grew
+            where unmodeled errors of 3 to 10 mrad, seen by a draw-wire encoder from
+            few configurations, had moved joints by 22 to 46 expected sizes, they grew
             1.6 to 3.3 times.
         contradicted: By how much measurements may contradict a known distance [m].
             The errors that no parameter describes do: two sockets of a plate, 50 mm

@@ -34,7 +34,7 @@ class Accuracy:
     Attributes:
         mean: Mean size.
         rms: Root-mean-square.
-        p95: What 95 % of the measurements stay below.
+        p95: 95th percentile of the sizes.
         max: Largest size.
     """
 
@@ -315,7 +315,7 @@ class CalibrationResult(Tables, Identification):
         urdf: The geometry alone, where the model is more than that.
         rejected: Name of the residual model that found nothing to correct, if one did.
         distances: Known distances beside those that were found.
-        findings: What is wrong with the data or the result.
+        findings: Defects of the data or the result.
         provenance: How it came about.
     """
 

@@ -51,7 +51,7 @@ class Candidate:
     """A candidate of the model selection, judged by cross-validation.
 
     Attributes:
-        name: What it adds.
+        name: Name of the effect that it adds.
         parameters: Names of its parameterizations.
         learned: Its residual model, None for none.
         rank: Practical rank of its fit; 0 where it could not be tried.
@@ -94,7 +94,7 @@ class SolverSummary:
 
     Attributes:
         name: Name of the solver.
-        evaluator: What evaluated the residuals, see `solve.Solution`.
+        evaluator: Evaluator of the residuals, see `solve.Solution`.
         status: One of `solvers.Status`, in words.
         iterations: Steps of the solver.
         evaluations: Evaluations of the cost; an evolution counts its members.

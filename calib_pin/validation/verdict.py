@@ -100,10 +100,10 @@ class Grounds:
         fitted: The fit.
         errors: Accuracy by quantity.
         gains: Paired tests on held-out configurations, the first of all quantities.
-        findings: What is wrong with the data or the result.
+        findings: Defects of the data or the result.
         workspace: Accuracy to expect over the workspace; None where nothing is known.
         aside: Part of the configurations that was set aside, or would have to be.
-        advice: What to do about measurements that nothing explains.
+        advice: Advice on measurements that nothing explains.
     """
 
     fitted: Fit

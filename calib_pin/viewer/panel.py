@@ -27,7 +27,7 @@ class Joints:
     """A slider for every joint, in degrees or millimeters.
 
     Attributes:
-        mover: What has moved the robots last; None for a person at these sliders.
+        mover: Control that moved the robots last; None for a person at these sliders.
     """
 
     def __init__(self, controls: Controls, scene: Scene, stage: Stage) -> None:

@@ -123,9 +123,9 @@ class Body:
     """One robot as it is drawn.
 
     Attributes:
-        name: What it is called: `robot`, or `nominal` and `corrected`.
+        name: Its name: `robot`, or `nominal` and `corrected`.
         skeleton: Where its links are.
-        model: What moves its joints away from where they are commanded; None where
+        model: Calibrated model that corrects the commanded joints; None where
             nothing does.
     """
 
@@ -191,7 +191,7 @@ class Scene:
 
     Attributes:
         title: Name of the robot.
-        shapes: What the links look like, of all bodies.
+        shapes: Shapes of the links of all bodies.
         bodies: The robot, or the nominal and the corrected one.
         chain: The chain that measurements and plan move, if there is one.
         rows: Measurements, if there are any.

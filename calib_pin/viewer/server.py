@@ -36,7 +36,7 @@ class Window:
     """A scene that browsers can open.
 
     Args:
-        scene: What to show.
+        scene: The scene to show.
         port: Port that is wanted; a free one if it cannot be used, or for 0.
 
     Attributes:

@@ -36,8 +36,8 @@ def inlined(svg: bytes, name: str, title: str, colors: Mapping[str, str]) -> str
 
     Args:
         svg: The file.
-        name: What its ids begin with.
-        title: What is read out in its place.
+        name: Prefix of its ids.
+        title: Text for screen readers.
         colors: Names of colors by their hexadecimal code.
     """
     root = ElementTree.fromstring(svg)

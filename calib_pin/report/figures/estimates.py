@@ -120,7 +120,7 @@ class Listed:
 
     Attributes:
         axes: The panel; a line is one high, the first one at zero.
-        unit: What people read.
+        unit: Display unit.
         estimates: The estimates of its lines.
         values: Estimates in that unit, shape (n,).
         sigmas: Standard deviations in that unit, shape (n,).

@@ -21,7 +21,7 @@ DECADES = 18
 def shortened(name: str, length: int = 40) -> str:
     """A name of at most so many characters, shortened in the middle.
 
-    What does not print, a line break or what turns the direction of writing, is
+    A character that does not print, breaks the line or turns the text direction is
     replaced: not even all of it may stand in XML.
 
     Example:

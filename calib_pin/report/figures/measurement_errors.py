@@ -62,7 +62,7 @@ class _Pane:
     Attributes:
         rows: `fitted` or `validation`.
         quantity: Name of the quantity.
-        unit: What people read.
+        unit: Display unit.
         sizes: Sizes before and after in that unit, shape (N,) each; NaN for
             measurements that do not have it.
         counted: The measurements that were not set aside, shape (N,).

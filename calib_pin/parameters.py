@@ -1,7 +1,7 @@
 """Error parameters: their names, units, expected sizes, bounds and priors.
 
-The numbers themselves are plain arrays in the order of a `ParameterSet`; the set says
-what each entry means. A new set is made wherever something changes.
+The numbers themselves are plain arrays in the order of a `ParameterSet`, which gives
+each entry its meaning. Sets are immutable; a change makes a new one.
 """
 
 from __future__ import annotations

@@ -5,12 +5,12 @@ Generation by generation
 
 - the parents of a child are each the best of a few members drawn by chance (a
   tournament),
-- the child keeps what both parents have and draws the rest from what one of them has,
+- the child keeps the items of both parents and draws the rest from those of either,
 - then it swaps some of its items for others that it does not have,
 - the best members live on unchanged, so that the best cost never rises.
 
-Crossover and mutation are the same operation here: each item gets a rank, whole for
-what decides and a fraction of chance, and the `count` items that rank highest are in.
+Crossover and mutation are the same operation here: each item gets a rank, an integer
+for its precedence plus a random fraction, and the `count` highest ranks are in.
 So every child is a subset of the right size, and none has to be repaired.
 
 References:

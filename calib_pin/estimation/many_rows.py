@@ -33,7 +33,7 @@ order, and so large that threads seldom wait for the interpreter."""
 
 
 class ManyRows:
-    """Measurements of one model, whitened; an `evaluators.Evaluator`.
+    """Measurements of one model, whitened; an `Evaluator` of `problem`.
 
     Args:
         model: The model.

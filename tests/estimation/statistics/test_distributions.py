@@ -1,6 +1,8 @@
-"""Quantiles and tails of chi-square and F against those of scipy."""
+"""Quantiles and tails of chi-square, F and Student's t against those of scipy."""
 
 from __future__ import annotations
+
+import math
 
 import pytest
 from scipy.special import chdtrc, chdtri, fdtrc
@@ -9,6 +11,7 @@ from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
     f_tail,
+    student_tail,
 )
 
 
@@ -34,3 +37,20 @@ def test_tails_of_f_are_those_of_scipy(x: float, above: float, below: float) -> 
     # The logarithms of gamma functions near 1e6 leave 1e-10 of what they multiply.
     expected = fdtrc(above, below, x)
     assert f_tail(x, above, below) == pytest.approx(expected, rel=1e-9, abs=1e-15)
+
+
+@pytest.mark.parametrize("dof", [1, 2, 3, 5, 10, 47, 300, 10_000, 1_000_000])
+def test_tails_of_scipy(dof: int) -> None:
+    from scipy.stats import t as student
+
+    for t in (0.0, 1e-6, 0.1, 0.7, 1.5, 3.0, 8.0, 30.0):
+        expected = float(student.sf(t, dof))
+        # lgamma of a million half degrees keeps nine digits of its difference.
+        assert student_tail(t, dof) == pytest.approx(expected, rel=1e-8, abs=1e-300)
+        assert student_tail(-t, dof) == pytest.approx(1.0 - expected, rel=1e-8)
+
+
+def test_ends() -> None:
+    assert student_tail(math.inf, 3) == 0.0
+    assert student_tail(-math.inf, 3) == 1.0
+    assert math.isnan(student_tail(math.nan, 3))

@@ -11,8 +11,7 @@ compiled functions call none of another file, and files share this layout alone.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
-from itertools import pairwise
+from collections.abc import Callable
 from math import cos, sin
 from typing import Any, TypeVar, cast
 
@@ -52,24 +51,18 @@ def compiled(function: _Function) -> _Function:
     return cast(_Function, jit)
 
 
-def motions(
-    q: Floats, revolute: Booleans, groups: Sequence[int] = ()
-) -> tuple[Floats, Indices]:
+def motions(q: Floats, revolute: Booleans) -> tuple[Floats, Indices]:
     """Joint motions of configurations in blocks.
 
     Args:
         q: Joint positions, shape (N, n) [rad, m], signs of reversed joints applied.
         revolute: True for joints that turn, shape (n,).
-        groups: Sizes of successive groups of rows, each of which begins a new block;
-            default one group.
 
     Returns:
         Cosines, then sines, then shifts of every block, shape (blocks, n, 3 BLOCK), and
         the first row of every block with the number of rows behind, (blocks + 1,).
     """
-    first = np.cumsum([0, *(groups or [len(q)])])
-    cuts = [np.arange(start, stop, BLOCK) for start, stop in pairwise(first)]
-    starts = np.concatenate([*cuts, first[-1:]])
+    starts = np.array([*range(0, len(q), BLOCK), len(q)])
     result = np.zeros((len(starts) - 1, q.shape[1], 3 * BLOCK))
     _fill_motions(q, revolute, starts, result)
     return result, starts

@@ -118,15 +118,6 @@ class Collisions:
             row[:] = [result.isCollision() for result in self._found.collisionResults]
         return found
 
-    def touching(self, q: Floats) -> list[tuple[str, str]]:
-        """Names of the pairs that are closer than their clearance, for messages.
-
-        Args:
-            q: Joint positions, shape (n,) [rad, m].
-        """
-        (found,) = self.contacts(q[None])
-        return list(dict.fromkeys(self.pairs[k] for k in np.flatnonzero(found)))
-
     def only(self, kept: Iterable[int], clearances: Floats | None = None) -> Collisions:
         """The same for some of the pairs.
 

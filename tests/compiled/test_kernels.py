@@ -64,12 +64,12 @@ def members(problem: Problem, sizes: tuple[float, ...]) -> Floats:
     return np.random.default_rng(4).normal(size=shape) * np.array(sizes)[:, None]
 
 
-def kernel_poses(problem: Problem, theta: Floats, groups: tuple[int, ...]) -> Floats:
-    """Tool poses of the error model by the kernels, rows in groups."""
+def kernel_poses(problem: Problem, theta: Floats) -> Floats:
+    """Tool poses of the error model by the kernels."""
     segments = Segments.of(problem.error)
     (chain,) = segments.links(problem.split(theta)[0][None])
     q = problem.data.q * segments.signs
-    motion, starts = motions(q, segments.revolute, groups)
+    motion, starts = motions(q, segments.revolute)
     T = np.full((len(q), 4, 4), np.nan)
     kernels.poses(chain, motion, starts, T)
     return T
@@ -96,7 +96,7 @@ def test_poses_agree_with_pinocchio(example_robot: Path, measured: Measured) -> 
     for problem in problems(example_robot, measured, ["pose"]):
         for theta in members(problem, (0.0, 0.05, 0.5)):
             expected = problem.error.poses(problem.data.q, problem.split(theta)[0])
-            found = kernel_poses(problem, theta, ())
+            found = kernel_poses(problem, theta)
             # Errors of half a radian about axes that nearly meet far away reach far.
             size = np.abs(expected).max()
             np.testing.assert_allclose(found, expected, rtol=0, atol=1e-12 * size)
@@ -166,45 +166,21 @@ def test_every_model_has_a_batch_form(model: str, measured: Measured) -> None:
     assert_costs(costs(theta), problem, theta)
 
 
-@pytest.mark.parametrize(
-    "groups",
-    [
-        (1, 1, 1),
-        (BLOCK, BLOCK),
-        (BLOCK - 1, 1),
-        (5, BLOCK + 7, 2 * BLOCK),
-        (3 * BLOCK + 1, 0, 2),
-    ],
-)
-def test_every_group_begins_a_new_block(
-    groups: tuple[int, ...], measured: Measured
-) -> None:
-    chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
-    problem = measured(chain, "position", ["placement"], sum(groups))
-    _, starts = motions(problem.data.q, chain.revolute, groups)
-    assert set(np.cumsum((0, *groups))) <= set(starts.tolist())
-    assert np.diff(starts).min() > 0 and np.diff(starts).max() <= BLOCK
-    assert len(starts) - 1 == sum(-(-size // BLOCK) for size in groups)
-    (theta,) = members(problem, (0.05,))
-    expected = problem.error.poses(problem.data.q, problem.split(theta)[0])
-    found = kernel_poses(problem, theta, groups)
-    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-14)
-
-
 def test_motions_of_turning_and_shifting_joints() -> None:
     q = np.array([[0.3, -0.7, 40.0], [1.2, 0.4, -2.0], [0.0, 2.0, 0.1]])
     revolute = np.array([True, False, True])
-    motion, starts = motions(q, revolute, (2, 1))
-    assert starts.tolist() == [0, 2, 3]
+    q = np.resize(q, (BLOCK + 1, 3))
+    motion, starts = motions(q, revolute)
+    assert starts.tolist() == [0, BLOCK, BLOCK + 1]
     assert motion.shape == (2, 3, 3 * BLOCK)
     parts = motion.reshape(2, 3, 3, BLOCK)
-    for block, k, row in ((0, 0, 0), (0, 1, 1), (1, 0, 2)):
+    for block, k, row in ((0, 0, 0), (0, 1, 1), (1, 0, BLOCK)):
         for joint, position in enumerate(q[row]):
             turn = [np.cos(position), np.sin(position), 0.0]
             expected = turn if revolute[joint] else [1.0, 0.0, position]
             np.testing.assert_allclose(parts[block, joint, :, k], expected, rtol=1e-15)
     # What lies behind the rows of a block is never read, but stays finite.
-    assert not parts[0, :, :, 2:].any() and not parts[1, :, :, 1:].any()
+    assert not parts[1, :, :, 1:].any()
 
 
 # Screws.

@@ -1,0 +1,71 @@
+"""The package speaks the words of its field, in output as in docstrings."""
+
+from __future__ import annotations
+
+import ast
+import re
+from collections.abc import Iterator
+from pathlib import Path
+
+import pytest
+
+ROOT = Path(__file__).parents[1]
+
+REPLACED = {
+    r"\bunseen\b|\bnot seen\b": "held out, validation measurements",
+    r"what can be known": "identifiability",
+    r"left at nominal": "held at nominal",
+    r"rows that do not fit": "outliers",
+    r"what would tell more": "suggested measurements",
+    r"fitted in either case": "registered for both",
+    r"when to stop": "accuracy against number of configurations",
+    r"\brungs?\b(?!\")": "candidate",
+    r"does not help": "no significant gain",
+    r"measuring frame": "measurement frame",
+    r"stand of the": "station of the",
+    r"draw wire": "draw-wire encoder",
+    r"give way to gravity": "joint compliance",
+    r"\bby turns\b": "alternating",
+    r"corrections jump": "discontinuity in joint space",
+    r"passed backwards": "traversed from child to parent",
+    r"carried along": "transformed by the adjoint",
+    r"\bspoiled\b": "skipped",
+    r"(?m)^(Yes|No|None|Nothing)\.$": "a sentence that says what holds",
+    r"^What\b": "the noun",
+}
+"""Patterns of words that once stood here, and what stands in their place."""
+
+KEYS = {"rungs"}
+"""Strings that are keys of files, which do not change."""
+
+
+def texts(path: Path) -> Iterator[tuple[int, str]]:
+    """Line and text of the docstrings and messages of a file, of others all lines."""
+    if path.suffix != ".py":
+        yield from enumerate(path.read_text().splitlines(), 1)
+        return
+    for node in ast.walk(ast.parse(path.read_text())):
+        if isinstance(node, ast.Constant) and isinstance(node.value, str):
+            yield node.lineno, node.value
+
+
+FILES = sorted(
+    [
+        *(ROOT / "calib_pin").rglob("*.py"),
+        *(ROOT / "calib_pin").rglob("*.html"),
+        ROOT / "README.md",
+        *(ROOT / "docs").glob("*.md"),
+    ]
+)
+
+
+@pytest.mark.parametrize("path", FILES, ids=lambda p: str(p.relative_to(ROOT)))
+def test_words(path: Path) -> None:
+    found = [
+        f"line {line}: '{match.group()}', better: {better}"
+        for line, text in texts(path)
+        for pattern, better in REPLACED.items()
+        for match in re.finditer(pattern, text, re.IGNORECASE)
+        if text not in KEYS
+    ]
+    assert found == []

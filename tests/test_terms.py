@@ -21,7 +21,7 @@ REPLACED = {
     r"when to stop": "accuracy against number of configurations",
     r"\brungs?\b(?!\")": "candidate",
     r"does not help": "no significant gain",
-    r"measuring frame": "measurement frame",
+    r"measuring\s+frame": "measurement frame",
     r"stand of the": "station of the",
     r"draw wire": "draw-wire encoder",
     r"give way to gravity": "joint compliance",

@@ -58,8 +58,8 @@ class CameraModel(DeclaredModel):
 
     Attributes:
         camera: The camera.
-        points: The points that it looks at: of a camera on the hand in the measuring
-            frame, of a camera in the world in the tool frame.
+        points: The points that it looks at: of a camera on the hand in the
+            measurement frame, of a camera in the world in the tool frame.
         spare: Other points of a known place, which measurements to come may name.
     """
 

@@ -200,8 +200,9 @@ class CameraSetup(Section):
     """A pinhole camera with Brown-Conrady distortion.
 
     Attributes:
-        mount: `hand` if the camera is the tool and looks at points of the measuring
-            frame, `world` if it stands still and looks at points of the tool.
+        mount: `hand` if the camera is the tool and looks at points of the
+            measurement frame, `world` if it stands still and looks at points of the
+            tool.
         focal: Focal lengths f_x, f_y [px].
         center: Principal point c_x, c_y [px].
         distortion: k_1, k_2, p_1, p_2, k_3.

@@ -44,6 +44,7 @@ def main(arguments: Sequence[str] | None = None) -> int:
         # A process of our own is short: looking for garbage takes a tenth of its time.
         gc.set_threshold(100_000)
         atexit.register(gc.freeze)
+        atexit.register(_flush_output)
     _prepare_streams()
 
     from typer.exceptions import TyperException
@@ -65,7 +66,6 @@ def main(arguments: Sequence[str] | None = None) -> int:
         status = INTERRUPTED
     except BrokenPipeError:
         # The reader of our output went away; that is its right.
-        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
         return 1
     except Exception as error:
         if "--debug" in given:
@@ -121,6 +121,17 @@ def _prepare_streams() -> None:
         reconfigure = getattr(getattr(sys, name), "reconfigure", None)
         if reconfigure is not None:
             reconfigure(errors="backslashreplace")
+
+
+def _flush_output() -> None:
+    """Write what standard output still holds, or drop it where nothing takes it.
+
+    The interpreter would try once more, complain, and exit with status 120.
+    """
+    try:
+        sys.stdout.flush()
+    except OSError:
+        os.dup2(os.open(os.devnull, os.O_WRONLY), sys.stdout.fileno())
 
 
 def _usage(error: Exception) -> str:

@@ -109,12 +109,13 @@ def calibrate(
 ) -> int:
     """Fit a robot to measurements and write the corrected URDF.
 
-    DIR receives <robot name>.urdf, nominal.urdf, calibration.json, report.html (for
-    the browser) and, with a learned correction, residual_model.json; it can be moved
-    as a whole. Without --validation, --holdout or a column 'set' (train, validate),
-    five-fold cross-validation checks the fit. Where there is nothing to correct,
-    <robot name>.urdf is the nominal file. Exit status 2: the result is unchecked or
-    must not be trusted; the reason comes first, and no <robot name>.urdf is written.
+    DIR receives <robot name>.urdf, nominal.urdf, calibration.json, measurements.csv
+    (residuals), report.html (for the browser) and, with a learned correction,
+    residual_model.json; it can be moved as a whole. Without --validation, --holdout or
+    a column 'set' (train, validate), five-fold cross-validation checks the fit. Where
+    there is nothing to correct, <robot name>.urdf is the nominal file. Exit status 2:
+    the result is unchecked or must not be trusted; the reason comes first, and no
+    <robot name>.urdf is written.
     """
     import time
     from dataclasses import replace

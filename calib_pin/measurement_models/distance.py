@@ -50,8 +50,7 @@ class PointDistance(SiteModel):
 
     declaration = Declaration(
         name="point-distance",
-        help="distances of a tool point from fixed reference points: draw-wire "
-        "encoder, ball bar",
+        help="distances of a tool point to fixed points: draw-wire encoder",
         components=("distance",),
         quantities=QUANTITIES,
         naming=Naming("anchor", "all or none"),

@@ -31,7 +31,7 @@ def set_aside(result: CalibrationResult) -> Iterator[Line]:
     rows = [outlier for outlier in result.statistics.outliers if outlier.weight == 0.0]
     if not rows:
         return
-    were = "measurement was" if len(rows) == 1 else "measurements were"
+    were = "measurements was" if len(rows) == 1 else "measurements were"
     causes = dict.fromkeys(row.cause for row in rows if row.cause)
     named = "; ".join(
         _named(words) for words in ([row.place for row in rows], [*causes]) if words

@@ -92,7 +92,7 @@ def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
     bad = words(result, verdict="untrusted", reason="it did not converge.")
     assert bad.startswith(f"UNTRUSTED: it did not converge. {said}")
     one = words(result, outliers=result.statistics.outliers[:1], displaced=None)
-    assert one.startswith("1 of ") and "measurement was set aside" in one
+    assert one.startswith("1 of ") and "measurements was set aside" in one
     assert "set aside" not in words(result, outliers=result.statistics.outliers[2:])
     many = tuple(
         replace(result.statistics.outliers[0], place=f"a.csv:{k}") for k in range(7)

@@ -17,6 +17,7 @@ import calib_pin
 from calib_pin.cli import main
 from calib_pin.errors import InputError
 from calib_pin.io.setup import read_setup, setup_document
+from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
@@ -175,6 +176,12 @@ def test_help_of_a_command(command, arguments, options, run):
         assert f"  {option}" in result.out
     assert not re.search(r"<(str|int|float|list|file|path)", result.out)
     assert max(map(len, result.out.splitlines())) <= 80
+
+
+def test_help_names_every_parameterization(run):
+    # A name that is broken at its hyphen is still one name.
+    words = re.sub(r"-\s+", "-", run("identify --help").out)
+    assert set(PARAMETERIZATIONS) <= set(re.findall(r"[a-z]+(?:-[a-z]+)*", words))
 
 
 def test_without_a_command(run):

@@ -1,0 +1,223 @@
+"""Observations: blocks of measurements, one behind the other."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
+from calib_pin.observations.measurements import BlockKey, Measurements
+
+
+@dataclass(frozen=True)
+class Observations:
+    """Blocks of measurements, one behind the other.
+
+    Row k of the N measurements is counted through the blocks in their order; blocks
+    without measurements are left out, if there are others.
+
+    Attributes:
+        blocks: The blocks, each with another key.
+
+    Raises:
+        InputError: If there is no block, or the joints differ.
+    """
+
+    blocks: tuple[Measurements, ...]
+
+    def __post_init__(self) -> None:
+        """Check the blocks."""
+        if not self.blocks:
+            raise InputError("there are no measurements")
+        if any(block.joints != self.joints for block in self.blocks):
+            raise InputError("cannot join measurements of different joints")
+
+    @staticmethod
+    def of(*parts: Measurements | Observations) -> Observations:
+        """Measurements of any blocks together; those of one block are joined.
+
+        Raises:
+            InputError: If joints differ, or only some measurements of a block have
+                standard deviations.
+        """
+        if len(parts) == 1 and isinstance(parts[0], Observations):
+            return parts[0]
+        found: dict[BlockKey, list[Measurements]] = {}
+        for part in parts:
+            blocks = part.blocks if isinstance(part, Observations) else (part,)
+            for block in blocks:
+                found.setdefault(block.key, []).append(block)
+        joined = [Measurements.concatenate(blocks) for blocks in found.values()]
+        return Observations(
+            tuple(block for block in joined if len(block)) or tuple(joined[:1])
+        )
+
+    @property
+    def joints(self) -> tuple[str, ...]:
+        """Names of the joints, the columns of `q`."""
+        return self.blocks[0].joints
+
+    @property
+    def keys(self) -> tuple[BlockKey, ...]:
+        """What the measurements of each block have in common."""
+        return tuple(block.key for block in self.blocks)
+
+    @property
+    def models(self) -> tuple[str, ...]:
+        """Names of the measurement models, each once."""
+        return tuple(dict.fromkeys(block.model for block in self.blocks))
+
+    @property
+    def only(self) -> Measurements:
+        """The only block.
+
+        Raises:
+            InputError: If there are several.
+        """
+        if len(self.blocks) > 1:
+            raise InputError(f"there are {len(self.blocks)} blocks of measurements")
+        return self.blocks[0]
+
+    @cached_property
+    def slices(self) -> tuple[slice, ...]:
+        """Where the measurements of each block stand among all."""
+        ends = np.cumsum([0, *map(len, self.blocks)]).tolist()
+        return tuple(map(slice, ends[:-1], ends[1:]))
+
+    @cached_property
+    def q(self) -> Floats:
+        """Commanded joint positions, shape (N, n) [rad, m]."""
+        return self._joined("q")
+
+    @cached_property
+    def validate(self) -> Booleans:
+        """True for the rows that must not be fitted, shape (N,)."""
+        return np.concatenate([block.validate for block in self.blocks])
+
+    @cached_property
+    def lines(self) -> Indices:
+        """Line of each row in its file, shape (N,); 0 where there is no file."""
+        return np.concatenate([block.lines for block in self.blocks])
+
+    @cached_property
+    def weight(self) -> Floats:
+        """Factor of the precision of each row, shape (N,)."""
+        return self._joined("weight")
+
+    @cached_property
+    def target(self) -> Labels:
+        """Target of each row."""
+        return Labels.concatenate([block.target for block in self.blocks])
+
+    @cached_property
+    def payload(self) -> Labels:
+        """Payload of each row."""
+        return Labels.concatenate([block.payload for block in self.blocks])
+
+    @cached_property
+    def files(self) -> Labels:
+        """File of each row."""
+        return Labels.concatenate([block.files for block in self.blocks])
+
+    @cached_property
+    def block_of(self) -> Indices:
+        """Position of the block of each row, shape (N,)."""
+        return np.repeat(np.arange(len(self.blocks)), list(map(len, self.blocks)))
+
+    @cached_property
+    def in_order(self) -> Indices:
+        """The rows in the order of their files and lines, shape (N,)."""
+        return np.lexsort((self.lines, self.files.codes))
+
+    def __len__(self) -> int:
+        """Number of measurements."""
+        return sum(map(len, self.blocks))
+
+    def rows(self, index: NDArray[Any]) -> Observations:
+        """The rows of a boolean mask or of ascending positions."""
+        order = np.arange(len(self))[index]
+        picked = [
+            block.rows(order[(order >= rows.start) & (order < rows.stop)] - rows.start)
+            for block, rows in zip(self.blocks, self.slices, strict=True)
+        ]
+        return Observations(tuple(b for b in picked if len(b)) or (picked[0],))
+
+    def weighted(self, weight: Floats) -> Observations:
+        """The same with other weights, shape (N,)."""
+        parts = zip(self.blocks, self.slices, strict=True)
+        # What the configurations are does not change.
+        result = Observations(
+            tuple(replace(block, weight=weight[rows]) for block, rows in parts)
+        )
+        known = ("q", "target", "payload", "files", "lines", "_groups", "_things")
+        for name in known:
+            if name in self.__dict__:
+                result.__dict__[name] = self.__dict__[name]
+        return result
+
+    def sample(self, count: int) -> Observations:
+        """About `count` rows, spread evenly over the blocks and their targets."""
+        if len(self) <= count:
+            return self
+        share = count / len(self)
+        least = min(20, max(1, count // len(self.blocks)))
+        return Observations(
+            tuple(
+                block.sample(max(least, int(len(block) * share)))
+                for block in self.blocks
+            )
+        )
+
+    def groups(self) -> Indices:
+        """Label rows that must stay together when data are split, see `grouped`."""
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> Indices:
+        return grouped(self.q)
+
+    @property
+    def configurations(self) -> int:
+        """Number of different configurations; repetitions show nothing new."""
+        return int(self.groups().max(initial=-1)) + 1
+
+    def things(self) -> Indices:
+        """Label of the block and the target of each row, shape (N,)."""
+        return self._things
+
+    @cached_property
+    def _things(self) -> Indices:
+        return np.asarray(self.block_of * len(self.target.names) + self.target.codes)
+
+    def source(self, row: int) -> str:
+        """Where a row stands, as `file:line`, or `row k` where there is no file."""
+        return (
+            f"{self.files[row]}:{self.lines[row]}" if self.files[row] else f"row {row}"
+        )
+
+    def error(self, row: int, reason: str, **told: Any) -> InputError:
+        """The error that refuses a row, see `Measurements.error`."""
+        block = int(self.block_of[row])
+        return self.blocks[block].error(row - self.slices[block].start, reason, **told)
+
+    def _joined(self, name: str) -> Floats:
+        if len(self.blocks) == 1:
+            return np.asarray(getattr(self.blocks[0], name))
+        return np.concatenate([getattr(block, name) for block in self.blocks])
+
+
+def states_sigmas(data: Observations) -> bool:
+    """Whether the measurements state all their standard deviations."""
+    return all(block.sigma is not None for block in data.blocks)
+
+
+def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]:
+    """The training and the validation measurements, by the `set` column."""
+    if not data.validate.any():
+        return data, data.rows(data.validate)
+    return data.rows(~data.validate), data.rows(data.validate)

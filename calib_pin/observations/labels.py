@@ -1,0 +1,150 @@
+"""Names of measurements as integer codes, and labels of their configurations."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any, overload
+
+import numpy as np
+from numpy.typing import NDArray
+
+Floats = NDArray[np.float64]
+Indices = NDArray[np.int64]
+Booleans = NDArray[np.bool_]
+
+SAME = 1e-6
+"""Largest difference of joint positions within one configuration [rad, m]."""
+
+
+@dataclass(frozen=True, eq=False)
+class Labels(Sequence[str]):
+    """A column of names as integer codes; a sequence of the names.
+
+    Attributes:
+        names: The names that there are, each once; some may not occur.
+        codes: Position of the name of each measurement, shape (N,).
+    """
+
+    names: tuple[str, ...]
+    codes: Indices
+
+    @staticmethod
+    def of(names: Sequence[str]) -> Labels:
+        """The labels of a sequence of names."""
+        if isinstance(names, Labels):
+            return names
+        number: dict[str, int] = {}
+        codes = [number.setdefault(name, len(number)) for name in names]
+        return Labels(tuple(number), np.array(codes, np.int64))
+
+    @staticmethod
+    def none() -> Labels:
+        """No names; `Measurements` puts empty ones in their place."""
+        return Labels((), np.zeros(0, np.int64))
+
+    @staticmethod
+    def all(name: str, count: int) -> Labels:
+        """One name for every measurement."""
+        return Labels((name,), np.zeros(count, np.int64))
+
+    @staticmethod
+    def concatenate(parts: Sequence[Labels]) -> Labels:
+        """Labels behind one another."""
+        number: dict[str, int] = {}
+        codes = [np.zeros(0, np.int64)]
+        for part in parts:
+            own = [number.setdefault(name, len(number)) for name in part.names]
+            codes.append(np.array(own, np.int64)[part.codes])
+        return Labels(tuple(number), np.concatenate(codes))
+
+    @property
+    def distinct(self) -> tuple[str, ...]:
+        """The names that occur, in the order in which they do."""
+        used, first = np.unique(self.codes, return_index=True)
+        return tuple(self.names[k] for k in used[np.argsort(first)].tolist())
+
+    def where(self, name: str) -> Booleans:
+        """Mask of the measurements of a name, shape (N,)."""
+        if name not in self.names:
+            return np.zeros(len(self), bool)
+        return np.asarray(self.codes == self.names.index(name))
+
+    def __len__(self) -> int:
+        """Number of measurements."""
+        return len(self.codes)
+
+    def __iter__(self) -> Iterator[str]:
+        """The name of each measurement."""
+        return map(self.names.__getitem__, self.codes.tolist())
+
+    @overload
+    def __getitem__(self, index: int) -> str: ...
+    @overload
+    def __getitem__(self, index: slice | NDArray[Any]) -> Labels: ...
+    def __getitem__(self, index: int | slice | NDArray[Any]) -> str | Labels:
+        """The name of one measurement, or the labels of some."""
+        if isinstance(index, slice | np.ndarray):
+            return Labels(self.names, self.codes[index])
+        return self.names[int(self.codes[index])]
+
+    def __eq__(self, other: object) -> bool:
+        """Whether another sequence has the same names."""
+        if not isinstance(other, Sequence) or len(other) != len(self):
+            return False
+        return all(a == b for a, b in zip(self, other, strict=True))
+
+    __hash__ = None  # type: ignore[assignment]
+
+
+def grouped(q: Floats) -> Indices:
+    """Label rows that must stay together when data are split, shape (N,).
+
+    Rows of one configuration are repetitions: if one of them is fitted, the others
+    are no longer held out. Labels count from 0 and are read-only.
+
+    Args:
+        q: Joint positions, shape (N, n) [rad, m].
+    """
+    # A label is the number of rows in the groups before: to split a group leaves
+    # all others as they are, and a row that stands alone is done with.
+    label = np.zeros(len(q), np.int64)
+    shared = np.arange(len(q))
+    # Split by one joint after the other at gaps in the sorted positions, until
+    # nothing splits: rounding to a grid would part neighbors across its edges.
+    before = label - 1
+    while not np.array_equal(label, before):
+        before = label.copy()
+        for position in q.T:
+            shared = _split_groups(label, shared, position)
+    used = np.zeros(len(q) + 1, np.int64)
+    used[label] = 1
+    result: Indices = (np.cumsum(used) - 1)[label]
+    result.setflags(write=False)
+    return result
+
+
+def _split_groups(label: Indices, shared: Indices, position: Floats) -> Indices:
+    """Split groups of rows at gaps between the positions of one joint.
+
+    Args:
+        label: Label of every row, shape (N,); changed in place.
+        shared: The rows of groups of more than one, ascending order not needed.
+        position: Positions of the joint, shape (N,).
+
+    Returns:
+        The rows of groups of more than one that are left.
+    """
+    order = shared[np.lexsort((position[shared], label[shared]))]
+    if len(order) == 0:
+        return order
+    old = label[order]
+    place = np.arange(len(order))
+    begins = np.concatenate([[True], np.diff(old) != 0])
+    apart = begins.copy()
+    apart[1:] |= np.diff(position[order]) > SAME
+    group_begin = np.maximum.accumulate(np.where(begins, place, 0))
+    begin = np.maximum.accumulate(np.where(apart, place, 0))
+    label[order] = old + begin - group_begin
+    sizes = np.diff(np.append(np.flatnonzero(apart), len(order)))
+    return np.asarray(order[np.repeat(sizes > 1, sizes)])

@@ -1,0 +1,246 @@
+"""Measurements with one model, of one chain and one tool, from one station."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass, field, replace
+from functools import cached_property
+from typing import Any, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
+
+ARRAYS = ("q", "values", "validate", "lines", "weight")
+WORDS = ("target", "payload", "files")
+"""Attributes of `Measurements` with one entry for each, beside sigma and start."""
+
+
+class BlockKey(NamedTuple):
+    """What the measurements of a block have in common; empty names are defaults.
+
+    Attributes:
+        model: Name of the measurement model.
+        chain: Name of the chain that was measured.
+        station: Where the instrument stood.
+        tool: What was mounted.
+    """
+
+    model: str
+    chain: str = ""
+    station: str = ""
+    tool: str = ""
+
+
+@dataclass(frozen=True)
+class Measurements:
+    """N measurements with one model, of one chain and tool, from one station.
+
+    A block of `Observations`. Names may be given as any sequence of strings.
+
+    Attributes:
+        joints: Names of the joints, the columns of `q`: those of the chain, or of all
+            chains where several are measured.
+        q: Commanded joint positions, shape (N, n) [rad, m].
+        model: Name of the measurement model, such as `position`.
+        values: Measured values in the layout of the model, shape (N, D), SI units:
+            the columns that it declares and, where an orientation is measured, the
+            quaternion qx qy qz qw; contacts none.
+        sigma: Standard deviations of the residual components, shape (N, d), or
+            None where the file does not state them. Of an orientation they belong to
+            the rotation vector in the tool frame [rad].
+        target: Name of the plane, socket or reference point of each row, length N;
+            empty strings where the file names none.
+        payload: Name of what the robot carried, length N; empty strings where the
+            file names none.
+        start: Joint positions at which the relative measurement of a row starts, shape
+            (N, n) [rad, m]; of shape (0, 0) where measurements are absolute.
+        validate: True for the rows that must not be fitted, shape (N,).
+        lines: Line of each row in its file, shape (N,); 0 where there is no file.
+        files: File of each row, length N; empty strings where there is none.
+        weight: Factor of the precision of each row, shape (N,); default one. Zero sets
+            a measurement aside: it keeps its place and has no say.
+        chain: Name of the chain; empty for the only one.
+        station: Name of the place where the instrument stood; empty for the only one.
+        tool: Name of what was mounted; empty for the only one.
+
+    Raises:
+        InputError: If the shapes disagree or a number is not finite.
+    """
+
+    joints: tuple[str, ...]
+    q: Floats
+    model: str
+    values: Floats
+    sigma: Floats | None = None
+    target: Labels = field(default_factory=Labels.none)
+    payload: Labels = field(default_factory=Labels.none)
+    start: Floats = field(default_factory=lambda: np.zeros((0, 0)))
+    validate: Booleans = field(default_factory=lambda: np.zeros(0, bool))
+    lines: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
+    files: Labels = field(default_factory=Labels.none)
+    weight: Floats = field(default_factory=lambda: np.zeros(0))
+    chain: str = ""
+    station: str = ""
+    tool: str = ""
+
+    def __post_init__(self) -> None:
+        """Fill the optional columns and check shapes and values."""
+        count = len(self.q)
+        defaults = {
+            **dict.fromkeys(WORDS, Labels.all("", count)),
+            "validate": np.zeros(count, bool),
+            "lines": np.zeros(count, np.int64),
+            "weight": np.ones(count),
+        }
+        for name, default in defaults.items():
+            given = getattr(self, name)
+            if len(given) == 0:
+                object.__setattr__(self, name, default)
+            elif name in WORDS:
+                object.__setattr__(self, name, Labels.of(given))
+        if self.q.shape != (count, len(self.joints)):
+            raise InputError(
+                f"q has shape {self.q.shape}, expected ({count}, {len(self.joints)})"
+            )
+        for name in ("values", *defaults):
+            if len(getattr(self, name)) != count:
+                raise InputError(f"'{name}' has not the {count} rows of q")
+        if self.start.size and self.start.shape != self.q.shape:
+            raise InputError(f"start has shape {self.start.shape}, not that of q")
+        if not (np.isfinite(self.q).all() and np.isfinite(self.values).all()):
+            raise InputError("measurements must be finite numbers")
+        if self.values.ndim != 2 or (
+            self.sigma is not None
+            and (self.sigma.ndim != 2 or len(self.sigma) != count)
+        ):
+            raise InputError(f"values and sigma must be tables of {count} rows")
+        if self.sigma is not None and not (
+            np.isfinite(self.sigma).all() and (self.sigma > 0.0).all()
+        ):
+            raise InputError("standard deviations must be positive finite numbers")
+
+    def __len__(self) -> int:
+        """Number of rows."""
+        return len(self.q)
+
+    @property
+    def key(self) -> BlockKey:
+        """Everything that the measurements have in common."""
+        return BlockKey(self.model, self.chain, self.station, self.tool)
+
+    def rows(self, index: NDArray[Any] | slice) -> Measurements:
+        """The rows that a mask, a slice or an index array picks, in its order."""
+        picked: dict[str, Any] = {
+            name: getattr(self, name)[index] for name in (*ARRAYS, *WORDS)
+        }
+        return replace(
+            self,
+            **picked,
+            sigma=None if self.sigma is None else self.sigma[index],
+            start=self.start[index] if self.start.size else self.start,
+        )
+
+    @staticmethod
+    def concatenate(parts: Sequence[Measurements]) -> Measurements:
+        """Join measurements of one block.
+
+        Raises:
+            InputError: If joints or what is measured differ, or only some of the
+                measurements have standard deviations.
+        """
+        first = parts[0]
+        for part in parts[1:]:
+            if part.joints != first.joints:
+                raise InputError("cannot join measurements of different joints")
+            if part.key != first.key:
+                raise InputError("cannot join measurements of different blocks")
+        parts = [part for part in parts if len(part)] or parts[:1]
+        first = parts[0]
+        if len(parts) == 1:
+            return first
+        for part in parts:
+            if (part.sigma is None) != (first.sigma is None):
+                raise InputError(
+                    "cannot join measurements with and without standard deviations",
+                    file=part.files[0] or None,
+                )
+        sigmas = [part.sigma for part in parts if part.sigma is not None]
+        joined: dict[str, Any] = {
+            name: np.concatenate([getattr(part, name) for part in parts])
+            for name in (*ARRAYS, "start")
+        }
+        for name in WORDS:
+            joined[name] = Labels.concatenate([getattr(part, name) for part in parts])
+        sigma = np.concatenate(sigmas) if sigmas else None
+        return replace(first, **joined, sigma=sigma)
+
+    def sample(self, count: int) -> Measurements:
+        """About `count` rows, spread evenly over the rows of every target.
+
+        A target with few rows keeps up to twenty, unless there are too many of them.
+        """
+        if len(self) <= count:
+            return self
+        names = self.target.distinct
+        label = np.zeros(len(self), np.int64)
+        if 1 < len(names) <= count // 20:
+            number = {name: k for k, name in enumerate(names)}
+            label = np.array([number.get(name, -1) for name in self.target.names])[
+                self.target.codes
+            ]
+        order = np.argsort(label, kind="stable")
+        sizes = np.bincount(label)
+        few = np.minimum(sizes, min(20, count))
+        shares = np.maximum(sizes * count // len(self), few)
+        chosen = [
+            rows[np.linspace(0, len(rows) - 1, share).astype(np.int64)]
+            for rows, share in zip(
+                np.split(order, np.cumsum(sizes)[:-1]), shares, strict=True
+            )
+        ]
+        return self.rows(np.sort(np.concatenate(chosen)))
+
+    def groups(self) -> Indices:
+        """Label rows that must stay together when data are split, see `grouped`."""
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> Indices:
+        return grouped(self.q)
+
+    @property
+    def configurations(self) -> int:
+        """Number of different configurations; repetitions show nothing new."""
+        return int(self.groups().max(initial=-1)) + 1
+
+    def source(self, row: int) -> str:
+        """Where a row stands, as `file:line`, or `row k` where there is no file."""
+        if self.files[row]:
+            return f"{self.files[row]}:{self.lines[row]}"
+        return f"row {row}"
+
+    def error(
+        self,
+        row: int,
+        reason: str,
+        *,
+        column: str | None = None,
+        allowed: str | None = None,
+    ) -> InputError:
+        """The error that refuses a row, with the place where the row stands."""
+        told: dict[str, Any] = {"column": column, "allowed": allowed}
+        if file := self.files[row]:
+            return InputError(reason, file=file, line=int(self.lines[row]), **told)
+        return InputError(f"{self.source(row)}: {reason}", **told)
+
+
+def trusted(data: Measurements) -> Measurements:
+    """The measurements that have a weight; of a target that has none, all of them."""
+    if data.weight.all():
+        return data
+    count = len(data.target.names)
+    left = np.bincount(data.target.codes, data.weight > 0.0, count) > 0.0
+    return data.rows((data.weight > 0.0) | ~left[data.target.codes])

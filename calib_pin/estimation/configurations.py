@@ -8,7 +8,6 @@ into contact.
 from __future__ import annotations
 
 from collections import deque
-from collections.abc import Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,8 +16,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.model import Configurations, linearized_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.mixed import contact_rows, relative_rows
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Labels, Targets
 
 DRAWS = 50
 """Largest number of rounds of random draws."""
@@ -41,67 +39,77 @@ FARTHEST = 0.5
 
 def asked(
     problem: Problem,
+    key: BlockKey,
     q: Floats,
-    target: Sequence[str],
-    payload: Sequence[str] = (),
+    target: Targets,
+    payload: Targets = (),
     start: Floats | None = None,
 ) -> Configurations:
-    """Configurations at which to evaluate the measurement model of a problem.
+    """Configurations at which to evaluate the model of a block.
 
     Args:
         problem: The problem; its measurements name the payloads.
-        q: Joint positions, shape (K, n) [rad, m].
+        key: The block.
+        q: Positions of all joints, shape (K, n) [rad, m].
         target: Target of each.
         payload: Payload of each; default `payloads_in_turn`.
         start: Start configurations of relative measurements, shape (K, n) [rad, m];
             default the configuration before each.
     """
-    if problem.measurement.declaration.relative and start is None:
+    if start is None and problem.parts[key].measurement.declaration.relative:
         start = np.roll(q, 1, axis=0)
-        start[~relative_rows(problem.measurement, target)] = np.nan
     return Configurations(
+        key,
         q,
-        tuple(target),
-        tuple(payload) or payloads_in_turn(problem.data, len(q)),
+        Labels.of(target),
+        Labels.of(payload if len(payload) else payloads_in_turn(problem, key, len(q))),
         np.zeros((0, 0)) if start is None else start,
     )
 
 
-def payloads_in_turn(data: Measurements, count: int) -> tuple[str, ...]:
+def named_targets(problem: Problem, key: BlockKey) -> tuple[str, ...]:
+    """The targets that the measurements of a block name."""
+    blocks = [block for block in problem.data.blocks if block.key == key]
+    return blocks[0].target.distinct if blocks else ("",)
+
+
+def payloads_in_turn(problem: Problem, key: BlockKey, count: int) -> tuple[str, ...]:
     """Default payloads: those of the data in turn, length `count`.
 
     Each stays for as many configurations as there are targets, so that every payload
     meets every target.
     """
-    names = tuple(dict.fromkeys(data.payload)) or ("",)
-    targets = len(set(data.target)) or 1
+    names = problem.data.payload.distinct or ("",)
+    targets = len(named_targets(problem, key))
     return tuple(names[k // targets % len(names)] for k in range(count))
 
 
 def observable_configurations(
-    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
-) -> tuple[Floats, tuple[str, ...]]:
-    """Random configurations within the limits at which the instrument can measure.
+    problem: Problem,
+    key: BlockKey,
+    theta: Floats,
+    count: int,
+    rng: np.random.Generator,
+) -> Configurations:
+    """Random configurations within the limits at which an instrument can measure.
 
     Configurations of contact measurements are moved until the tool touches.
 
     Args:
-        problem: Chain, frames, instrument; its data only name the targets.
+        problem: Chains, frames, instruments; its data only name the targets.
+        key: The block of the instrument.
         theta: Parameter values, shape (P,).
         count: Number K of configurations.
         rng: Random generator.
 
-    Returns:
-        Joint positions, shape (K, n) [rad, m], and the target of each.
-
     Raises:
         InputError: If too few configurations can be measured.
     """
-    names = tuple(dict.fromkeys(problem.data.target)) or ("",)
+    names = named_targets(problem, key)
     target = [names[i % len(names)] for i in range(count)]
-    loads = payloads_in_turn(problem.data, count)
-    chain, measurement = problem.error.chain, problem.measurement
-    q_found: Floats = np.empty((count, len(chain.joints)))
+    loads = payloads_in_turn(problem, key, count)
+    declared = problem.parts[key].measurement.declaration
+    q_found: Floats = np.empty((count, len(problem.chains.joints)))
     left, tries, drawn = np.arange(count), 0, 0
     while len(left) and tries < DRAWS:
         tries += 1
@@ -112,16 +120,13 @@ def observable_configurations(
         # More candidates than missing ones: the observable ones are shared out below.
         some = np.resize(left, max(count, AT_ONCE * len(left)) if tries > 1 else count)
         drawn += len(some)
-        q = chain.random_configurations(len(some), rng)
+        q = problem.chains.random_configurations(len(some), rng)
         looked, carried = [target[i] for i in some], [loads[i] for i in some]
-        touching = contact_rows(measurement, looked)
-        seen = np.ones(len(some), bool)
-        if touching.any():
-            q, seen = brought_to_contact(
-                problem, theta, q, looked, touching, payload=carried
-            )
-        if not touching.all():
-            seen &= problem.observable(theta, asked(problem, q, looked, carried))
+        if declared.contact:
+            at = asked(problem, key, q, looked, carried)
+            q, seen = brought_to_contact(problem, theta, at)
+        else:
+            seen = problem.observable(theta, asked(problem, key, q, looked, carried))
         found: dict[tuple[str, str], deque[int]] = {}
         for k in np.flatnonzero(seen):
             found.setdefault((looked[k], carried[k]), deque()).append(int(k))
@@ -133,49 +138,39 @@ def observable_configurations(
                 still.append(i)
         left = np.array(still, np.int64)
     if len(left):
-        what = "brought into contact" if measurement.declaration.contact else "measured"
+        what = "brought into contact" if declared.contact else "measured"
         raise InputError(
             f"only {count - len(left)} of {count} configurations that can be {what} "
             f"were found among {drawn} random ones within the joint limits "
-            f"({measurement.name})"
+            f"({key.model})"
         )
-    return q_found, tuple(target)
+    return asked(problem, key, q_found, target, loads)
 
 
 def brought_to_contact(
-    problem: Problem,
-    theta: Floats,
-    q: Floats,
-    target: Sequence[str],
-    rows: NDArray[np.bool_],
-    gap: Floats | None = None,
-    payload: Sequence[str] = (),
+    problem: Problem, theta: Floats, at: Configurations, gap: Floats | None = None
 ) -> tuple[Floats, NDArray[np.bool_]]:
     """Configurations moved until the tool touches, by damped Newton steps.
 
     Args:
-        problem: Chain, frames, instrument.
+        problem: Chains, frames, instruments.
         theta: Parameter values, shape (P,).
-        q: Configurations, shape (N, n) [rad, m].
-        target: Target of each.
-        rows: Mask of contact measurements, shape (N,); the others stay.
+        at: N configurations of a block of contact measurements.
         gap: Residual to leave, shape (N, d); default zero.
-        payload: Payload of each; default `payloads_in_turn`.
 
     Returns:
         The configurations, shape (N, n) [rad, m], and the mask of those that lie within
-        the joint limits and touch if they are to, shape (N,).
+        the joint limits and touch, shape (N,).
     """
-    robot, instrument = problem.split(theta)
-    chain, measurement = problem.error.chain, problem.measurement
-    q, touches = q.copy(), ~rows
-    payload = payload or payloads_in_turn(problem.data, len(q))
-    left = np.flatnonzero(rows)
+    part = problem.parts[at.key]
+    robot, instrument = part.split(theta[part.index])
+    chain, every = part.error.chain, at.q.copy()
+    q = every[:, part.columns]
+    touches, left = np.zeros(len(q), bool), np.arange(len(q))
     for _ in range(NEWTON):
-        names = [target[int(k)] for k in left]
-        loads = [payload[int(k)] for k in left]
-        T, J_q = problem.error.kinematics(q[left], robot, loads)
-        linear = linearized_at(chain, measurement, T, instrument, q[left], names)
+        names, loads = at.target[left], at.payload[left]
+        T, J_q = part.error.kinematics(q[left], robot, loads)
+        linear = linearized_at(chain, part.measurement, T, instrument, q[left], names)
         short = -linear.residual if gap is None else gap[left] - linear.residual
         size = np.abs(short).max(axis=1)
         touches[left[size < TOUCHING]] = True
@@ -192,4 +187,5 @@ def brought_to_contact(
         shorter = np.minimum(1.0, FARTHEST / np.maximum(longest, FARTHEST))
         q[left] += step[:, :, 0] * shorter[:, None]
     within = ((q >= chain.lower) & (q <= chain.upper)).all(axis=1)
-    return q, touches & within
+    every[:, part.columns] = q
+    return every, touches & within

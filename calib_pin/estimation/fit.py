@@ -22,10 +22,12 @@ from calib_pin.estimation.robust.weights import robustly
 from calib_pin.estimation.solve import Solver, refine
 from calib_pin.estimation.stages import without_prior
 from calib_pin.estimation.statistics.systematic import systematic
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.progress import Progress, portion
 from calib_pin.residual_models import (
     RESIDUAL_MODELS,
@@ -84,7 +86,9 @@ def refitted(fitted: Fit, kept: NDArray[np.bool_]) -> Fit | None:
     """
     whole, parameters = fitted.problem, fitted.problem.parameters
     rows = whole.data.rows(kept)
-    complete = set(rows.target) == set(whole.data.target)
+    complete = len(np.unique(whole.data.things()[kept])) == len(
+        np.unique(whole.data.things())
+    )
     bounded = np.isfinite(parameters.bounds).any() or whole.many
     plain = whole.setup.solver.name == "gauss-newton" and fitted.result.status.success
     if not (complete and plain and fitted.noise) or bounded:
@@ -95,9 +99,9 @@ def refitted(fitted: Fit, kept: NDArray[np.bool_]) -> Fit | None:
         some: Problem, x: Floats, known: tuple[Floats, Floats], basis: Floats
     ) -> LeastSquaresResult:
         # The first step is known from the residual rows of the whole.
-        count = len(kept) * whole.components
+        of_row = kept[whole.layout.row]
         own = np.ones(len(known[0]), bool)
-        own[:count] = np.repeat(kept, whole.components)
+        own[: len(of_row)] = of_row
         r, J = (part[own] for part in known)
         start = x - basis @ np.linalg.lstsq(J @ basis, r, rcond=None)[0]
         return refine(some, start, basis, CLOSE)
@@ -147,16 +151,16 @@ class FittedModel:
     theta: Floats
     rejected: str = ""
 
-    def weighted(self, measurements: Measurements) -> Measurements:
+    def weighted(self, measurements: Observations) -> Observations:
         """The fitted measurements, with no weight where the fit has set them aside."""
         aside = self.fit.problem.data.weight == 0.0
-        return replace(measurements, weight=np.where(aside, 0.0, measurements.weight))
+        return measurements.weighted(np.where(aside, 0.0, measurements.weight))
 
 
 @serial_blas
 def fit_model(
-    chain: Chain,
-    measurements: Measurements,
+    chains: Chain | Chains,
+    measurements: Observations,
     setup: Setup,
     seed: int,
     progress: Progress | None = None,
@@ -166,7 +170,7 @@ def fit_model(
     """Fit the parameters of a setup, and let its residual model learn the rest.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         measurements: The measurements to fit.
         setup: Estimated, known and learned quantities.
         seed: Seed of random configurations, searches and starts.
@@ -185,7 +189,7 @@ def fit_model(
         part = FIT_PART
     fitted = None if part_of is None else refitted(*part_of)
     if fitted is None:
-        problem = make_problem(chain, measurements, setup)
+        problem = make_problem(chains, measurements, setup)
         tell = portion(progress, 0.0, part)
         fitted = fit(problem, np.random.default_rng(seed), progress=tell)
         if part_of is None:
@@ -202,24 +206,54 @@ def fit_model(
     if learned is None:
         plain = replace(problem, setup=replace(setup, learned=None))
         return FittedModel(fitted, plain, theta, rejected=setup.learned)
-    error = replace(problem.error, learned=learned)
-    return FittedModel(fitted, replace(problem, error=error), theta)
+    return FittedModel(fitted, with_learned(problem, learned), theta)
 
 
-def require_learnable(name: str, setup: Setup, measurements: Measurements) -> None:
+def require_learnable(name: str, setup: Setup, measurements: Observations) -> None:
     """Refuse a residual model that does not exist or has nothing to learn from.
 
     Raises:
-        OptionError: If there is no such model, or the measurements are relative.
+        OptionError: If there is no such model, or the measurements are relative or of
+            several chains.
     """
     require_known("residual model", name, RESIDUAL_MODELS)
-    if any(declared(name).relative for name in measurements.parts):
+    told = {"file": setup.file or None, "value": name}
+    if any(declared(model).relative for model in measurements.models):
         raise OptionError(
             "nothing can be learned from distances between two configurations",
-            file=setup.file or None,
-            value=name,
             allowed="measurements of another model",
+            **told,
         )
+    if len({key.chain for key in measurements.keys}) > 1:
+        raise OptionError(
+            "nothing can be learned from measurements of several chains",
+            allowed="measurements of one chain",
+            **told,
+        )
+
+
+def with_learned(problem: Problem, learned: LearnedCorrection) -> Problem:
+    """A problem about its solution, with a learned correction.
+
+    Args:
+        problem: The problem.
+        learned: The correction, with a shift of all parameters, shape (P,); a motion
+            of the tool is one of the first tool.
+    """
+    parts = {}
+    for key, part in problem.parts.items():
+        shift = learned.shift[part.index[: len(part.error.screws)]]
+        own = replace(learned, shift=shift, carried=_carried(problem, part))
+        parts[key] = replace(part, error=replace(part.error, learned=own))
+    return replace(problem, parts=parts)
+
+
+def _carried(problem: Problem, part: Part) -> Floats | None:
+    """Adjoint from the first tool to that of a part; None where it is the same."""
+    first, tool = problem.only.error.tool, part.error.tool
+    if tool == first:
+        return None
+    return np.asarray((tool.inverse() * first).toActionMatrix())
 
 
 def learned_correction(
@@ -247,7 +281,8 @@ def learned_correction(
     found = RESIDUAL_MODELS[name](
         training_rows(problem, theta, directions), rng, progress=progress
     )
-    if not (found.shift.any() or found(problem.data.q).any()):
+    q = np.concatenate([block.data.q for block in problem.blocks])
+    if not (found.shift.any() or found(q).any()):
         # Nothing held on the validation measurements.
         return None
     return LearnedCorrection(found, directions @ found.shift)
@@ -259,31 +294,54 @@ def training_rows(problem: Problem, theta: Floats, directions: Floats) -> Traini
     Args:
         problem: The problem about the solution of a fit.
         theta: Parameter values there, shape (P,).
-        directions: Directions in the parameters of the error model that may shift
-            along with the correction, shape (P', k).
+        directions: Directions of the parameters that may shift along with the
+            correction, shape (P, k).
     """
-    of_robot, instrument = problem.split(theta)
-    factors = problem.error.basis(problem.data.q, problem.data.payload)
+    layout = problem.layout
+    shape = len(problem.data), layout.width
+    basis = {
+        block.part.key: block.part.error.basis(block.data.q, block.data.payload)
+        for block in problem.blocks
+    }
 
     def linearize(space: Space, values: Floats, shift: Floats) -> Linearized:
-        given = _Given(space, values, directions @ shift)
-        error = replace(problem.error, learned=given)
-        poses = error.linearize(problem.data.q, of_robot, factors)
-        linear = problem.measurement.linearize(poses.T, instrument, problem.data)
-        J_pose = linear.J_pose / problem.sigma[:, :, None]
-        by_correction = J_pose
-        if space == "joint":
-            by_correction = J_pose @ poses.joint_twists()
-        return Linearized(
-            residual=linear.residual / problem.sigma,
-            by_correction=by_correction,
-            by_shift=poses.derivative(J_pose) @ directions,
+        result = Linearized(
+            np.zeros(shape),
+            np.zeros((*shape, values.shape[1])),
+            np.zeros((*shape, len(shift))),
         )
+        moved = directions @ shift
+        for part, data, rows, flat in problem.blocks:
+            own, error = part.index, part.error
+            of_robot, instrument = part.split(theta[own])
+            count = len(of_robot)
+            corrections, carried = values[rows], None
+            if space == "tip":
+                carried = _carried(problem, part)
+                corrections = (
+                    corrections if carried is None else corrections @ carried.T
+                )
+            given = _Given(space, corrections, moved[own[:count]])
+            poses = replace(error, learned=given).linearize(
+                data.q, of_robot, basis[part.key]
+            )
+            linear = part.measurement.linearize(poses.T, instrument, data)
+            sigma = problem.sigma[flat].reshape(len(data), -1)
+            J_pose = linear.J_pose / sigma[:, :, None]
+            columns = layout.column[flat][: sigma.shape[1]]
+            result.residual[rows, columns] = linear.residual / sigma
+            by_correction = J_pose if carried is None else J_pose @ carried
+            if space == "joint":
+                by_correction = J_pose @ poses.joint_twists()
+            result.by_correction[rows, columns] = by_correction
+            by_shift = poses.derivative(J_pose) @ directions[own[:count]]
+            result.by_shift[rows, columns] = by_shift
+        return result
 
     return TrainingRows(
-        q=problem.data.q,
+        q=np.concatenate([block.data.q for block in problem.blocks]),
         groups=problem.data.groups(),
-        revolute=problem.error.chain.revolute,
+        revolute=problem.only.error.chain.revolute,
         by_joint=partial(linearize, "joint"),
         by_tip=partial(linearize, "tip"),
         shifts=directions.shape[1],
@@ -306,12 +364,14 @@ class _Given:
 
 
 def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> Floats:
-    """Directions of the error model that the fit could tell, in its scales, (P', k).
+    """Directions that the fit could tell, in the scales of parameters, (P, k).
 
-    Those of the robot and the frames; the instrument stays as it was fitted.
+    Those of the robot and the frames; the instruments stay as they were fitted.
     """
     parameters = problem.parameters
     _, J = problem.linearize(theta)
     basis = np.column_stack([visible_nuisances(J, parameters), fitted.directions.robot])
-    basis = (parameters.scales[:, None] * basis)[: len(problem.error.screws)]
+    basis = parameters.scales[:, None] * basis
+    for part in problem.parts.values():
+        basis[part.index[len(part.error.screws) :]] = 0.0
     return basis[:, basis.any(axis=0)]

@@ -33,8 +33,8 @@ from calib_pin.estimation.statistics.variance_components import (
     current_units,
     repetitions,
 )
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.solvers import LeastSquaresResult
 
 
@@ -66,23 +66,23 @@ class Posterior:
         half = np.column_stack([self.by_noise, self.by_effects])
         return np.asarray(half @ half.T)
 
-    def twists(self, error: ErrorModel, q: Floats, J: Floats) -> Floats:
-        """Deviations of the tool as body twists, shape (N, 6, r + S).
+    def twists(self, part: Part, q: Floats, J: Floats) -> Floats:
+        """Deviations of the tool of a part as body twists, shape (N, 6, r + S).
 
         The squares of the last axis add up to variances. Frames, the columns 0 to 5 and
         the last six of the error model, count as what they were fitted to be.
 
         Args:
-            error: The error model about its solution, see `Model.rebased`.
-            q: Joint positions, shape (N, n) [rad, m].
-            J: Body twists there by the parameters about these references, shape
-                (N, 6, p).
+            part: The part about its solution, see `System.rebased`.
+            q: Positions of its joints, shape (N, n) [rad, m].
+            J: Body twists there by the parameters of its error model about these
+                references, shape (N, 6, p).
         """
-        count = J.shape[2]
-        parts = [J @ self.by_noise[:count]]
+        own = part.index[: J.shape[2]]
+        parts = [J @ self.by_noise[own]]
         if self.systematic is not None:
-            there = self.systematic.twists(error, q)
-            parts.append(J @ self.by_effects[:count] - there)
+            there = self.systematic.twists(part, q)
+            parts.append(J @ self.by_effects[own] - there)
         return np.concatenate(parts, axis=2)
 
 
@@ -113,7 +113,7 @@ def posterior(
     fun, jac = problem.factorize(theta) if known is None else known
     basis, held = _held(problem, directions, size)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
-    noise = np.ones(len(problem.measurement.quantities))
+    noise = np.ones(len(problem.layout.components))
     if systematic is not None:
         noise = systematic.noise
     shared = _shared(problem, components, noise)
@@ -188,20 +188,20 @@ def _by_configuration(problem: Problem, U: Floats, shared: Floats) -> Floats:
 
     By orthonormal columns U of the rows, (M, r), and their variances, (K,).
     """
-    size, rank = problem.components, U.shape[1]
+    layout, rank = problem.layout, U.shape[1]
     rows, label = repetitions(problem)
-    each = U[: len(problem.data) * size].reshape(-1, size, rank)
+    each = U[: len(layout.row)] * np.sqrt(problem.data.weight)[layout.row, None]
+    # Measurements that are no repetitions stand alone.
+    of_row = np.arange(len(problem.data)) + len(problem.data)
+    of_row[rows] = label
+    place = of_row[layout.row] * layout.width + layout.column
     result = np.zeros((rank, rank))
-    weight = np.sqrt(problem.data.weight)[:, None, None]
-    alone = np.ones(len(each), bool)
-    alone[rows] = False
-    for k, quantity in enumerate(problem.measurement.quantities):
-        part = each[:, quantity.columns] * weight
-        summed = np.zeros((int(label.max(initial=-1)) + 1, *part.shape[1:]))
-        np.add.at(summed, label, part[rows])
-        for columns in (summed, part[alone]):
-            flat = columns.reshape(-1, rank)
-            result += shared[k] * flat.T @ flat
+    for k in np.flatnonzero(shared).tolist():
+        own = layout.component == k
+        groups, group = np.unique(place[own], return_inverse=True)
+        summed = np.zeros((len(groups), rank))
+        np.add.at(summed, group, each[own])
+        result += shared[k] * summed.T @ summed
     return result
 
 

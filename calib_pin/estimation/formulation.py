@@ -2,18 +2,25 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.scopes import prefixed, scopes
+from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.mount import Frame
-from calib_pin.observations import Measurements
+from calib_pin.observations import (
+    WORLD,
+    BlockKey,
+    Labels,
+    Measurements,
+    Observations,
+)
 from calib_pin.parameterizations import (
     NOTHING,
     beyond_geometry,
@@ -21,12 +28,14 @@ from calib_pin.parameterizations import (
     required_keys,
 )
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.parameters import matching
+from calib_pin.parameters import ParameterSet, matching
 from calib_pin.setup import Setup
 
 
-def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
-    """Error model, measurement model and data of a setup put together.
+def make_problem(
+    chains: Chain | Chains, data: Measurements | Observations, setup: Setup
+) -> Problem:
+    """Error models, measurement models and data of a setup put together.
 
     A measurement frame exists for positions and poses. A laser distance sensor measures
     against a plane given in the base, which is known unless the setup frees it.
@@ -34,57 +43,105 @@ def make_problem(chain: Chain, data: Measurements, setup: Setup) -> Problem:
     Raises:
         OptionError: If a name in the setup does not exist.
     """
-    model = measurement_model(data.model, setup, data.target)
+    chains, data = Chains.of(chains), Observations.of(data)
     _require_payloads(data, setup)
-    base, tool = setup.base_frame.estimate, setup.tool_frame.estimate
-    try:
-        error = ErrorModel.create(
-            chain,
-            setup.parameters,
-            setup=setup,
-            estimate_base=model.declaration.external if base is None else base,
-            estimate_tool=model.sees_tool if tool is None else tool,
-        )
-    except OptionError as mistake:
-        raise mistake.within(setup.file) from None
-    return Problem(error, model, data, setup)
+    targets = {block.key: block.target.distinct for block in data.blocks}
+    parts, given = make_parts(chains, targets, setup)
+    return Problem(chains, parts, given, data, setup)
 
 
-def nominal_problem(chain: Chain, model: str, setup: Setup) -> Problem:
-    """A problem without rows, about the frames and instrument that the setup gives.
+def make_parts(
+    chains: Chains, targets: Mapping[BlockKey, Sequence[str]], setup: Setup
+) -> tuple[dict[BlockKey, Part], ParameterSet]:
+    """The parts of blocks of measurements, and all parameters.
+
+    Args:
+        chains: The chains that are measured.
+        targets: By block what its measurements name, each name once.
+        setup: Estimated and known quantities.
 
     Raises:
-        OptionError: If the instrument needs a reference that the setup lacks.
+        OptionError: If a name in the setup does not exist.
     """
-    measurement = measurement_model(model, setup)
-    targets = tuple(measurement.targets) or ("",)
+    named = scopes(chains, tuple(targets), setup)
+    models = {
+        key: measurement_model(key.model, setup, names)
+        for key, names in targets.items()
+    }
+    outside = {named[k].station for k, m in models.items() if m.declaration.external}
+    looked_at = {
+        named[key].tool
+        for key, model in models.items()
+        if model.sees_tool and key.chain != WORLD
+    }
+    parts = []
+    for key, scope in named.items():
+        base, tool = scope.base.estimate, scope.end.estimate
+        try:
+            error = ErrorModel.create(
+                chains[key.chain],
+                setup.parameters if key.chain != WORLD else (),
+                setup=setup,
+                estimate_base=scope.station in outside if base is None else base,
+                estimate_tool=scope.tool in looked_at if tool is None else tool,
+            )
+        except OptionError as mistake:
+            raise mistake.within(setup.file) from None
+        error = error.with_tool_on(scope.offset)
+        columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
+        parts.append(Part(error, models[key], key, scope, columns, index))
+    return assembled(prefixed(parts))
+
+
+def nominal_problem(
+    chains: Chain | Chains, measured: str | Sequence[BlockKey], setup: Setup
+) -> Problem:
+    """A problem without rows, about the frames and instruments that the setup gives.
+
+    Args:
+        chains: The chains.
+        measured: Name of a measurement model, or the blocks that could be measured.
+        setup: Estimated and known quantities.
+
+    Raises:
+        OptionError: If an instrument needs a reference that the setup lacks.
+    """
+    chains = Chains.of(chains)
+    keys = [BlockKey(measured)] if isinstance(measured, str) else list(measured)
     payloads = tuple(setup.payloads) or ("",)
-    count = len(targets) * len(payloads)
-    data = Measurements(
-        joints=chain.joints,
-        q=np.zeros((count, len(chain.joints))),
-        model=model,
-        values=np.zeros((count, measurement.width)),
-        target=targets * len(payloads),
-        payload=tuple(name for name in payloads for _ in targets),
-    )
-    problem = make_problem(chain, data, setup)
-    missing = problem.measurement.missing
-    if missing:
-        raise OptionError(f"a {model} study without measurements: {missing}")
-    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
-    # A camera among other instruments is placed by rows; here it stands with them.
-    references = [
-        replace(reference, pose=pin.SE3.Identity())
-        if isinstance(reference, Frame) and not reference.located
-        else reference
-        for reference in problem.measurement.references
-    ]
-    return replace(
-        problem,
-        error=problem.error.with_frames(*frames),
-        measurement=problem.measurement.with_references(references),
-    )
+    blocks = []
+    for key in keys:
+        model = measurement_model(key.model, setup)
+        if model.missing:
+            raise OptionError(
+                f"a {key.model} study without measurements: {model.missing}"
+            )
+        targets = tuple(model.targets) or ("",)
+        count = len(targets) * len(payloads)
+        zeros = np.zeros((count, len(chains.joints)))
+        blocks.append(
+            Measurements(
+                joints=chains.joints,
+                q=zeros,
+                values=np.zeros((count, model.width)),
+                target=Labels.of(targets * len(payloads)),
+                payload=Labels.of([name for name in payloads for _ in targets]),
+                start=zeros if model.declaration.relative else np.zeros((0, 0)),
+                **key._asdict(),
+            )
+        )
+    problem = make_problem(chains, Observations.of(*blocks), setup)
+    placed = {
+        key: replace(
+            part,
+            error=part.error.with_frames(
+                frame_pose(part.scope.base),
+                frame_pose(part.scope.end) * part.scope.offset,
+            ),
+        )
+        for key, part in problem.parts.items()
+    }
+    return replace(problem, parts=placed)
 
 
 def restricted(setup: Setup, names: Sequence[str]) -> Setup:
@@ -106,7 +163,7 @@ def restricted(setup: Setup, names: Sequence[str]) -> Setup:
     )
 
 
-def _require_payloads(data: Measurements, setup: Setup) -> None:
+def _require_payloads(data: Observations, setup: Setup) -> None:
     """Refuse rows that carry something of which nothing is known.
 
     Raises:
@@ -115,32 +172,35 @@ def _require_payloads(data: Measurements, setup: Setup) -> None:
     if not setup.payloads and "payloads" not in required_keys(setup.parameters):
         return
     known = ("", NOTHING, *setup.payloads)
-    row = next((k for k, name in enumerate(data.payload) if name not in known), None)
-    if row is not None:
-        name = data.payload[row]
+    for name in data.payload.distinct:
+        if name in known:
+            continue
+        row = int(np.argmax(data.payload.where(name)))
         raise data.error(
             row,
             f"there is no payload '{name}'{nearest(name, setup.payloads)}",
             column="payload",
             allowed=", ".join(known[1:]),
         )
-    if len(setup.payloads) > 1 and "" in data.payload:
+    if len(setup.payloads) > 1 and "" in data.payload.distinct:
         raise data.error(
-            data.payload.index(""),
+            int(np.argmax(data.payload.where(""))),
             "there are several payloads, and the row names none",
             column="payload",
             allowed=", ".join(known[1:]),
         )
 
 
-def geometric_setup(chain: Chain, measurements: Measurements, setup: Setup) -> Setup:
+def geometric_setup(
+    chains: Chain | Chains, measurements: Observations, setup: Setup
+) -> Setup:
     """The setup of the geometry that a URDF can hold; without parameters for none.
 
     The geometry of a fit with gears and compliance is no use without them: a gear ratio
     and an offset may nearly cancel, say. It needs a fit of its own.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         measurements: The measurements to fit.
         setup: Estimated and known quantities.
     """
@@ -149,20 +209,26 @@ def geometric_setup(chain: Chain, measurements: Measurements, setup: Setup) -> S
     names = tuple(name for name in setup.parameters if name not in beyond)
     if names == setup.parameters:
         return plain
-    return with_parameters(chain, measurements, plain, names)
+    return with_parameters(chains, measurements, plain, names)
 
 
 def with_parameters(
-    chain: Chain, measurements: Measurements, setup: Setup, parameters: tuple[str, ...]
+    chains: Chain | Chains,
+    measurements: Observations,
+    setup: Setup,
+    parameters: tuple[str, ...],
 ) -> Setup:
     """The setup with other parameterizations, and without parameters they lack."""
-    names = parameter_names(chain, measurements, setup, parameters)
+    names = parameter_names(chains, measurements, setup, parameters)
     return restricted(replace(setup, parameters=parameters), names)
 
 
 def parameter_names(
-    chain: Chain, measurements: Measurements, setup: Setup, parameters: tuple[str, ...]
+    chains: Chain | Chains,
+    measurements: Observations,
+    setup: Setup,
+    parameters: tuple[str, ...],
 ) -> tuple[str, ...]:
     """Names of the parameters of some parameterizations, frames and instrument."""
     plain = replace(setup, parameters=parameters, fixed=(), bounds={}, prior={})
-    return make_problem(chain, measurements, plain).parameters.names
+    return make_problem(chains, measurements, plain).parameters.names

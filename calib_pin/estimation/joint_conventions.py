@@ -17,9 +17,9 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.registration import registered
-from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.setup import JointMap, Setup
 
@@ -129,8 +129,8 @@ class Suggestion:
 
 @serial_blas
 def suggest_conventions(
-    chain: Chain,
-    rows: Measurements,
+    chains: Chains,
+    rows: Observations,
     setup: Setup,
     progress: Progress | None = None,
 ) -> Suggestion | None:
@@ -140,7 +140,7 @@ def suggest_conventions(
     long as that removes a part of what is left.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         rows: The rows as they are read.
         setup: Known quantities of frames and instrument.
         progress: Told how much is done, 0 to 1.
@@ -150,7 +150,7 @@ def suggest_conventions(
     """
     plain = replace(setup, parameters=(), learned=None, fixed=(), bounds={}, prior={})
     rows = rows.sample(ROWS)
-    first = _misfit(chain, rows, plain)
+    first = _misfit(chains, rows, plain)
     beam: list[tuple[float, dict[int, Reading]]] = [(first, {})]
     best = beam[0]
     for k in range(MOST):
@@ -158,11 +158,11 @@ def suggest_conventions(
             progress(k / MOST)
         found: dict[tuple[Reading, ...], tuple[float, dict[int, Reading]]] = {}
         for left, kept in beam:
-            for reading in _readings(chain, kept):
+            for reading in _readings(chains, kept):
                 trial = {**kept, reading.joint: reading}
                 key = tuple(trial[j] for j in sorted(trial))
                 if key not in found:
-                    misfit = _misfit(chain, _read(rows, trial), plain)
+                    misfit = _misfit(chains, _read(rows, trial), plain)
                     if misfit < CLEAR * left:
                         found[key] = misfit, trial
         beam = sorted(found.values(), key=lambda pair: pair[0])[:WIDTH]
@@ -177,13 +177,13 @@ def suggest_conventions(
     return Suggestion(tuple(kept[j] for j in sorted(kept)), first, left)
 
 
-def _readings(chain: Chain, kept: Mapping[int, Reading]) -> Iterator[Reading]:
+def _readings(chains: Chains, kept: Mapping[int, Reading]) -> Iterator[Reading]:
     """Readings of one joint that differ in one thing from the kept ones.
 
     The likeliest kinds come first.
     """
-    now = [kept.get(j, Reading(j)) for j in range(len(chain.joints))]
-    turning = [reading for reading in now if chain.revolute[reading.joint]]
+    now = [kept.get(j, Reading(j)) for j in range(len(chains.joints))]
+    turning = [reading for reading in now if chains.revolute[reading.joint]]
     yield from (replace(reading, sign=-reading.sign) for reading in now)
     for reading in turning:
         for turn in TURNS:
@@ -196,26 +196,34 @@ def _readings(chain: Chain, kept: Mapping[int, Reading]) -> Iterator[Reading]:
                 yield replace(reading, coupled=other.joint, factor=-1)
 
 
-def _read(rows: Measurements, readings: Mapping[int, Reading]) -> Measurements:
-    """Rows whose joints are read in another way."""
-    q, start = rows.q.copy(), rows.start.copy()
-    for j, reading in readings.items():
-        q[:, j] = reading.position(rows.q)
-        if start.size:
-            start[:, j] = reading.position(rows.start)
-    return replace(rows, q=q, start=start)
+def _read(rows: Observations, readings: Mapping[int, Reading]) -> Observations:
+    """Measurements whose joints are read in another way."""
+
+    def read(positions: Floats) -> Floats:
+        result = positions.copy()
+        for j, reading in readings.items():
+            result[:, j] = reading.position(positions)
+        return result
+
+    return Observations(
+        tuple(
+            replace(b, q=read(b.q), start=read(b.start) if b.start.size else b.start)
+            for b in rows.blocks
+        )
+    )
 
 
-def _misfit(chain: Chain, rows: Measurements, setup: Setup) -> float:
+def _misfit(chains: Chains, rows: Observations, setup: Setup) -> float:
     """Error of the registered nominal robot, rms in standard deviations.
 
     The closed form is enough to tell a robot from none; without a measurement frame
     there may be nothing in closed form, and it is fitted.
     """
-    problem = make_problem(chain, rows, setup)
+    problem = make_problem(chains, rows, setup)
     zero = np.zeros(len(problem.parameters))
     try:
-        if problem.measurement.declaration.external:
+        parts = problem.parts.values()
+        if any(part.measurement.declaration.external for part in parts):
             cost = registered(problem, zero).cost(zero)
         else:
             cost = register(problem, zero)[1].cost

@@ -15,7 +15,6 @@ the rows.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator
-from dataclasses import replace
 from functools import partial
 
 import numpy as np
@@ -58,8 +57,8 @@ class ManyRows:
 
         return np.concatenate(list(self._threads.map(errors, self._chunks)))
 
-    def cost(self, theta: Floats, further: Floats) -> float:
-        """Half the sum of squares of the whitened residuals and of further ones."""
+    def square(self, theta: Floats) -> float:
+        """Sum of squares of the whitened residuals."""
         chain, own = self._evaluated(theta)
 
         def square(chunk: _Chunk) -> float:
@@ -67,8 +66,7 @@ class ManyRows:
             r = self._measurement.residual(T, own, chunk.data) * chunk.weights
             return float(np.vdot(r, r))
 
-        squares = sum(self._threads.map(square, self._chunks))
-        return 0.5 * squares + 0.5 * float(further @ further)
+        return sum(self._threads.map(square, self._chunks), 0.0)
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
         """A square system with the normal equations of all measurements.
@@ -146,18 +144,7 @@ class _Chunk:
     ) -> None:
         rows = slice(start, start + CHUNK)
         # Views: nothing is copied but the joint motions.
-        self.data = replace(
-            data,
-            q=data.q[rows],
-            values=data.values[rows],
-            sigma=None,
-            target=data.target[rows],
-            payload=data.payload[rows],
-            validate=data.validate[rows],
-            lines=data.lines[rows],
-            files=data.files[rows],
-            weight=data.weight[rows],
-        )
+        self.data = data.rows(rows)
         self.weights = 1.0 / sigma[rows]
         self.motion, self.starts = blocks.motions(
             self.data.q * segments.signs, segments.revolute

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Self, TypeAlias
@@ -13,25 +12,27 @@ from numpy.typing import NDArray
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.measurement_models import Linearization, MeasurementModel
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Labels, Measurements, Targets
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.linearization import PoseLinearization
 
 
 @dataclass(frozen=True)
 class Configurations:
-    """Configurations at which a model is evaluated.
+    """Configurations at which one block of measurements could be taken.
 
     Attributes:
+        key: The block.
         q: Joint positions, shape (N, n) [rad, m].
         target: Target that the instrument measures in each.
         payload: Payload that the robot carries in each.
-        start: Where relative measurements start, NaN for others, (N, n) or (0, 0).
+        start: Where relative measurements start, shape (N, n); (0, 0) for others.
     """
 
+    key: BlockKey
     q: Floats
-    target: tuple[str, ...]
-    payload: tuple[str, ...]
+    target: Labels
+    payload: Labels
     start: Floats
 
 
@@ -47,13 +48,11 @@ class ToolLinearization:
         T: Tool poses in the measurement frame, those of relative measurements in the
             tool at their start, shape (N, 4, 4).
         poses: All as if they were absolute.
-        begun: Which are relative, shape (N,).
-        start: Where these start; None without any.
+        start: Where relative ones start; None for absolute ones.
     """
 
     T: Floats
     poses: PoseLinearization
-    begun: NDArray[np.bool_]
     start: PoseLinearization | None
 
     def derivative(self, J_pose: Floats) -> Floats:
@@ -64,7 +63,7 @@ class ToolLinearization:
         """
         result = self.poses.derivative(J_pose)
         if self.start is not None:
-            result[self.begun] -= self.start.derivative(self.at_start(J_pose))
+            result -= self.start.derivative(self.at_start(J_pose))
         return result
 
     def at_start(self, J_pose: Floats) -> Floats:
@@ -73,7 +72,7 @@ class ToolLinearization:
         The twist of T_0^-1 T is that of T without that of T_0, transformed by the
         adjoint.
         """
-        return np.asarray(J_pose[self.begun] @ adjoint(invert(self.T[self.begun])))
+        return np.asarray(J_pose @ adjoint(invert(self.T)))
 
 
 class ToolPoses:
@@ -85,11 +84,8 @@ class ToolPoses:
     """
 
     def __init__(self, error: ErrorModel, at: Configured) -> None:
-        """Find the configurations that are relative to others."""
+        """Prepare nothing: what does not change is computed where it is needed."""
         self._error, self._at = error, at
-        self._begun = np.zeros(len(at.q), bool)
-        if at.start.size:
-            self._begun = np.isfinite(at.start[:, 0])
 
     def __call__(self, of_robot: Floats) -> Floats:
         """Tool poses as in `ToolLinearization`, shape (N, 4, 4).
@@ -97,25 +93,20 @@ class ToolPoses:
         Args:
             of_robot: Parameter values of the error model, shape (P,).
         """
-        error, begun = self._error, self._begun
-        T = error.poses(self._at.q, of_robot, self._basis)
-        if begun.any():
-            T_0 = error.poses(self._at.start[begun], of_robot, self._start_basis)
-            T[begun] = invert(T_0) @ T[begun]
+        T = self._error.poses(self._at.q, of_robot, self._basis)
+        if self._at.start.size:
+            start = self._error.poses(self._at.start, of_robot, self._start_basis)
+            T = np.asarray(invert(start) @ T)
         return T
 
     def linearize(self, of_robot: Floats) -> ToolLinearization:
         """The poses with their derivatives."""
-        begun, start = self._begun, None
-        poses = self._error.linearize(self._at.q, of_robot, self._basis)
+        poses, start = self._error.linearize(self._at.q, of_robot, self._basis), None
         T = poses.T
-        if begun.any():
-            start = self._error.linearize(
-                self._at.start[begun], of_robot, self._start_basis
-            )
-            T = T.copy()
-            T[begun] = invert(start.T) @ T[begun]
-        return ToolLinearization(T, poses, begun, start)
+        if self._at.start.size:
+            start = self._error.linearize(self._at.start, of_robot, self._start_basis)
+            T = np.asarray(invert(start.T) @ T)
+        return ToolLinearization(T, poses, start)
 
     @cached_property
     def _basis(self) -> Floats:
@@ -124,8 +115,7 @@ class ToolPoses:
 
     @cached_property
     def _start_basis(self) -> Floats:
-        loads = [self._at.payload[k] for k in np.flatnonzero(self._begun).tolist()]
-        return self._error.basis(self._at.start[self._begun], loads)
+        return self._error.basis(self._at.start, self._at.payload)
 
 
 @dataclass(frozen=True)
@@ -245,7 +235,7 @@ def linearized_at(
     T: Floats,
     instrument: Floats,
     q: Floats,
-    target: Sequence[str],
+    target: Targets,
     exact: Floats | None = None,
 ) -> Linearization:
     """Linearization of a measurement model where it measures what it predicts.
@@ -267,6 +257,6 @@ def linearized_at(
         q=q,
         model=measurement.name,
         values=exact,
-        target=tuple(target),
+        target=Labels.of(target),
     )
     return measurement.linearize(T, instrument, data)

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.estimation.configurations import asked, observable_configurations
+from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis, visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
 from calib_pin.estimation.model import Configured, ToolPoses
@@ -25,6 +25,12 @@ from calib_pin.solvers import LeastSquaresResult
 
 EXPLAINED = 1e-6
 """Part of a change of scale that rounding leaves where parameters express it."""
+
+LEAST = 50
+"""Least number of configurations that show a structure."""
+
+FEWEST = 12
+"""Least number of these of each block, twice what two frames need."""
 
 UNKNOWN = 0.01
 """Standard deviation of the scale from which it counts as unobservable.
@@ -65,84 +71,104 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    # Mixed measurements have only a part of the components each.
-    least = min(
-        q.columns.stop - q.columns.start for q in problem.measurement.quantities
-    )
-    count = max(50, -(-3 * len(problem.parameters) // least))
-    q, target = observable_configurations(problem, theta, count, rng)
-    found, J = structure_at(problem, theta, q, target)
+    blocks = len(problem.parts)
+    at = []
+    for key, part in problem.parts.items():
+        # Each quantity alone may have to show its structure.
+        least = min(
+            q.columns.stop - q.columns.start for q in part.measurement.quantities
+        )
+        enough = -(-3 * len(problem.parameters) // (blocks * least))
+        count = max(-(-LEAST // blocks), FEWEST, enough)
+        at.append(observable_configurations(problem, key, theta, count, rng))
+    found, J = structure_at(problem, theta, at)
     return found, visible_directions(J, problem.parameters)
 
 
 @serial_blas
 def structure_at(
-    problem: Problem, theta: Floats, q: Floats, target: Sequence[str]
+    problem: Problem, theta: Floats, at: Sequence[Configured]
 ) -> tuple[Structure, Floats]:
     """Structure at zero robot errors of given configurations.
 
     Args:
         problem: The problem about its registered references.
         theta: Parameter values with the robot at nominal, shape (P,).
-        q: Configurations, shape (K, n) [rad, m].
-        target: Target of each.
+        at: Configurations of blocks.
 
     Returns:
         The structure, and the whitened Jacobian with the rows of the priors, (M, P).
     """
-    at = asked(problem, q, target)
     J = jacobian_at(problem, theta, at)
-    found = structure(J[: len(J) - problem.priors], problem.parameters, len(q))
+    count = sum(len(some.q) for some in at)
+    found = structure(J[: len(J) - problem.priors], problem.parameters, count)
     scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
     return replace(found, scaled=scaled), J
 
 
-def jacobian_at(problem: Problem, theta: Floats, at: Configured) -> Floats:
+def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Configured]) -> Floats:
     """Whitened Jacobian of noise-free measurements and of all further rows, (M, P).
 
     Args:
         problem: The problem.
         theta: Parameter values, shape (P,).
-        at: The configurations.
+        at: Configurations of blocks.
     """
-    J = problem.jacobian(theta, at, sigma_at(problem, at.target))
-    rows = J.reshape(-1, len(theta))
-    return np.concatenate([rows, problem.further.jacobian(theta)])
+    rows = [
+        problem.jacobian(theta, some, sigma_at(problem, some.key, len(some.q)))
+        for some in at
+    ]
+    flat = [J.reshape(-1, len(theta)) for J in rows]
+    return np.concatenate([*flat, problem.further.jacobian(theta)])
 
 
 def scale_deviation(
-    problem: Problem, theta: Floats, at: Configured, J: Floats
+    problem: Problem, theta: Floats, at: Sequence[Configured], J: Floats
 ) -> float:
     """Standard deviation of the logarithm of a robot's size.
 
-    Of all changes of the parameters that move the tool as if every length grew by one
-    factor, up to a fixed displacement of base and tool, the one is taken that the
+    Of all changes of the parameters that move every tool as if every length grew by one
+    factor, up to fixed displacements of bases and tools, the one is taken that the
     residual rows (with known distances and priors) notice least. A robot whose lengths
     are not all estimated cannot grow; its scale is known.
 
     Args:
         problem: The problem.
         theta: Parameter values with the robot at nominal, shape (P,).
-        at: Configurations that its instrument can measure.
+        at: Configurations that its instruments can measure.
         J: The whitened Jacobian there, with all further rows, shape (M, P).
 
     Returns:
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
-    of_robot, _ = problem.split(theta)
     free = problem.parameters.free
-    basis = problem.error.basis(at.q, at.payload)
-    poses = problem.error.linearize(at.q, of_robot, basis)
-    count = len(poses.T)
-    twists = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
-    by_parameters: Floats = np.zeros((6 * count, len(theta)))
-    by_parameters[:, : len(of_robot)] = twists.reshape(6 * count, -1)
     scales = problem.parameters.scales
-    at_base = adjoint(invert(poses.to_base)).reshape(6 * count, 6)
-    at_tool = np.tile(np.eye(6), (count, 1))
-    moved = np.column_stack([(by_parameters * scales)[:, free], at_base, at_tool])
-    rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), 12))])
-    b = _grown(poses, poses.to_base).reshape(-1)
+    twists, grown = [], []
+    bases = {part.scope.station: 0 for part in problem.parts.values()}
+    tools = {part.scope.tool: 0 for part in problem.parts.values()}
+    bases = {name: 6 * k for k, name in enumerate(bases)}
+    tools = {name: 6 * (k + len(bases)) for k, name in enumerate(tools)}
+    frames = 6 * (len(bases) + len(tools))
+    for some in at:
+        part = problem.parts[some.key]
+        own = part.of_chain(some)
+        basis = part.error.basis(own.q, own.payload)
+        of_robot = part.split(theta[part.index])[0]
+        poses = part.error.linearize(own.q, of_robot, basis)
+        count = len(poses.T)
+        by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
+        by_own = np.zeros((6 * count, len(part.index)))
+        by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
+        displaced = np.zeros((6 * count, frames))
+        first, last = bases[part.scope.station], tools[part.scope.tool]
+        displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
+        on_tool = part.scope.offset.toActionMatrixInverse()
+        displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
+        by_all = problem.spread(part, by_own) * scales
+        twists.append(np.column_stack([by_all[:, free], displaced]))
+        grown.append(_grown(poses, poses.to_base).reshape(-1))
+    moved, b = np.concatenate(twists), np.concatenate(grown)
+    rows = np.column_stack([(J * scales)[:, free], np.zeros((len(J), frames))])
     _, s, Vt = np.linalg.svd(np.linalg.qr(moved, mode="r"))
     rank = int((s > 1e-11 * s[0]).sum())
     # Minimum-norm growth, and all that changes without moving the tool.
@@ -161,26 +187,28 @@ def scale_deviation(
 def growth(problem: Problem, theta: Floats) -> Floats:
     """Derivative of the whitened residuals by the logarithm of the robot's size.
 
-    All lengths from the base to the tip grow by one factor; base and tool stay.
+    All lengths from the bases to the tips grow by one factor; bases and tools stay.
 
     Args:
         problem: The problem.
         theta: Parameter values, shape (P,).
 
     Returns:
-        The derivative, component by component as in `Problem.sigma`, shape (N d,).
+        The derivative, component by component as in `Problem.sigma`, shape (M,).
     """
-    of_robot, instrument = problem.split(theta)
-    tool = ToolPoses(problem.error, problem.data).linearize(of_robot)
-    T, poses, start, begun = tool.T, tool.poses, tool.start, tool.begun
-    grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
-    if start is not None:
-        # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
-        begins = _grown(start, start.to_base @ invert(start.to_tip))
-        grown[begun] -= (adjoint(invert(T[begun])) @ begins[:, :, None])[:, :, 0]
-    J_pose = problem.measurement.linearize(T, instrument, problem.data).J_pose
-    changes = (J_pose @ grown[:, :, None])[:, :, 0] / problem.sigma
-    return np.asarray(changes.reshape(-1))
+    changes = []
+    for part, data, _, _ in problem.blocks:
+        of_robot, instrument = part.split(theta[part.index])
+        tool = ToolPoses(part.error, data).linearize(of_robot)
+        T, poses, start = tool.T, tool.poses, tool.start
+        grown = _grown(poses, poses.to_base @ invert(poses.to_tip))
+        if start is not None:
+            # The twist of T_0^-1 T is that of T without that of T_0, transformed there.
+            begins = _grown(start, start.to_base @ invert(start.to_tip))
+            grown -= (adjoint(invert(T)) @ begins[:, :, None])[:, :, 0]
+        J_pose = part.measurement.linearize(T, instrument, data).J_pose
+        changes.append((J_pose @ grown[:, :, None]).reshape(-1))
+    return np.asarray(np.concatenate(changes) / problem.sigma)
 
 
 def _grown(poses: PoseLinearization, to_point: Floats) -> Floats:

@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from calib_pin.compiled import kernels
 from calib_pin.compiled.blocks import motions
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Block, Problem
 from calib_pin.estimation.segments import Segments
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Batch, BatchedModel
@@ -39,7 +39,7 @@ class PopulationCost:
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())
         >>> zero = np.zeros(len(nominal.parameters))
-        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
+        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)))
         >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
         array([False,  True])
     """
@@ -48,13 +48,20 @@ class PopulationCost:
         """Compute what does not depend on the parameters."""
         self._problem = problem
         self._threads = Threads(threads)
-        batches: Sequence[Batch] = []
-        measurement = problem.measurement
-        if problem.error.learned is None and isinstance(measurement, BatchedModel):
-            batches = measurement.batches(problem.data, 1.0 / problem.sigma)
-        self.evaluator: Literal["kernel", "loop"] = "kernel" if batches else "loop"
-        self._segments = Segments.of(problem.error)
-        self._parts = [_Part(problem, self._segments, batch) for batch in batches]
+        self._parts: list[_Part] = []
+        self.evaluator: Literal["kernel", "loop"] = "kernel"
+        for block in problem.blocks:
+            measurement = block.part.measurement
+            batches: Sequence[Batch] = []
+            if block.part.error.learned is None and isinstance(
+                measurement, BatchedModel
+            ):
+                weights = 1.0 / block.table(problem.sigma)
+                batches = measurement.batches(block.data, weights)
+            if not batches:
+                self.evaluator = "loop"
+            segments = Segments.of(block.part.error)
+            self._parts += [_Part(block, segments, batch) for batch in batches]
 
     def __call__(self, theta: Floats) -> Floats:
         """Costs of parameter values, shape (S, P) -> (S,)."""
@@ -62,13 +69,10 @@ class PopulationCost:
             return np.array([self._problem.cost(member) for member in theta])
         further = self._problem.further.residual(theta)
         costs = 0.5 * np.asarray(np.sum(further**2, axis=-1))
-        of_robot, instrument = self._problem.split(theta)
 
         def evaluate(members: slice) -> None:
-            chains = self._segments.links(of_robot[members])
-            amounts = of_robot[members, self._problem.error.joint_corrections]
             for part in self._parts:
-                costs[members] += part.costs(chains, amounts, instrument[members])
+                costs[members] += part.costs(theta[members])
 
         least = -(-WORTHWHILE // max(len(self._problem.data), 1))
         pieces = self._threads.slices(len(theta), least)
@@ -78,13 +82,13 @@ class PopulationCost:
 
 
 class _Part:
-    """The rows of one batch."""
+    """The measurements of one batch."""
 
-    def __init__(self, problem: Problem, segments: Segments, batch: Batch) -> None:
-        self._batch = batch
+    def __init__(self, block: Block, segments: Segments, batch: Batch) -> None:
+        self._batch, self._segments, self._part = batch, segments, block.part
         self._comparison = kernels.COMPARISONS.index(batch.comparison)
-        error, start = problem.error, problem.data.start
-        payload = [problem.data.payload[k] for k in batch.rows]
+        error, start = block.part.error, block.data.start
+        payload = block.data.payload[batch.rows]
         joints = [error.screws[k].frame - 1 for k in error.joint_corrections]
         # From base to tool the joints come in the other order and move back.
         forward = slice(None, None, -1 if batch.inward else 1)
@@ -96,9 +100,9 @@ class _Part:
             factors = error.basis(q, payload) * signs[joints]
             return motion, starts, factors.T.copy()
 
-        motion, starts, factors = moving(problem.data.q[batch.rows])
+        motion, starts, factors = moving(block.data.q[batch.rows])
         begin, begin_factors = motion[:0], factors[:, :0]
-        if start.size and np.isfinite(start[batch.rows]).all():
+        if start.size:
             begin, _, begin_factors = moving(start[batch.rows])
         places = np.arange(len(revolute))[forward]
         self._rows = kernels.Rows(
@@ -115,17 +119,12 @@ class _Part:
             weights=batch.weights.T.copy(),
         )
 
-    def costs(self, chains: Floats, amounts: Floats, instrument: Floats) -> Floats:
-        """Half the sums of squares of these rows, shape (S,).
-
-        By links of the members, (S, n + 1, 12), their joint corrections, (S, C), and
-        instruments, (S, K).
-        """
+    def costs(self, theta: Floats) -> Floats:
+        """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
+        of_robot, instrument = self._part.split(theta[:, self._part.index])
+        chains = self._segments.links(np.ascontiguousarray(of_robot))
+        amounts = of_robot[:, self._part.error.joint_corrections]
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))
-        if found.stand is not None and found.mount is not None:
-            chains = chains.copy()
-            chains[:, 0] = _product(found.stand, chains[:, 0])
-            chains[:, -1] = _product(chains[:, -1], found.mount)
         if self._batch.inward:
             chains = _inverted(chains)
         kernels.population_costs(
@@ -138,14 +137,6 @@ class _Part:
             result,
         )
         return result
-
-
-def _product(a: Floats, b: Floats) -> Floats:
-    """Products of links (R | p), shape (S, 12) each."""
-    first, second = a.reshape(-1, 3, 4), b.reshape(-1, 3, 4)
-    result = first[:, :, :3] @ second
-    result[:, :, 3] += first[:, :, 3]
-    return np.asarray(result.reshape(-1, 12))
 
 
 def _inverted(chains: Floats) -> Floats:

@@ -7,7 +7,7 @@ gives a robot without any other length its scale.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 
@@ -20,7 +20,6 @@ from calib_pin.measurement_models.references import (
     Point,
     ReferenceObject,
     Sphere,
-    slices,
 )
 from calib_pin.setup import DistanceSetup
 
@@ -120,28 +119,31 @@ class KnownDistances:
     @staticmethod
     def of(
         distances: Sequence[DistanceSetup],
-        references: Sequence[ReferenceObject],
-        first: int = 0,
+        references: Mapping[tuple[str, str], ReferenceObject],
+        names: Sequence[str],
     ) -> KnownDistances:
         """Those of the distances whose both ends are among some references.
 
         Args:
             distances: Known distances.
-            references: Those of a measurement model, in their order.
-            first: Position of the first instrument parameter among all.
+            references: Reference objects by section and name among all.
+            names: Names of all parameters.
         """
+        if not distances:
+            return KnownDistances((), np.zeros((0, 2, 3)), np.zeros((0, 2, 3), int))
+        position = {name: k for k, name in enumerate(names)}
         found: dict[str, tuple[Floats, NDArray[np.int64]]] = {}
         # A point of the tool yields its name to a place of the same name.
-        for reference, part in zip(references, slices(references), strict=True):
-            hidden = reference.section == "targets" and reference.name in found
+        for (section, name), reference in references.items():
+            hidden = section == "targets" and name in found
             if hidden or not isinstance(reference, Point | Sphere | Anchor):
                 continue
             if reference.xyz is not None:
                 # The known points of a camera have no parameters.
-                columns = np.full(3, -1)
-                if part.stop > part.start:
-                    columns = first + part.start + np.arange(3)
-                found[reference.name] = reference.xyz, columns
+                columns = [
+                    position.get(f"{name}.{reference.kind}.{c}", -1) for c in "xyz"
+                ]
+                found[name] = reference.xyz, np.array(columns)
         known = tuple(d for d in distances if all(name in found for name in d.between))
         ends = [[found[name][0] for name in d.between] for d in known]
         positions = [[found[name][1] for name in d.between] for d in known]

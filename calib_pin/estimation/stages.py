@@ -31,7 +31,6 @@ from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.observations import states_sigmas
 from calib_pin.solvers import LeastSquaresResult, Status
 
@@ -168,7 +167,8 @@ class _Stages:
             r, J = problem.linearize(nominal)
             self._start = J, r
         about = np.zeros(len(parameters))
-        if contact_rows(problem.measurement, problem.data.target).any():
+        parts = problem.parts.values()
+        if any(part.measurement.declaration.contact for part in parts):
             # What is touched must be where the tool can touch it.
             about = np.where(parameters.nuisance, nominal, 0.0)
         self.structure, self._visible = analyze_structure(problem, about, solver.rng)

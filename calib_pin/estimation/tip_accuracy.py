@@ -7,6 +7,7 @@ from dataclasses import dataclass, replace
 from functools import cached_property
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
@@ -42,11 +43,13 @@ class TipByCount:
     """The error of the tip by the number of measurements; found when it is asked for.
 
     Attributes:
-        problem: The problem about its solution, with some of its rows in random order.
+        problem: The problem about its solution, with some of its rows.
         theta: Parameter values, shape (P,).
         robot: Directions of the robot that were estimated, shape (P, k).
-        of_tip: Derivative of the tip's position by the error model's parameters at the
-            configurations of the workspace, shape (N, 3, p).
+        index: Positions of the parameters of the error model of the tip, shape (p,).
+        of_tip: Derivative of the tip's position by these at the configurations of the
+            workspace, shape (N, 3, p).
+        order: Place of each measurement when they are counted, shape (N,).
         weight: Standard deviation of unit weight.
         last: Number of all measurements, and the error with them [m].
     """
@@ -54,7 +57,9 @@ class TipByCount:
     problem: Problem
     theta: Floats
     robot: Floats
+    index: NDArray[np.intp]
     of_tip: Floats
+    order: NDArray[np.int64]
     weight: float
     last: tuple[int, float]
 
@@ -72,18 +77,20 @@ class TipByCount:
     def _found(self) -> Iterator[tuple[int, float]]:
         problem = self.problem
         _, J = problem.linearize_rows(self.theta)
-        parameters, size = problem.parameters, problem.components
+        parameters, row = problem.parameters, problem.layout.row
         nuisances = visible_nuisances(J, parameters)
         directions = np.column_stack([nuisances, self.robot])
         basis = parameters.scales[:, None] * directions
-        along = self.of_tip @ basis[: self.of_tip.shape[2]]
+        along = self.of_tip @ basis[self.index]
         tests = np.einsum("ndi,ndj->ij", along, along, optimize=True) / len(along)
         rows = len(problem.data)
-        own, further = np.split(J @ basis, [rows * size])
+        own, further = np.split(J @ basis, [len(row)])
         known = further.T @ further
-        least = max(2, basis.shape[1] // size)
+        # The measurements in the order in which they are counted.
+        place = self.order[row]
+        least = max(2, basis.shape[1] * rows // len(row))
         for count in np.unique(np.geomspace(least, rows, COUNTS).round().astype(int)):
-            some = own[: count * size]
+            some = own[place < count]
             M = known + some.T @ some
             lengths = np.sqrt(np.diag(M))
             if count >= self.last[0] or not lengths.all():
@@ -97,33 +104,33 @@ class TipByCount:
 
 @serial_blas
 def tip_accuracy(
-    fitted: Fit, problem: Problem, theta: Floats, seed: int
+    fitted: Fit, problem: Problem, theta: Floats, seed: int, chain: str | None = None
 ) -> TipAccuracy | None:
-    """Predict the accuracy of the tip; None for a fit without redundancy.
+    """Predict the accuracy of a tip; None for a fit without redundancy.
 
     Args:
         fitted: The fit.
         problem: The problem about its solution, with the rows that were fitted.
         theta: Parameter values about that, shape (P,).
         seed: Seed of the configurations, and of the order in which rows are counted.
+        chain: Name of the chain; default the first that moves.
     """
     known = np.isfinite(fitted.covariance).all() and fitted.dof > 0
     if not known or fitted.directions.count == 0:
         return None
     rng = np.random.default_rng(seed)
-    error = problem.error
+    part = problem.moving if chain is None else problem.of_chain(chain)
+    error, own = part.error, part.index[: len(part.error.screws)]
     if len(problem.setup.payloads) > 1 and not error.payload:
         error = error.carrying(next(iter(problem.setup.payloads)))
-    of_error = len(error.screws)
     q = error.chain.random_configurations(SAMPLES, rng)
-    T, J = error.jacobian(q, theta[:of_error])
+    T, J = error.jacobian(q, theta[own])
     # Parameters are deviations from references, and so is their covariance.
     settled = posterior_about(fitted, *fitted.problem.rebased(fitted.theta))
-    twists = settled.twists(error, q, J)
+    twists = settled.twists(replace(part, error=error), q, J)
     position, orientation = _deviations(twists)
     alone = _deviations(without_frames(twists, J))
     rows = problem.data.sample(ROWS)
-    some = replace(problem, data=rows.rows(rng.permutation(len(rows))))
     to_base = error.base.inverse().homogeneous
     return TipAccuracy(
         q=q,
@@ -132,10 +139,12 @@ def tip_accuracy(
         orientation=orientation,
         of_robot=(rms(alone[0]), rms(alone[1])),
         by_count=TipByCount(
-            problem=some,
+            problem=replace(problem, data=rows),
             theta=theta,
             robot=fitted.directions.robot,
+            index=own,
             of_tip=J[:, :3],
+            order=np.argsort(rng.permutation(len(rows))),
             weight=fitted.unit,
             last=(len(problem.data), rms(position)),
         ),

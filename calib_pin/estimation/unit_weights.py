@@ -13,7 +13,7 @@ from calib_pin.estimation.problem import EXACT, Problem
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.stages import fit_in_stages, fit_in_units
 from calib_pin.estimation.statistics.variance_components import (
-    component_units,
+    current_units,
     units,
     variance_components,
 )
@@ -53,8 +53,8 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
             break
         components = variance_components(*fitted.held)
-        current = component_units(fitted.problem)
-        change = units(components, problem) / current
+        current = current_units(fitted.problem)
+        change = units(components) / current
         common = 1.0
         if len(fitted.problem.further) == 0:
             common = float(np.exp(np.mean(np.log(change))))
@@ -83,7 +83,7 @@ def _converted(fitted: Fit, factor: float) -> Fit:
     )
     return replace(
         fitted,
-        problem=replace(fitted.problem, units=factor * component_units(fitted.problem)),
+        problem=replace(fitted.problem, units=factor * current_units(fitted.problem)),
         solution=replace(fitted.solution, result=result),
         sigma0=fitted.sigma0 / factor,
         unit=1.0,

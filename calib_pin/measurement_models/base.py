@@ -185,14 +185,10 @@ class Geometry:
     Attributes:
         points: Points that are carried through the chain, shape (S, J, 3) [m].
         sites: References that these are compared with, shape (S, L, w), see `kernels`.
-        stand: Transform before the chain, links (R | p), shape (S, 12).
-        mount: Transform behind it, in the same form.
     """
 
     points: Floats
     sites: Floats
-    stand: Floats | None = None
-    mount: Floats | None = None
 
 
 @dataclass(frozen=True)

@@ -136,7 +136,7 @@ class CameraModel(DeclaredModel):
 
     def extended(self, T: Floats, data: Measurements) -> CameraModel:
         """With the spare points that the measurements name."""
-        named = set(data.target)
+        named = set(data.target.distinct)
         more = tuple(point for point in self.spare if point.name in named)
         return replace(self, points=(*self.points, *more)) if more else self
 

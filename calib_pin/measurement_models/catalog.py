@@ -14,7 +14,6 @@ from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
-from calib_pin.observations import PLUS
 from calib_pin.plugins import Members
 
 
@@ -57,12 +56,3 @@ def declared(name: str) -> Declaration:
     """
     require_known("measurement model", name, MEASUREMENT_MODELS)
     return MEASUREMENT_MODELS[name].declaration
-
-
-def tracked(model: str) -> set[str]:
-    """The parts of the tool that the models of a name follow, see `Declaration.tracks`.
-
-    Args:
-        model: Name of a measurement model, or of several with a plus between them.
-    """
-    return {str(declared(name).tracks) for name in model.split(PLUS)}

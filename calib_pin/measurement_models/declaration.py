@@ -33,14 +33,12 @@ class Quantity:
         unit: `m`, `rad` or `px`.
         columns: The residual components that belong to it.
         sigma: Standard deviation assumed where none is stated.
-        noise: Name under which a setup states another; default its name.
     """
 
     name: str
     unit: str
     columns: slice
     sigma: float
-    noise: str = ""
 
     def errors(self, residual: Floats) -> Floats:
         """Size of the error of each measurement of this quantity, (N, d) -> (n,).
@@ -102,7 +100,7 @@ class Declaration:
         external: Whether the instrument stands outside, with a measurement frame of its
             own. Then the base frame is unknown unless the setup says otherwise.
         tracks: Part of the tool that an external instrument follows, or empty. One
-            that follows nothing (a camera) keeps frames of its own among others.
+            that follows nothing (a camera) has frames of its own among others.
         naming: Meaning of `target`.
         inference: How columns show this model; None where only its name does.
         yardstick: Where measured lengths come from; empty where none are measured.

@@ -9,7 +9,7 @@ measurement model is only the formula that relates a tool pose to some of them.
 from __future__ import annotations
 
 from abc import ABC, abstractmethod
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass, replace
 from functools import cached_property, partial
 from itertools import pairwise
@@ -19,7 +19,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.kinematics.spatial import Floats, so3_exp
-from calib_pin.observations import Indices, Measurements
+from calib_pin.observations import Indices, Labels, Measurements, Targets
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
     AnchorSetup,
@@ -315,33 +315,43 @@ def slices(references: Sequence[ReferenceObject]) -> list[slice]:
 
 
 def locate(
-    names: Sequence[str],
+    target: Targets,
     references: Sequence[ReferenceObject],
     what: str,
     data: Measurements | None = None,
+    read: Callable[[str], str] = str,
     alone: bool = True,
 ) -> Indices:
     """Position of the reference object that each measurement names.
 
     Args:
-        names: Name of each row.
+        target: Target of each measurement.
         references: The reference objects.
         what: Their name in messages.
         data: Tells where a wrong name stands.
+        read: The name of the reference object in a target.
         alone: Whether the name may be left out where there is one.
+
+    Returns:
+        Positions, shape (N,); where the name may not be left out, -1 where it is.
 
     Raises:
         InputError: If there is none of a name.
     """
+    labels = Labels.of(target)
     known = {reference.name: k for k, reference in enumerate(references)}
-    if alone and len(known) == 1:
+    if not alone:
+        known[""] = -1
+    elif len(known) == 1:
         known[""] = 0
-    try:
-        # Rows are many, and this is done at every evaluation.
-        return np.fromiter(map(known.__getitem__, names), np.int64, len(names))
-    except KeyError as missing:
-        name = str(missing.args[0])
-    row = list(names).index(name)
+    # Measurements are many and names few.
+    names = [read(name) for name in labels.names]
+    position = np.array([known.get(name, -2) for name in names], np.int64)
+    result = position[labels.codes]
+    if (result > -2).all():
+        return result
+    row = int(np.argmin(result))
+    name = names[int(labels.codes[row])]
     error = InputError if data is None else partial(data.error, row)
     raise error(
         f"there is no {what} '{name}'{nearest(name, known)}"

@@ -29,7 +29,7 @@ from calib_pin.measurement_models.named_points import (
     split_names,
 )
 from calib_pin.measurement_models.references import Point, ReferenceObject, locate
-from calib_pin.observations import AT, Indices, Measurements, Targets
+from calib_pin.observations import AT, Indices, Labels, Measurements, Targets
 from calib_pin.setup import Setup
 
 
@@ -139,20 +139,11 @@ class PointsAndSites(DeclaredModel):
         Raises:
             InputError: If a measurement names what is not there; data tell where.
         """
-        number = {name: k for k, name in enumerate(dict.fromkeys(target))}
-        if data is None and len(number) < len(target):
-            # Rows are many and their names few.
-            point, site = self.names(tuple(number))
-            rows = np.fromiter(map(number.__getitem__, target), np.int64, len(target))
-            return point[rows], site[rows]
-        points, sites = self.split(target)
-        point = np.full(len(target), len(self.points))
-        if self.points and any(points):
-            of = np.flatnonzero([bool(name) for name in points])
-            about = None if data is None else data.rows(of)
-            named = [points[k] for k in of]
-            point[of] = locate(named, self.points, "target", about, alone=False)
-        unnamed = point == len(self.points)
+        point_of, site_of = partial(self._half, 0), partial(self._half, 1)
+        point = locate(target, self.points, "target", data, point_of, alone=False)
+        if not self.points:
+            point = np.full(len(target), -1)
+        unnamed = point < 0
         if self.points and not self.origin and unnamed.any():
             row = int(np.argmax(unnamed))
             error = InputError if data is None else partial(data.error, row)
@@ -161,20 +152,24 @@ class PointsAndSites(DeclaredModel):
                 column="target",
                 allowed=", ".join(p.name for p in self.points),
             )
+        point = np.where(unnamed, len(self.points), point)
         site = np.zeros(len(target), np.int64)
         if self.sites:
             what = self.sites[0].section[:-1]
-            site = locate(sites, self.sites, what, data)
+            site = locate(target, self.sites, what, data, site_of)
         return point, site
 
-    def split(self, target: Targets) -> tuple[tuple[str, ...], tuple[str, ...]]:
-        """The point and the site that each measurement names."""
-        return split_names(target, not self.alone)
+    def _half(self, half: int, name: str) -> str:
+        """The point, 0, or the site, 1, in a target; no point where there is none."""
+        if half == 0 and not self.points:
+            return ""
+        return split_names((name,), not self.alone)[half][0]
 
     def sites_of(self, target: Targets) -> tuple[str, ...]:
-        """The site that each measurement names; the only one where it names none."""
+        """The sites that measurements name; the only one where one names none."""
         only = self.sites[0].name if len(self.sites) == 1 else ""
-        return tuple(name or only for name in split_names(target, True)[1])
+        found = split_names(Labels.of(target).distinct, True)[1]
+        return tuple(dict.fromkeys(name or only for name in found))
 
 
 @dataclass(frozen=True)
@@ -297,8 +292,7 @@ class PointModel(PointsAndSites):
         if not self.sites:
             return self
         known = {site.name for site in self.sites}
-        names = dict.fromkeys(self.sites_of(data.target))
-        new = [name for name in names if name not in known]
+        new = [name for name in self.sites_of(data.target) if name not in known]
         if not new:
             return self
         wider = replace(self, sites=(*self.sites, *map(self.unknown, new)))

@@ -166,10 +166,13 @@ class LearnedCorrection:
     Attributes:
         model: The residual model.
         shift: Change of the P parameters of the error model, shape (P,).
+        carried: Adjoint from the tool that a motion was learned of to the one that is
+            mounted, shape (6, 6); None where that is the same.
     """
 
     model: ResidualModel
     shift: Floats
+    carried: Floats | None = None
 
     @property
     def space(self) -> Space:
@@ -178,7 +181,10 @@ class LearnedCorrection:
 
     def __call__(self, q: Floats) -> Floats:
         """Corrections, shape (N, n) -> (N, n) [rad, m] or (N, 6) [m, rad]."""
-        return self.model(q)
+        values = self.model(q)
+        if self.carried is None or self.space == "joint":
+            return values
+        return values @ self.carried.T
 
     def weight(self, q: Floats) -> Floats:
         """Weight from 1 near training configurations to 0 far away, shape (N,)."""

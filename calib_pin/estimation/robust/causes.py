@@ -10,10 +10,11 @@ from math import comb
 import numpy as np
 from numpy.typing import NDArray
 
+from calib_pin.estimation.model import ToolPoses
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import Studentized
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import AT, PART
+from calib_pin.observations import AT
 
 
 @dataclass(frozen=True)
@@ -76,25 +77,28 @@ def _targets(
 ) -> Iterator[tuple[list[int], str]]:
     """Targets most of whose rows are out, where those of others are not."""
     target = problem.data.target
-    counts, lost = Counter(target), Counter(np.array(target)[out].tolist())
-    if len(counts) < 2:
+    size = len(target.names)
+    counts = np.bincount(target.codes, minlength=size)
+    lost = np.bincount(target.codes[out], minlength=size)
+    if np.count_nonzero(counts) < 2:
         return
-    for name, number in lost.items():
-        others = (int(out.sum()) - number) / max(len(target) - counts[name], 1)
+    for k in np.flatnonzero(lost).tolist():
+        others = (int(out.sum()) - lost[k]) / max(len(target) - counts[k], 1)
         if (
-            number >= max(OPTIONS.few, OPTIONS.largest_share * counts[name])
+            lost[k] >= max(OPTIONS.few, OPTIONS.largest_share * counts[k])
             and others < 0.5 * OPTIONS.largest_share
         ):
-            rows = [k for k in np.flatnonzero(out).tolist() if target[k] == name]
-            yield rows, f"target {name}"
+            rows = np.flatnonzero(out & (target.codes == k)).tolist()
+            yield rows, f"target {target.names[k]}"
 
 
 def _places(
     problem: Problem, out: NDArray[np.bool_]
 ) -> Iterator[tuple[list[int], str]]:
     """The place, of several with sockets, at which most of what is out was measured."""
-    names = [name.rpartition(PART)[2].rpartition(AT)[2] for name in problem.data.target]
-    place = np.array([name.rpartition("/")[0] for name in names])
+    target = problem.data.target
+    names = [name.rpartition(AT)[2].rpartition("/")[0] for name in target.names]
+    place = np.array(names)[target.codes]
     counts, lost = Counter(place.tolist()), Counter(place[out].tolist())
     name, number = lost.most_common(1)[0]
     share, total = counts[name] / len(place), int(out.sum())
@@ -118,19 +122,19 @@ def _stretches(
     times.
     """
     data, share = problem.data, float(out.mean())
-    labels = data.groups()
-    edges = np.flatnonzero(np.diff(np.concatenate([[0], out, [0]]).astype(int)))
+    labels, order = data.groups(), data.in_order
+    edges = np.flatnonzero(np.diff(np.concatenate([[0], out[order], [0]]).astype(int)))
     for begin, end in edges.reshape(-1, 2).tolist():
-        rows = list(range(begin, end))
+        rows = order[begin:end]
         # Rows of one configuration are out together anyway.
         length = len(np.unique(labels[rows]))
-        one_file = len({data.files[row] for row in rows}) == 1
+        one_file = len(np.unique(data.files.codes[rows])) == 1
         if (
             one_file
             and length >= OPTIONS.few
             and len(out) * share**length < OPTIONS.chance
         ):
-            yield rows, _lines(problem, rows)
+            yield rows.tolist(), _lines(problem, rows.tolist())
 
 
 def _lines(problem: Problem, rows: list[int]) -> str:
@@ -160,27 +164,31 @@ def _exchanged(
     scale: Floats,
 ) -> Iterator[tuple[list[int], str]]:
     """Pairs of rows each of which fits what was measured in the other."""
-    rows, data = np.flatnonzero(out), problem.data
-    if not 2 <= len(rows) <= OPTIONS.pairs or problem.measurement.declaration.contact:
+    if not 2 <= out.sum() <= OPTIONS.pairs:
         return
-    i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
-    names = np.array(data.target)
-    alike = (names[i] == names[j]) & (found.labels[i] != found.labels[j])
-    i, j = i[alike], j[alike]
-    sizes = []
-    own = found.sizes(scale)
-    instrument = problem.split(theta)[1]
-    units = problem.units if len(problem.units) else 1.0
-    poses = problem.poses(theta, data.rows(rows))
-    for a, b in ((i, j), (j, i)):
-        T = poses[np.searchsorted(rows, a)]
-        there = replace(data.rows(a), values=data.values[b])
-        sigma = problem.given_sigma[a] * units * scale[found.columns]
-        with np.errstate(invalid="ignore", over="ignore"):
-            r = problem.measurement.residual(T, instrument, there) / sigma
-            size = np.sqrt(np.where(np.isfinite(sigma), r**2, 0.0).sum(axis=1))
-        sizes.append(size < OPTIONS.fits * own[a])
-    for k in np.flatnonzero(sizes[0] & sizes[1]).tolist():
-        a, b = int(i[k]), int(j[k])
-        yield [a], f"exchanged with {data.source(b)}"
-        yield [b], f"exchanged with {data.source(a)}"
+    own, data = found.sizes(scale), problem.data
+    sigma = problem.given_sigma * scale[problem.layout.component]
+    if len(problem.units):
+        sigma = sigma * problem.units[problem.layout.component]
+    for block in problem.blocks:
+        rows = np.flatnonzero(out[block.rows])
+        if block.part.measurement.declaration.contact or len(rows) < 2:
+            continue
+        i, j = (rows[k] for k in np.triu_indices(len(rows), 1))
+        labels, codes = found.labels[block.rows], block.data.target.codes
+        alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
+        i, j = i[alike], j[alike]
+        of_robot, instrument = block.part.split(theta[block.part.index])
+        poses = ToolPoses(block.part.error, block.data.rows(rows))(of_robot)
+        fits = []
+        for a, b in ((i, j), (j, i)):
+            T = poses[np.searchsorted(rows, a)]
+            there = replace(block.data.rows(a), values=block.data.values[b])
+            with np.errstate(invalid="ignore", over="ignore"):
+                r = block.part.measurement.residual(T, instrument, there)
+                size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
+            fits.append(size < OPTIONS.fits * own[block.rows][a])
+        for k in np.flatnonzero(fits[0] & fits[1]).tolist():
+            a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
+            yield [a], f"exchanged with {data.source(b)}"
+            yield [b], f"exchanged with {data.source(a)}"

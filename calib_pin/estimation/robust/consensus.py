@@ -56,8 +56,9 @@ def consensus(problem: Problem, rng: np.random.Generator) -> Problem:
         rng: Random generator of the subsets.
     """
     few = replace(problem, data=problem.data.sample(OPTIONS.measurements))
-    names = np.array(few.data.target)
-    targets = [np.flatnonzero(names == name) for name in dict.fromkeys(names.tolist())]
+    things = few.data.things()
+    _, first = np.unique(things, return_index=True)
+    targets = [np.flatnonzero(things == things[k]) for k in np.sort(first)]
     size = _subset(few, len(targets))
     best, least = problem, np.inf
     for _ in range(OPTIONS.trials):
@@ -130,5 +131,6 @@ def _squares(problem: Problem, theta: Floats) -> Floats:
     """Sum of whitened squares of each row, shape (N,); infinite if not predicted."""
     with np.errstate(over="ignore", invalid="ignore"):
         r = problem.errors(theta) / problem.sigma
-        squares = np.where(np.isfinite(problem.sigma), r**2, 0.0).sum(axis=1)
+        r = np.where(np.isfinite(problem.sigma), r**2, 0.0)
+        squares = np.bincount(problem.layout.row, r, len(problem.data))
     return np.where(np.isfinite(squares), squares, np.inf)

@@ -21,6 +21,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import inverse_root
+from calib_pin.estimation.layout import Layout
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.spatial import Floats
@@ -42,19 +43,19 @@ class Studentized:
 
     Attributes:
         labels: Configuration of each row, shape (N,).
+        layout: Row and quantity of each residual component.
         components: Squares of the normalized residuals, independent with unit
-            variance if the standard deviations of the rows are right, shape (N, d).
+            variance if the standard deviations of the rows are right, shape (M,).
         squares: Their sums by configuration and quantity, shape (G, Q).
         counts: Number of independent components in each, shape (G, Q).
-        columns: Quantity of each component, shape (d,).
         least: Smallest credible scale, by quantity, shape (Q,).
     """
 
     labels: NDArray[np.int64]
+    layout: Layout
     components: Floats
     squares: Floats
     counts: Floats
-    columns: NDArray[np.int64]
     least: Floats
 
     @classmethod
@@ -63,27 +64,21 @@ class Studentized:
 
         Args:
             problem: The problem.
-            components: The squares, shape (N, d); infinite where nothing is predicted.
-            counts: Degrees of freedom of each, 0 to 1, shape (N, d).
+            components: The squares, shape (M,); infinite where nothing is predicted.
+            counts: Degrees of freedom of each, 0 to 1, shape (M,).
         """
-        quantities = problem.measurement.quantities
-        columns = np.empty(problem.components, np.int64)
-        for k, quantity in enumerate(quantities):
-            columns[quantity.columns] = k
-        labels = problem.data.groups()
+        layout, labels = problem.layout, problem.data.groups()
+        count, width = int(labels.max(initial=-1)) + 1, len(layout.components)
+        place = labels[layout.row] * width + layout.component
         squares, total = (
-            np.zeros((int(labels.max(initial=-1)) + 1, len(quantities)))
-            for _ in range(2)
+            np.bincount(place, values, count * width).reshape(count, width)
+            for values in (components, counts)
         )
-        for k in range(len(quantities)):
-            own = columns == k
-            np.add.at(squares[:, k], labels, components[:, own].sum(axis=1))
-            np.add.at(total[:, k], labels, counts[:, own].sum(axis=1))
-        least = np.full(len(quantities), LEAST)
+        least = np.full(width, LEAST)
         if states_sigmas(problem.data):
             # Residuals smaller than the stated sigma do not contradict it.
-            least[columns] = 1.0 / (problem.units if len(problem.units) else 1.0)
-        return cls(labels, components, squares, total, columns, least)
+            least = 1.0 / (problem.units if len(problem.units) else np.ones(width))
+        return cls(labels, layout, components, squares, total, least)
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
@@ -118,9 +113,8 @@ class Studentized:
 
     def sizes(self, scale: Floats) -> Floats:
         """Normalized residual z of each row at a scale by quantity, shape (N,)."""
-        return np.asarray(
-            np.sqrt((self.components / scale[self.columns] ** 2).sum(axis=1))
-        )
+        scaled = self.components / scale[self.layout.component] ** 2
+        return np.sqrt(np.bincount(self.layout.row, scaled, len(self.labels)))
 
     def limit(self, tail: float) -> Floats:
         """Quantile of z^2 of each configuration at a tail probability, shape (G,)."""
@@ -140,39 +134,34 @@ def studentized(
         basis: Directions that were fitted, shape (P, k).
         accepted: The rows that were fitted, shape (N,).
     """
-    finite = np.isfinite(problem.sigma)
+    layout, finite = problem.layout, np.isfinite(problem.sigma)
     if problem.many:
         with np.errstate(invalid="ignore"):
             r = np.where(finite, problem.errors(theta) / problem.sigma, 0.0)
         return Studentized.of(problem, squared_or_infinite(r), finite.astype(float))
     fun, jac = problem.linearize_rows(theta)
-    count, size = finite.shape
-    r, A = fun[: finite.size].reshape(count, size), jac @ basis
-    bad = ~(
-        np.isfinite(r) & np.isfinite(jac[: finite.size]).all(axis=1).reshape(r.shape)
-    )
-    own = A[: finite.size].reshape(count, size, -1)
+    count = len(layout.row)
+    r, A = fun[:count], jac @ basis
+    own = A[:count]
+    bad = ~(np.isfinite(r) & np.isfinite(jac[:count]).all(axis=1))
     own[bad] = 0.0
-    fitted = own[accepted].reshape(accepted.sum() * size, A.shape[1])
-    B = own @ inverse_root(np.concatenate([fitted, A[finite.size :]]))
+    fitted = own[accepted[layout.row]]
+    B = own @ inverse_root(np.concatenate([fitted, A[count:]]))
     r, counts = np.where(bad, 0.0, r), finite.astype(float)
-    labels = problem.data.groups()
+    labels = problem.data.groups()[layout.row]
     order = np.argsort(labels, kind="stable")
     sizes = np.bincount(labels)
     begins = np.cumsum(sizes) - sizes
-    for rows_each in np.unique(sizes).tolist():
-        rows = order[begins[sizes == rows_each][:, None] + np.arange(rows_each)]
-        sign = np.where(accepted[rows[:, 0]], -1.0, 1.0)
-        shape = (len(rows), rows_each * size)
-        U, eigenvalues = spectrum(B[rows].reshape(*shape, -1))
+    for size in np.unique(sizes[sizes > 0]).tolist():
+        rows = order[begins[sizes == size][:, None] + np.arange(size)]
+        sign = np.where(accepted[layout.row[rows[:, 0]]], -1.0, 1.0)
+        U, eigenvalues = spectrum(B[rows])
         left = 1.0 + sign[:, None] * eigenvalues
         alone = left < ALONE
         factor = np.where(alone, 0.0, 1.0 / np.sqrt(np.where(alone, 1.0, left)))
-        along = np.einsum("gmk,gm->gk", U, r[rows].reshape(shape))
-        change = np.einsum("gmk,gk->gm", U, (factor - 1.0) * along)
-        r[rows] += change.reshape(*rows.shape, size)
-        lost = np.einsum("gmk,gk->gm", U**2, alone.astype(float))
-        counts[rows] -= lost.reshape(*rows.shape, size)
+        along = np.einsum("gmk,gm->gk", U, r[rows])
+        r[rows] += np.einsum("gmk,gk->gm", U, (factor - 1.0) * along)
+        counts[rows] -= np.einsum("gmk,gk->gm", U**2, alone.astype(float))
     squares = squared_or_infinite(r)
     squares[bad & finite] = np.inf
     return Studentized.of(problem, squares, counts)

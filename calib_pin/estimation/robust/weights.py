@@ -162,7 +162,7 @@ def robustly(problem: Problem, solver: Solver) -> Fit:
 def _weighted(problem: Problem, weight: NDArray[np.generic]) -> Problem:
     """The problem with a weight for each configuration, shape (G,)."""
     rows = weight.astype(float)[problem.data.groups()]
-    return replace(problem, data=replace(problem.data, weight=rows))
+    return replace(problem, data=problem.data.weighted(rows))
 
 
 def _plain(problem: Problem) -> Problem:
@@ -210,10 +210,11 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     ):
         return True
     problem = fitted.problem
-    for k, quantity in enumerate(problem.measurement.quantities):
-        sigma = problem.sigma[:, quantity.columns]
+    for k, component in enumerate(problem.layout.components):
+        sigma = problem.sigma[problem.layout.component == k]
         sigma = sigma[np.isfinite(sigma)]
-        if len(sigma) and scale[k] * np.median(sigma) > expected_size(quantity.unit):
+        size = expected_size(component.quantity.unit)
+        if len(sigma) and scale[k] * np.median(sigma) > size:
             return True
     return False
 
@@ -257,11 +258,12 @@ def _sought(
         before, weight = weight, _weights(found, scale, loss)
         if len(before) and np.abs(weight - before).max() < OPTIONS.still:
             break
-        rows = np.sqrt(weight)[found.labels][:, None] / scale[found.columns]
+        layout = few.layout
+        rows = np.sqrt(weight)[found.labels][layout.row] / scale[layout.component]
         theta = theta + _step(few, r, J, rows)
     if few is not every:
         weight = _weights(_unfitted(every, every.residual(theta)), scale, loss)
-    return replace(every, units=scale[found.columns]), theta, weight
+    return replace(every, units=scale), theta, weight
 
 
 def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
@@ -277,17 +279,17 @@ def _weights(found: Studentized, scale: Floats, loss: str) -> Floats:
 def _unfitted(problem: Problem, r: Floats) -> Studentized:
     """Residuals as they are, of a model that hardly follows single configurations."""
     told = np.isfinite(problem.sigma)
-    rows = r[: told.size].reshape(told.shape)
-    return Studentized.of(problem, squared_or_infinite(rows), told.astype(float))
+    squares = squared_or_infinite(r[: len(told)])
+    return Studentized.of(problem, squares, told.astype(float))
 
 
 def _step(problem: Problem, r: Floats, J: Floats, weight: Floats) -> Floats:
-    """A Gauss-Newton step with weights for the rows, shape (N, d) -> (P,).
+    """A Gauss-Newton step with weights for the rows, shape (M,) -> (P,).
 
     By normal equations, for it only has to lead to the right configurations.
     """
     parameters = problem.parameters
-    count, weight = weight.size, weight.reshape(-1)
+    count = len(weight)
     basis = np.diag(parameters.scales)[:, parameters.free]
     used = np.flatnonzero((weight > 0.0) & np.isfinite(r[:count]))
     A = np.concatenate([weight[used, None] * J[used], J[count:]]) @ basis
@@ -318,7 +320,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         held = _weighted(problem, accepted)
         if held.many:
             held = replace(held, data=held.data.sample(SAMPLE))
-        alike = np.ones((len(held.data), held.components))
+        alike = np.ones(len(held.layout.row))
         for _ in range(OPTIONS.polish):
             theta = theta + _step(held, *held.linearize_rows(theta), alike)
         found = studentized(problem, theta, basis, rows)
@@ -327,7 +329,7 @@ def _selected(problem: Problem, theta: Floats, weight: Floats) -> NDArray[np.boo
         if np.array_equal(passed, accepted):
             break
         accepted = passed
-        problem = replace(problem, units=problem.units * scale[found.columns])
+        problem = replace(problem, units=problem.units * scale)
     return accepted
 
 

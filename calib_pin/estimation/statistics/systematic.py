@@ -14,6 +14,7 @@ kept where the likelihood ratio says that there is something.
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -30,6 +31,8 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.estimation.statistics.variance_components import current_units, grouped
+from calib_pin.estimation.system import Part, assembled
+from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations import (
     NOTHING,
@@ -43,6 +46,7 @@ from calib_pin.parameterizations.base import owner
 from calib_pin.parameterizations.compliance import Compliance
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameterizations.transmission import Transmission
+from calib_pin.setup import Setup
 
 SIGNIFICANT = 5.41
 """Twice the gain in log-likelihood that an effect must bring: chance brings as much
@@ -69,8 +73,8 @@ class Systematic:
     """Random effects of joints, of their estimated sizes.
 
     Attributes:
-        error: The chain with the effects as parameters.
-        columns: Positions of the effects among its parameters, shape (S,).
+        errors: The chains with the effects as parameters, by name.
+        names: Names of the effects, S of them.
         sizes: Standard deviation of each, shape (S,) [its unit].
         gear: Standard deviation of an amplitude of a gear [rad]; 0 for none.
         compliance: That of a compliance, as the deflection under the usual torque of
@@ -79,15 +83,15 @@ class Systematic:
             the problem, shape (K,).
     """
 
-    error: ErrorModel
-    columns: NDArray[np.intp]
+    errors: Mapping[str, ErrorModel]
+    names: tuple[str, ...]
     sizes: Floats
     gear: float
     compliance: float
     noise: Floats
 
     def rows(self, problem: Problem, theta: Floats) -> Floats:
-        """Whitened residuals that each effect of its size adds, shape (N d, S).
+        """Whitened residuals that each effect of its size adds, shape (M, S).
 
         Args:
             problem: A problem with the rows.
@@ -97,26 +101,36 @@ class Systematic:
         plain = replace(
             moved.setup, fixed=(), bounds={}, prior={}, distances=(), parameters=()
         )
-        there = replace(
-            moved,
-            error=self.error.with_frames(moved.error.base, moved.error.tool),
-            setup=plain,
-            held_at={},
-            expected=None,
+        parts, given = assembled(
+            [replace(part, error=self._about(part)) for part in moved.parts.values()]
         )
-        _, J = there.linearize_rows(np.zeros(len(there.parameters)))
-        return np.asarray(J[:, self.columns] * self.sizes)
+        there = replace(
+            moved, parts=parts, given=given, setup=plain, held_at={}, expected=None
+        )
+        _, J = there.linearize_rows(np.zeros(len(given)))
+        columns = [given.index(name) for name in self.names]
+        return np.asarray(J[:, columns] * self.sizes)
 
-    def twists(self, error: ErrorModel, q: Floats) -> Floats:
-        """Body twists of the tool by each effect of its size, shape (N, 6, S).
+    def twists(self, part: Part, q: Floats) -> Floats:
+        """Body twists of the tool of a part by each effect of its size, (N, 6, S).
 
         Args:
-            error: The error model about its solution, see `Model.rebased`.
-            q: Joint positions, shape (N, n) [rad, m].
+            part: The part about its solution, see `System.rebased`.
+            q: Positions of its joints, shape (N, n) [rad, m].
         """
-        there = self.error.with_frames(error.base, error.tool)
+        there = self._about(part)
         _, J = there.jacobian(q, np.zeros(len(there.screws)))
-        return np.asarray(J[:, :, self.columns] * self.sizes)
+        result = np.zeros((len(q), 6, len(self.names)))
+        position = {name: k for k, name in enumerate(self.names)}
+        for column, name in enumerate(there.parameters.names):
+            if name in position:
+                result[:, :, position[name]] += J[:, :, column]
+        return result * self.sizes
+
+    def _about(self, part: Part) -> ErrorModel:
+        """The effects of the chain of a part about its frames."""
+        error = self.errors[part.key.chain]
+        return error.with_frames(part.error.base, part.error.tool)
 
 
 def systematic(
@@ -138,11 +152,11 @@ def systematic(
         return None
     sample = replace(problem, data=problem.data.sample(ROWS))
     fun, jac = sample.linearize_rows(theta)
-    measured = fun[: sample.data.q.shape[0] * sample.components]
+    measured = fun[: len(sample.layout.row)]
     if float(measured @ measured) <= EXACT * sample.values:
         return None
     half = half_covariance(jac, directions.basis, problem.parameters)
-    X = np.zeros((len(fun), len(effects.columns)))
+    X = np.zeros((len(fun), len(effects.names)))
     X[: len(measured)] = effects.rows(sample, theta)
     groups = grouped(sample, np.column_stack([jac @ half, X, fun]))
     return _significant(sample, effects, groups)
@@ -150,12 +164,7 @@ def systematic(
 
 def _candidates(problem: Problem) -> Systematic | None:
     """All effects that are not estimated already, in their expected sizes."""
-    chain, setup, data = problem.error.chain, problem.setup, problem.data
-    revolute = {
-        owner(joint)
-        for joint, turns in zip(chain.joints, chain.revolute, strict=True)
-        if turns
-    }
+    setup, chains = problem.setup, problem.chains
     payloads = {"", NOTHING, *setup.payloads}
     effects = {
         name: member.effects.components
@@ -163,9 +172,43 @@ def _candidates(problem: Problem) -> Systematic | None:
         if member.effects is not None
     }
     kinds = [kind for kind in effects if kind not in setup.parameters]
-    if not payloads.issuperset(data.payload):
+    if not payloads.issuperset(problem.data.payload.distinct):
         # Nothing is known of what was carried.
         kinds = [kind for kind in kinds if "payloads" not in required_keys([kind])]
+    errors: dict[str, ErrorModel] = {}
+    found: dict[str, float] = {}
+    for name in chains.names:
+        screws = _effects(chains[name], kinds, effects, setup)
+        errors[name] = _with_screws(chains[name], screws)
+        if len(setup.payloads) > 1:
+            carried = problem.only.error.payload or next(iter(setup.payloads))
+            errors[name] = errors[name].carrying(carried)
+        for screw in screws:
+            found[screw.parameter.name] = screw.parameter.scale
+    if not found:
+        return None
+    return Systematic(
+        errors=errors,
+        names=tuple(found),
+        sizes=np.array(list(found.values())),
+        gear=Transmission.effects.size,
+        compliance=Compliance.effects.size,
+        noise=np.ones(0),
+    )
+
+
+def _effects(
+    chain: Chain,
+    kinds: Sequence[str],
+    effects: Mapping[str, Sequence[str]],
+    setup: Setup,
+) -> list[Screw]:
+    """The screws of the effects of some kinds on the joints of a chain that turn."""
+    revolute = {
+        owner(joint)
+        for joint, turns in zip(chain.joints, chain.revolute, strict=True)
+        if turns
+    }
     screws: list[Screw] = []
     for kind in kinds:
         try:
@@ -179,25 +222,17 @@ def _candidates(problem: Problem) -> Systematic | None:
         for screw, (joint, kind, component) in zip(screws, names, strict=True)
         if joint in revolute and component in effects[kind]
     ]
-    if not screws:
-        return None
+    return sorted(screws, key=lambda screw: screw.frame)
+
+
+def _with_screws(chain: Chain, screws: Sequence[Screw]) -> ErrorModel:
+    """A chain with some screws between its frames, which are known."""
     identity = pin.SE3.Identity()
-    screws = sorted(screws, key=lambda screw: screw.frame)
-    ends = [
+    first, last = (
         frame_screws(name, place, free=False)
         for name, place in (("base", 0), ("tool", len(chain.joints) + 2))
-    ]
-    error = ErrorModel(chain, (*ends[0], *screws, *ends[1]), identity, identity)
-    if len(setup.payloads) > 1:
-        error = error.carrying(problem.error.payload or next(iter(setup.payloads)))
-    return Systematic(
-        error=error,
-        columns=6 + np.arange(len(screws)),
-        sizes=np.array([screw.parameter.scale for screw in screws]),
-        gear=Transmission.effects.size,
-        compliance=Compliance.effects.size,
-        noise=np.ones(0),
     )
+    return ErrorModel(chain, (*first, *screws, *last), identity, identity)
 
 
 def _significant(
@@ -208,8 +243,7 @@ def _significant(
     The groups are residual rows by quantity, in the columns of what was moved, of all
     effects in their expected sizes and of the residual.
     """
-    names = [effects.error.screws[k].parameter.name for k in effects.columns]
-    kind_of = np.array([name.rsplit(".", 2)[1] for name in names])
+    kind_of = np.array([name.rsplit(".", 2)[1] for name in effects.names])
     current = current_units(problem) ** 2
 
     def estimated(kinds: tuple[str, ...]) -> Variances:
@@ -240,7 +274,7 @@ def _significant(
     sizes = effects.sizes * [factors.get(kind, 0.0) for kind in kind_of]
     return replace(
         effects,
-        columns=effects.columns[kept],
+        names=tuple(np.array(effects.names)[kept].tolist()),
         sizes=sizes[kept],
         gear=effects.gear * float(factors.get(Transmission.name, 0.0)),
         compliance=effects.compliance * float(factors.get(Compliance.name, 0.0)),

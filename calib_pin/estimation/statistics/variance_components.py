@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.estimation.layout import Component
 from calib_pin.estimation.problem import Problem, repeated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
@@ -31,8 +32,6 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     estimate_variances,
 )
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.declaration import Quantity
-from calib_pin.measurement_models.mixed import contact_rows
 from calib_pin.solvers import LeastSquaresResult
 
 REPEATED = 4
@@ -60,25 +59,21 @@ def variance_components(
         result: The solution, with residual and Jacobian.
         basis: Directions that were moved, of the scaled parameters, shape (P, k).
     """
-    quantities = problem.measurement.quantities
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    stated = np.array([_stated(problem, quantity) for quantity in quantities])
+    components = problem.layout.components
+    stated = np.array([_stated(problem, component) for component in components])
     found, used = _tested(groups, stated, current_units(problem) ** 2)
     repeated = pure_errors(problem, result.x, _leverages(problem, result, half))
     return tuple(
         _component(problem, k, found, float(used[k]), groups.counts, repeated[k])
-        for k in range(len(quantities))
+        for k in range(len(components))
     )
 
 
-def units(components: tuple[VarianceComponent, ...], problem: Problem) -> Floats:
-    """Standard deviations of unit weight, see `Problem.units`, shape (d,)."""
-    result = np.ones(problem.components)
-    pairs = zip(components, problem.measurement.quantities, strict=True)
-    for component, quantity in pairs:
-        result[quantity.columns] = component.factor
-    return result
+def units(components: tuple[VarianceComponent, ...]) -> Floats:
+    """Standard deviations of unit weight, see `Problem.units`, shape (K,)."""
+    return np.array([component.factor for component in components])
 
 
 def grouped(problem: Problem, rows: Floats) -> Groups:
@@ -89,14 +84,12 @@ def grouped(problem: Problem, rows: Floats) -> Groups:
         rows: Columns and residual, shape (M, p + 1); first those of the measured
             values, behind them those of what is known beside.
     """
-    size, width = problem.components, rows.shape[1]
-    count = len(problem.data) * size
-    measured, known = rows[:count].reshape(-1, size, width), rows[count:]
-    parts = [
-        measured[:, quantity.columns].reshape(-1, width)
-        for quantity in problem.measurement.quantities
-    ]
-    products = np.array([part.T @ part for part in parts])
+    layout = problem.layout
+    measured, known = np.split(rows, [len(layout.row)])
+    products = np.zeros((len(layout.components), rows.shape[1], rows.shape[1]))
+    for k in range(len(products)):
+        part = measured if len(products) == 1 else measured[layout.component == k]
+        products[k] = part.T @ part
     products *= current_units(problem)[:, None, None] ** 2
     return Groups(_counts(problem), products, known.T @ known)
 
@@ -110,64 +103,58 @@ def by_quantity(
         problem: The problem.
         theta: Where it was linearized, shape (P,).
         fun: Whitened residual there, shape (M,).
-        jac: Whitened Jacobian there, shape (M, P); both of a square system of very
+        jac: Whitened Jacobian there, shape (M, P); both of a smaller system of very
             many rows.
         half: Factor of the covariance, see `half_covariance`, shape (P, r).
     """
     if not problem.many:
         return grouped(problem, np.column_stack([jac @ half, fun]))
     # Those of one quantity are what is left where the others weigh nothing.
-    quantities, current = problem.measurement.quantities, component_units(problem)
+    current = current_units(problem)
     further = len(problem.further)
     systems = [(fun, jac)]
-    if len(quantities) > 1:
+    if len(current) > 1:
         systems = []
-        for quantity in quantities:
-            alone = np.full(problem.components, np.inf)
-            alone[quantity.columns] = current[quantity.columns]
+        for k in range(len(current)):
+            alone = np.where(np.arange(len(current)) == k, current, np.inf)
             systems.append(replace(problem, units=alone).linearize(theta))
     rows = [np.column_stack([J @ half, r]) for r, J in systems]
     parts = [part[: len(part) - further] for part in rows]
     products = np.array([part.T @ part for part in parts])
-    products *= current_units(problem)[:, None, None] ** 2
+    products *= current[:, None, None] ** 2
     known = rows[0][len(rows[0]) - further :]
     return Groups(_counts(problem), products, known.T @ known)
 
 
 def _leverages(problem: Problem, result: LeastSquaresResult, half: Floats) -> Floats:
-    """Leverage of every measured value, of very many their mean, shape (N, d)."""
-    shape = len(problem.data), problem.components
+    """Leverage of every measured value, of very many their mean, shape (M,)."""
+    count = len(problem.layout.row)
     if problem.many:
-        return np.full(shape, half.shape[1] / max(problem.values, 1))
-    found = np.sum((result.jac[: shape[0] * shape[1]] @ half) ** 2, axis=1)
-    return np.asarray(found.reshape(shape))
+        return np.full(count, half.shape[1] / max(problem.values, 1))
+    return np.asarray(np.sum((result.jac[:count] @ half) ** 2, axis=1))
 
 
 def _counts(problem: Problem) -> Floats:
     """Measured values of each quantity, those with less weight counted less, (K,)."""
-    present = problem.data.weight[:, None] * np.isfinite(problem.given_sigma)
-    return np.array(
-        [present[:, q.columns].sum() for q in problem.measurement.quantities]
-    )
-
-
-def component_units(problem: Problem) -> Floats:
-    """Unit weight of every component, shape (d,)."""
-    return problem.units if len(problem.units) else np.ones(problem.components)
+    layout = problem.layout
+    weight = problem.data.weight[layout.row]
+    return np.bincount(layout.component, weight, len(layout.components))
 
 
 def current_units(problem: Problem) -> Floats:
     """Standard deviation of unit weight of every quantity, shape (K,)."""
-    quantities = problem.measurement.quantities
-    return component_units(problem)[[quantity.columns.start for quantity in quantities]]
+    if len(problem.units):
+        return problem.units
+    return np.ones(len(problem.layout.components))
 
 
-def _stated(problem: Problem, quantity: Quantity) -> bool:
-    """Whether the rows or the setup state the noise of a quantity."""
-    if (quantity.noise or quantity.name) in problem.setup.noise:
-        return True
-    sigma = problem.data.sigma
-    return sigma is not None and not bool(np.isnan(sigma[:, quantity.columns]).any())
+def _stated(problem: Problem, component: Component) -> bool:
+    """Whether the measurements or the setup state the noise of a quantity."""
+    return component.quantity.name in problem.setup.noise or all(
+        block.sigma is not None
+        for block in problem.data.blocks
+        if (block.model, block.station) == (component.model, component.station)
+    )
 
 
 def _tested(
@@ -232,11 +219,10 @@ def _component(
     The standard deviation is used with the factor; the counts are the measured values
     of each quantity, shape (K,).
     """
-    quantity = problem.measurement.quantities[k]
-    given = problem.given_sigma[:, quantity.columns]
-    given = given[np.isfinite(given)]
+    component = problem.layout.components[k]
+    given = problem.given_sigma[problem.layout.component == k]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy, stated = float(found.redundancies[k]), _stated(problem, quantity)
+    redundancy, stated = float(found.redundancies[k]), _stated(problem, component)
     variance, dof = float(found.values[k]), float(found.dof[k])
     squares, lack, unmodeled = variance * redundancy, None, None
     low, high = variance_interval(variance, dof)
@@ -251,8 +237,8 @@ def _component(
         unmodeled = variance - 1.0 if low > 1.0 else 0.0
     known = redundancy > 0.0
     return VarianceComponent(
-        quantity=quantity.name,
-        unit=quantity.unit,
+        quantity=component.name,
+        unit=component.quantity.unit,
         given=size,
         stated=stated,
         factor=factor,
@@ -329,28 +315,34 @@ def pure_errors(
     Args:
         problem: The problem.
         theta: Its solution, shape (P,).
-        leverages: Leverage of every measured value, shape (N, d).
+        leverages: Leverage of every measured value, shape (M,).
     """
-    quantities = problem.measurement.quantities
+    layout = problem.layout
     used, label = repetitions(problem)
     sizes = np.bincount(label)
+    count = len(layout.components)
     if not (sizes > 1).any():
-        return (None,) * len(quantities)
-    present = np.isfinite(problem.given_sigma)
-    weight = problem.data.weight[:, None] * present
+        return (None,) * count
+    weight = problem.data.weight[layout.row]
     residual = problem.errors(theta) / problem.given_sigma
+    # The columns of Z are as long as repetitions are many.
+    many = np.ones(len(problem.data))
+    many[used] = sizes[label]
+    # A component of a repetition, of all those that are used.
+    of_row = np.full(len(problem.data), -1)
+    of_row[used] = label
+    place = of_row[layout.row] * layout.width + layout.column
     found: list[PureError | None] = []
-    for quantity in quantities:
-        columns = quantity.columns
-        r, w = residual[used, columns], weight[used, columns]
-        total = _sums(label, w)
-        mean = _sums(label, w * r) / np.where(total > 0.0, total, 1.0)
-        squares = float(np.sum(w * (r - mean[label]) ** 2))
+    for k in range(count):
+        own = layout.component == k
+        rows = own & (of_row[layout.row] >= 0)
+        r, w = residual[rows], weight[rows]
+        _, group = np.unique(place[rows], return_inverse=True)
+        total = np.bincount(group, w)
+        mean = np.bincount(group, w * r) / np.where(total > 0.0, total, 1.0)
+        squares = float(np.sum(w * (r - mean[group]) ** 2))
         dof = float((w > 0.0).sum() - (total > 0.0).sum())
-        # The columns of Z are as long as repetitions are many.
-        many = np.ones(len(present))
-        many[used] = sizes[label]
-        trace = weight[:, columns].sum() - many @ leverages[:, columns].sum(axis=1)
+        trace = weight[own].sum() - many[layout.row[own]] @ leverages[own]
         enough = dof >= REPEATED
         found.append(PureError(squares / dof, dof, float(trace)) if enough else None)
     return tuple(found)
@@ -360,16 +352,9 @@ def repetitions(problem: Problem) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
     """Rows that can be repetitions, and the configuration of each, shape (n,) both."""
     labels = repeated(problem.data)
     used = problem.data.weight > 0.0
-    used &= ~contact_rows(problem.measurement, problem.data.target)
-    if problem.data.start.size:
+    for part, data, own, _ in problem.blocks:
         # From another start it is another distance.
-        used &= ~np.isfinite(problem.data.start[:, 0])
+        if part.measurement.declaration.contact or data.start.size:
+            used[own] = False
     rows = np.flatnonzero(used)
     return rows, np.unique(labels[rows], return_inverse=True)[1]
-
-
-def _sums(label: NDArray[np.intp], values: Floats) -> Floats:
-    """Sums of rows with one label, shape (n, d) -> (groups, d)."""
-    result = np.zeros((int(label.max(initial=-1)) + 1, values.shape[1]))
-    np.add.at(result, label, values)
-    return result

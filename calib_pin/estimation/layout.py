@@ -1,0 +1,140 @@
+"""Where residual components belong: measurement, quantity, column of a table."""
+
+from __future__ import annotations
+
+from collections import Counter
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.observations import BlockKey, Observations
+
+
+@dataclass(frozen=True)
+class Component:
+    """One quantity of one instrument at one station, whose noise is one unknown.
+
+    Attributes:
+        name: Name in reports: that of the quantity, with the model and the station
+            behind it where others have the same.
+        quantity: The quantity.
+        model: Name of the measurement model.
+        station: Name of the station.
+    """
+
+    name: str
+    quantity: Quantity
+    model: str
+    station: str
+
+
+@dataclass(frozen=True)
+class Layout:
+    """The M residual components of N measurements.
+
+    Attributes:
+        row: Measurement of each, shape (M,).
+        component: Position of its quantity among `components`, shape (M,).
+        column: Column of the table that is shown, shape (M,).
+        components: The K quantities of all instruments.
+        quantities: The quantities of all models, with their columns of the table.
+        of_keys: Position among `components` of each residual component of the
+            measurements of a block, shape (d,).
+    """
+
+    row: NDArray[np.int64]
+    component: NDArray[np.int64]
+    column: NDArray[np.int64]
+    components: tuple[Component, ...]
+    quantities: tuple[Quantity, ...]
+    of_keys: Mapping[BlockKey, NDArray[np.int64]]
+
+    @staticmethod
+    def of(
+        data: Observations, measured: Mapping[BlockKey, Sequence[Quantity]]
+    ) -> Layout:
+        """The layout of measurements.
+
+        Args:
+            data: The measurements.
+            measured: The quantities of each block, also of those without measurements.
+        """
+        models = {key.model: quantities for key, quantities in measured.items()}
+        names = Counter(q.name for found in models.values() for q in found)
+        shown: list[Quantity] = []
+        first: dict[str, int] = {}
+        for model, quantities in models.items():
+            first[model] = at = shown[-1].columns.stop if shown else 0
+            for q in quantities:
+                name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
+                place = slice(at + q.columns.start, at + q.columns.stop)
+                shown.append(replace(q, name=name, columns=place))
+        components = _components(measured)
+        position = {(c.model, c.station, c.quantity.name): k for k, c in components}
+        of_keys = {
+            key: np.concatenate(
+                [
+                    np.full(
+                        q.columns.stop - q.columns.start,
+                        position[key.model, key.station, q.name],
+                    )
+                    for q in quantities
+                ]
+            )
+            for key, quantities in measured.items()
+        }
+        row, component, column = [], [], []
+        for block, rows in zip(data.blocks, data.slices, strict=True):
+            own = of_keys[block.key]
+            row.append(np.repeat(np.arange(rows.start, rows.stop), len(own)))
+            component.append(np.tile(own, len(block)))
+            place = first[block.model] + np.arange(len(own))
+            column.append(np.tile(place, len(block)))
+        return Layout(
+            np.concatenate(row),
+            np.concatenate(component),
+            np.concatenate(column),
+            tuple(c for _, c in components),
+            tuple(shown),
+            of_keys,
+        )
+
+    @property
+    def width(self) -> int:
+        """Columns of the table that is shown."""
+        return int(self.quantities[-1].columns.stop)
+
+    def table(self, flat: Floats, count: int, absent: float = np.nan) -> Floats:
+        """Components side by side, those of other models absent, (M,) -> (count, D)."""
+        result = np.full((count, self.width), absent)
+        result[self.row, self.column] = flat
+        return result
+
+
+def _components(
+    measured: Mapping[BlockKey, Sequence[Quantity]],
+) -> list[tuple[int, Component]]:
+    """The quantities of all instruments, each once, with their positions."""
+    found = {
+        (q.name, key.model, key.station): q
+        for key, quantities in measured.items()
+        for q in quantities
+    }
+    of_name: dict[str, list[tuple[str, str]]] = {}
+    for name, model, station in found:
+        of_name.setdefault(name, []).append((model, station))
+    result = []
+    for k, ((name, model, station), quantity) in enumerate(found.items()):
+        others = of_name[name]
+        told = []
+        if len({m for m, _ in others}) > 1:
+            told.append(model)
+        if station and sum(m == model for m, _ in others) > 1:
+            told.append(station)
+        full = f"{name} ({', '.join(told)})" if told else name
+        result.append((k, Component(full, quantity, model, station)))
+    return result

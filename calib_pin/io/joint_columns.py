@@ -11,7 +11,8 @@ from calib_pin.errors import InputError, nearest
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
-from calib_pin.kinematics.chain import FREE_TRAVEL, Chain
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_space import FREE_TRAVEL
 from calib_pin.setup import JointMap
 
 LONGEST_TRAVEL = 20.0

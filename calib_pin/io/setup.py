@@ -9,7 +9,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.setup import Setup
+from calib_pin.setup import WORLD, Setup
 
 
 def read_true_errors(
@@ -105,6 +105,7 @@ def read_setup(path: str | Path) -> Setup:
         raise _error(tree, first) from None
     _check_joints(tree, setup)
     _check_names(tree, setup)
+    _check_tools(tree, setup)
     _check_distances(tree, setup)
     # The result may be read from another folder than the setup file.
     folder = Path(path).absolute().parent
@@ -220,14 +221,37 @@ def _check_names(tree: Tree, setup: Setup) -> None:
                     allowed=f"a name without {AT}, which in the target column stands "
                     "between a point and a place",
                 )
-    for name in setup.payloads:
-        if name == NOTHING or not name.strip():
+    taken = {
+        "payloads": (NOTHING, "measurements without a payload have"),
+        "chains": (WORLD, "stands for all that does not move"),
+        "stations": ("", ""),
+        "tools": ("", ""),
+    }
+    for key, (word, meaning) in taken.items():
+        for name in getattr(setup, key):
+            if name == word or not name.strip():
+                raise tree.error(
+                    f"'{key}.{name}' cannot have this name",
+                    (key, name),
+                    allowed=f"any name but {word}, which {meaning}"
+                    if word
+                    else "a name",
+                )
+
+
+def _check_tools(tree: Tree, setup: Setup) -> None:
+    for name, tool in setup.tools.items():
+        path, others = ("tools", name, "on"), [k for k in setup.tools if k != name]
+        if tool.on is not None and tool.on not in others:
             raise tree.error(
-                f"'payloads.{name}' cannot have this name",
-                ("payloads", name),
-                allowed=f"any name but {NOTHING}, which measurements without a payload "
-                "have",
+                f"'tools.{name}.on' is no other tool{nearest(tool.on, others)}",
+                path,
+                tool.on,
+                ", ".join(others) or None,
             )
+        last = setup.carriers(name)[-1]
+        if last in setup.tools and setup.tools[last].on == name:
+            raise tree.error(f"'tools.{name}' carries itself", path, tool.on)
 
 
 def _check_distances(tree: Tree, setup: Setup) -> None:

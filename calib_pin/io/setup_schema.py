@@ -12,7 +12,6 @@ from calib_pin.errors import OptionError
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.estimation.solve import SOLVERS
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import PLUS
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.residual_models import RESIDUAL_MODELS
 from calib_pin.setup import (
@@ -170,7 +169,7 @@ def context(*, lenient: bool = False) -> dict[str, Any]:
         lenient: Whether unknown keys are passed over.
     """
     return {
-        "model": Names(MEASUREMENT_MODELS, PLUS),
+        "model": Names(MEASUREMENT_MODELS, joined="+"),
         "parameters": Names(PARAMETERIZATIONS),
         "learned": Names(RESIDUAL_MODELS),
         "loss": Names(LOSSES),

@@ -16,7 +16,9 @@ from calib_pin.io.files import read_bytes
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import captured_stderr, parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup import ChainSetup
 
 
 def locate_mesh(
@@ -142,7 +144,35 @@ def load_chain(
         >>> load_chain("example:ur10_robot", tip="wrist_3_link").joints[0]
         'shoulder_pan_joint'
     """
-    return Chain(load_robot(name_or_path), base, tip)
+    return load_chains(name_or_path, base=base, tip=tip)[""]
+
+
+def load_chains(
+    name_or_path: str | Path,
+    *,
+    base: str | None = None,
+    tip: str | None = None,
+    stated: Mapping[str, ChainSetup] | None = None,
+    names: Sequence[str] = ("",),
+) -> Chains:
+    """Load a robot and take several chains of its tree.
+
+    Args:
+        name_or_path: As for `load_robot`.
+        base: Link at which chains start that do not state another; default the root.
+        tip: Link at which the default chain ends; default the only leaf.
+        stated: Base and tip of chains by name, as in a setup.
+        names: Names of the chains, see `Chains`.
+
+    Raises:
+        RobotError: If the robot, a chain or a link cannot be used.
+
+    Example:
+        >>> names = ("panda_leftfinger", "world")
+        >>> load_chains("example:panda", names=names).joints[-1]
+        'panda_finger_joint1'
+    """
+    return Chains(load_robot(name_or_path), base, tip, stated or {}, names)
 
 
 def load_robot(name_or_path: str | Path) -> Robot:

@@ -14,9 +14,11 @@ import pinocchio as pin
 from calib_pin.errors import nearest
 from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.joint_space import Mimic
 
 _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
-_WITH_AXIS = ("revolute", "continuous", "prismatic", "planar")
+_SINGLE = ("revolute", "continuous", "prismatic")
+_WITH_AXIS = (*_SINGLE, "planar")
 
 
 def parse_robot(source: bytes, file: str) -> Robot:
@@ -57,6 +59,7 @@ def parse_robot(source: bytes, file: str) -> Robot:
         for child, joint in parents.items()
         if joints[joint].attributes["type"] == "fixed"
     }
+    mimics = _mimics(document, joints)
     return Robot(
         name=name,
         file=file,
@@ -66,7 +69,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
         links=tuple(links),
         leaves=tuple(link for link in links if link not in inner),
         fixed_parents=fixed,
-        refused=_refused(joints),
+        refused=_refused(joints, mimics),
+        mimics=mimics,
     )
 
 
@@ -166,14 +170,46 @@ def _root(
     return roots[0]
 
 
-def _refused(joints: Mapping[str, Element]) -> dict[str, str]:
+def _mimics(document: Document, joints: Mapping[str, Element]) -> dict[str, Mimic]:
+    """Mimic joints, each with the driven joint at the end of those that it follows."""
+    stated: dict[str, Mimic] = {}
+    for name, joint in joints.items():
+        element = joint.child("mimic")
+        if element is not None and joint.attributes["type"] in _SINGLE:
+            factor, offset = (
+                float(document.numbers(f"joint '{name}'", element, key, 1)[0])
+                if key in element.attributes
+                else usual
+                for key, usual in (("multiplier", 1.0), ("offset", 0.0))
+            )
+            stated[name] = Mimic(element.attributes.get("joint", ""), factor, offset)
+    result = {}
+    for name, mimic in stated.items():
+        seen = {name}
+        while mimic.leader in stated and mimic.leader not in seen:
+            seen.add(mimic.leader)
+            above = stated[mimic.leader]
+            offset = mimic.factor * above.offset + mimic.offset
+            mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
+        leader = None if mimic.leader in stated else joints.get(mimic.leader)
+        if leader is not None and leader.attributes["type"] in _SINGLE:
+            result[name] = mimic
+    return result
+
+
+def _refused(
+    joints: Mapping[str, Element], mimics: Mapping[str, Mimic]
+) -> dict[str, str]:
     """Reasons, for the sentence "joint x is ..., which a chain cannot contain"."""
     result = {}
     for name, joint in joints.items():
-        if joint.child("mimic") is not None:
-            result[name] = "a mimic joint"
-        elif joint.attributes["type"] in ("floating", "planar"):
-            result[name] = f"a {joint.attributes['type']} joint"
+        kind = joint.attributes["type"]
+        if kind in ("floating", "planar"):
+            result[name] = f"a {kind} joint"
+        elif (
+            kind in _SINGLE and joint.child("mimic") is not None and name not in mimics
+        ):
+            result[name] = "a mimic joint without a leader of one degree of freedom"
     return result
 
 

@@ -20,6 +20,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import RobotError, nearest
+from calib_pin.kinematics.joint_space import JointSpace, Mimic
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
 from calib_pin.kinematics.tree import (
     LINK,
@@ -29,10 +30,6 @@ from calib_pin.kinematics.tree import (
     support,
 )
 from calib_pin.setup import Payload
-
-FREE_TRAVEL = 1.0
-"""Travel of a prismatic joint either way where its URDF states no limits [m]: that of
-the usual linear axis that carries a robot."""
 
 
 @dataclass(frozen=True)
@@ -49,6 +46,7 @@ class Robot:
         leaves: Names of the links without children.
         fixed_parents: For each link that hangs on a fixed joint, that joint's name.
         refused: Joints that a chain cannot contain, each with the reason.
+        mimics: The other mimic joints, each with the driven joint that it follows.
     """
 
     name: str
@@ -60,6 +58,7 @@ class Robot:
     leaves: tuple[str, ...]
     fixed_parents: Mapping[str, str] = field(default_factory=dict)
     refused: Mapping[str, str] = field(default_factory=dict)
+    mimics: Mapping[str, Mimic] = field(default_factory=dict)
 
 
 class Chain:
@@ -71,12 +70,13 @@ class Chain:
         tip: Link the chain ends at; default the only leaf.
 
     Attributes:
-        joints: Names of the n moving joints, from base to tip.
+        joints: Names of the n moving joints, from base to tip; none from a link to
+            itself, which stands still.
+        mimics: The mimic joints among them; a leader need not be.
         revolute: True for revolute and continuous joints, shape (n,).
         reversed: True for joints traversed from child to parent, shape (n,).
-        lower: Lower position limits, shape (n,) [rad, m]; where there is none, half a
-            turn back, or `FREE_TRAVEL` for a prismatic joint.
-        upper: Upper position limits, shape (n,) [rad, m]; the same forward.
+        lower: Lower position limits, shape (n,) [rad, m], see `JointSpace`.
+        upper: Upper position limits, shape (n,) [rad, m].
         inverted: Names of joints with inverted limits in the URDF; they count as none.
         axes: Unit axes in the joint frames, shape (n, 3).
         placements: Nominal joint placements in the frame of the chain's joint before
@@ -88,8 +88,8 @@ class Chain:
             URDF can hold an error of the tip there.
 
     Raises:
-        RobotError: If a frame is unknown, the tip is ambiguous, the chain has no
-            moving joint, or it contains a mimic or multi-degree joint.
+        RobotError: If a frame is unknown, the tip is ambiguous, there is no moving
+            joint between two links, or one with several degrees of freedom.
 
     Example:
         >>> import calib_pin
@@ -120,7 +120,7 @@ class Chain:
         down = support(full, self.tip)
         shared = sum(1 for a, b in zip(up, down, strict=False) if a == b)
         path = [*reversed(up[shared:]), *down[shared:]]
-        if not path:
+        if not path and self.base != self.tip:
             raise RobotError(
                 f"no moving joint between '{self.base}' and '{self.tip}'",
                 file=robot.file,
@@ -138,7 +138,8 @@ class Chain:
         self._data = self._model.createData()
         self._ids = [self._model.getJointId(name) for name in self.joints]
         # The regressor has six columns per joint in the order of the tree.
-        columns = (6 * (np.array(self._ids) - 1)[:, None] + np.arange(6)).reshape(-1)
+        ids = np.array(self._ids, np.intp)
+        columns = (6 * (ids - 1)[:, None] + np.arange(6)).reshape(-1)
         in_order = np.array_equal(columns, np.arange(len(columns)))
         self._columns = slice(None) if in_order else columns
         self._base_id = link_frame(self._model, LINK + self.base)
@@ -146,27 +147,20 @@ class Chain:
 
         count = len(path)
         self.reversed = np.arange(count) < len(up) - shared
-        pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
-        subspaces = np.array([self._subspace(joint) for joint in self._ids])
-        self.revolute = np.linalg.norm(subspaces[:, 3:], axis=1) > 0.5
+        if path:  # Pinocchio crashes where nothing moves.
+            pin.computeJointJacobians(self._model, self._data, pin.neutral(self._model))
+        subspaces = np.array([self._subspace(j) for j in self._ids]).reshape(-1, 6)
+        space = self._space = JointSpace(full, self.joints, robot.mimics)
+        self.mimics = space.mimics
+        self.revolute = space.revolute[:count]
+        self.lower, self.upper = space.lower[:count], space.upper[:count]
+        self.inverted = tuple(name for name in space.inverted if name in self.joints)
         self.axes: Floats = np.where(
             self.revolute[:, None], subspaces[:, 3:], subspaces[:, :3]
         )
         # A continuous joint has two entries in q and one in the velocities.
-        self._v_index = np.array([self._model.idx_vs[j] for j in self._ids])
+        self._v_index = np.array([self._model.idx_vs[j] for j in self._ids], np.intp)
         self._configurations = Configurations(self._model, self._ids)
-        single = ~self._configurations.continuous
-        lower = self._model.lowerPositionLimit[self._configurations.index]
-        upper = self._model.upperPositionLimit[self._configurations.index]
-        # People who mean no limit write two zeros.
-        stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
-        limited = single & stated & (np.abs(upper - lower) < 1e6)
-        self.inverted: tuple[str, ...] = tuple(
-            self.joints[j] for j in np.flatnonzero(single & (lower > upper))
-        )
-        free = np.where(self.revolute, np.pi, FREE_TRAVEL)
-        self.lower: Floats = np.where(limited, lower, -free)
-        self.upper: Floats = np.where(limited, upper, free)
         self.placements: tuple[pin.SE3, ...] = tuple(
             self._model.jointPlacements[j].copy() for j in self._ids
         )
@@ -176,8 +170,10 @@ class Chain:
             self._model.frames[self._base_id].placement.copy(),
             self._model.frames[self._tip_id].placement.copy(),
         )
-        on_path = self.tip in robot.fixed_parents and not self.reversed[-1]
-        self.tip_joint: str | None = robot.fixed_parents[self.tip] if on_path else None
+        on_path = self.tip in robot.fixed_parents and not self.reversed[-1:].any()
+        self.tip_joint: str | None = (
+            robot.fixed_parents[self.tip] if path and on_path else None
+        )
 
     def poses(self, q: Floats, placements: Sequence[pin.SE3] | None = None) -> Floats:
         """Tip poses in the base frame.
@@ -258,6 +254,8 @@ class Chain:
         Returns:
             Torques, shape (N, n) [Nm, N for prismatic joints].
         """
+        if not self.joints:
+            return np.zeros((len(q), 0))
         self._place(None)
         model = self._model.copy()
         (zero,) = self._configurations(np.zeros((1, len(self.joints))))
@@ -283,13 +281,16 @@ class Chain:
         (zero,) = self._configurations(np.zeros((1, len(self.joints))))
         pin.forwardKinematics(model, data, zero)
         base = pin.updateFramePlacement(model, data, self._base_id)
-        return np.array(
-            [base.actInv(data.oMi[joint]).homogeneous for joint in self._ids]
-        )
+        frames = [base.actInv(data.oMi[joint]).homogeneous for joint in self._ids]
+        return np.array(frames).reshape(-1, 4, 4)
 
     def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
-        """Configurations drawn uniformly within the limits, shape (count, n)."""
-        return rng.uniform(self.lower, self.upper, (count, len(self.joints)))
+        """Configurations drawn uniformly within the limits, shape (count, n).
+
+        Mimic joints follow their leaders.
+        """
+        q = self._space.random_configurations(count, rng)
+        return q[:, : len(self.joints)]
 
     def _differentiate(
         self,
@@ -304,6 +305,8 @@ class Chain:
         Pinocchio's function `prepare` is called for each configuration, then
         `of_frame`, which gives local twists of a frame, shape (6, width).
         """
+        if not self.joints:
+            return self.poses(q), np.empty((len(q), 6, 0))
         model, data, local = self._model, self._data, pin.LOCAL
         tip_id, base_id = self._tip_id, self._base_id
         at_tip = np.empty((len(q), 6, width))

@@ -51,8 +51,8 @@ class Configurations:
 
     def __init__(self, model: pin.Model, joints: Sequence[int]) -> None:
         """Look up the entries once."""
-        self.index = np.array([model.idx_qs[joint] for joint in joints])
-        self.continuous = np.array([model.nqs[joint] == 2 for joint in joints])
+        self.index = np.array([model.idx_qs[joint] for joint in joints], np.intp)
+        self.continuous = np.array([model.nqs[joint] == 2 for joint in joints], bool)
         self._neutral = pin.neutral(model)
 
     def __call__(self, q: Floats) -> Floats:

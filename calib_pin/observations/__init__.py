@@ -16,6 +16,7 @@ from calib_pin.observations.blocks import (
 )
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
 from calib_pin.observations.measurements import BlockKey, Measurements, trusted
+from calib_pin.setup import WORLD
 
 __all__ = [
     "AT",
@@ -39,6 +40,3 @@ Targets = Sequence[str]
 
 AT = "@"
 """Stands between a point of the tool and the place it is measured against."""
-
-WORLD = "world"
-"""Chain of what stands still: targets on posts, in the base link."""

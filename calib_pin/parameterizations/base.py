@@ -198,6 +198,18 @@ def frame_pose(frame: FrameSetup) -> pin.SE3:
     return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
 
 
+def mounted(setup: Setup, tool: str) -> tuple[str, pin.SE3]:
+    """The tool at the tip that carries a tool, and the pose of the latter on it.
+
+    Of a tool at the tip: itself, and the identity.
+    """
+    *carried, last = setup.carriers(tool)
+    pose = pin.SE3.Identity()
+    for name in carried:
+        pose = frame_pose(setup.tools[name]) * pose
+    return last, pose
+
+
 def frame_setup(pose: pin.SE3, *, known: bool) -> FrameSetup:
     """The setup of a frame that is known, or estimated from a first guess."""
     x, y, z = map(float, pose.translation)

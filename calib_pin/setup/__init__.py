@@ -19,14 +19,17 @@ from calib_pin.setup.constraints import (
     listed,
 )
 from calib_pin.setup.references import (
+    WORLD,
     AnchorSetup,
     CameraSetup,
+    ChainSetup,
     DistanceSetup,
     Frames,
     FrameSetup,
     PlaneSetup,
     PointSetup,
     SphereSetup,
+    ToolSetup,
 )
 from calib_pin.setup.values import (
     LARGEST_ANGLE,
@@ -44,9 +47,11 @@ from calib_pin.setup.values import (
 from calib_pin.setup.workspace import Ball, Cone, Obstacle, RangerSetup, Region
 
 __all__ = [
+    "WORLD",
     "AnchorSetup",
     "Ball",
     "CameraSetup",
+    "ChainSetup",
     "Cone",
     "DistanceSetup",
     "FrameSetup",
@@ -62,6 +67,7 @@ __all__ = [
     "Setup",
     "SolverSetup",
     "SphereSetup",
+    "ToolSetup",
     "Triple",
 ]
 
@@ -156,6 +162,8 @@ class RobotSetup(Section):
     Attributes:
         base: Link at which the chain starts; None for the root link.
         tip: Link at which the chain ends; None for the only leaf.
+        chains: Further chains of the tree by the name that measurements give; a name
+            that is not here is that of a link, the tip.
         model: Measurement model; None to infer it from the columns.
         parameters: Names of the parameterizations, combined in this order.
         learned: Residual model, learned from the remaining errors; None for none.
@@ -163,6 +171,7 @@ class RobotSetup(Section):
 
     base: Text | None = None
     tip: Text | None = None
+    chains: Mapping[str, ChainSetup] = field(default_factory=dict)
     model: Annotated[str, Registered("model")] | None = None
     parameters: Annotated[
         tuple[Annotated[str, Registered("parameters")], ...], Distinct()
@@ -175,6 +184,9 @@ class MeasurementSetup(Section):
     """The references of the measurements, and the columns of the joints.
 
     Attributes:
+        stations: Where an instrument stood, by the name that measurements give: each
+            is a pose of the base link in the measurement frame.
+        tools: Tools by the name that measurements give.
         planes: Planes by the name that measurements give as their target.
         targets: Reference points on the tool by name.
         sockets: Sockets that hold a ball, by name.
@@ -185,6 +197,8 @@ class MeasurementSetup(Section):
         joints: Joint map by file column; empty where columns are URDF joint names.
     """
 
+    stations: Mapping[str, FrameSetup] = field(default_factory=dict)
+    tools: Mapping[str, ToolSetup] = field(default_factory=dict)
     planes: Mapping[str, PlaneSetup] = field(default_factory=dict)
     targets: Mapping[str, PointSetup] = field(default_factory=dict)
     sockets: Mapping[str, PointSetup] = field(default_factory=dict)
@@ -273,11 +287,30 @@ class Setup(PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
     """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:
-        base_frame: Pose of the base link in the measurement frame.
-        tool_frame: Pose of the tool (target, beam) in the tip frame.
+        base_frame: Pose of the base link in the measurement frame, for measurements
+            from a station that `stations` does not name.
+        tool_frame: Pose of the tool (target, beam) in the tip frame, for measurements
+            of a tool that `tools` does not name.
         file: Where all this was read from, for messages.
     """
 
     base_frame: FrameSetup = field(default_factory=FrameSetup)
     tool_frame: FrameSetup = field(default_factory=FrameSetup)
     file: str = field(default="", compare=False)
+
+    def station(self, name: str) -> FrameSetup:
+        """The frame of a station."""
+        return self.stations.get(name, self.base_frame)
+
+    def tool(self, name: str) -> FrameSetup:
+        """The frame of a tool, in that of the tool that carries it if there is one."""
+        return self.tools.get(name, self.tool_frame)
+
+    def carriers(self, name: str) -> tuple[str, ...]:
+        """A tool, the one that carries it, and so on to the one at the tip."""
+        found: list[str] = []
+        on: str | None = name
+        while on is not None and on not in found:
+            found.append(on)
+            on = self.tools[on].on if on in self.tools else None
+        return tuple(found)

@@ -15,9 +15,13 @@ from calib_pin.setup.values import (
     OneOf,
     Pair,
     Position,
+    Text,
     Triple,
     Vector,
 )
+
+WORLD = "world"
+"""Name of the chain of what stands still: targets on posts, in the base link."""
 
 STEEPEST = 1e6
 """Largest length of a normal, and the inverse of the smallest."""
@@ -62,7 +66,7 @@ TWO_NAMES = listed({"type": "string"}, 2) | {"uniqueItems": True}
 
 @dataclass(frozen=True)
 class FrameSetup(Section):
-    """The base or the tool frame.
+    """The frame of a station or of a tool.
 
     Attributes:
         xyz: Position [m], a first guess if estimated; None where none was given.
@@ -78,12 +82,47 @@ class FrameSetup(Section):
 
 
 @dataclass(frozen=True)
+class ToolSetup(FrameSetup):
+    """A tool: its pose in the tip frame, or its known pose on another tool.
+
+    Attributes:
+        on: Tool that carries this one, in whose frame the pose is then known; None for
+            a tool at the tip.
+    """
+
+    on: Text | None = None
+
+    def _check(self) -> None:
+        if self.on is not None and self.estimate:
+            raise ValueError("estimate: true only without on, whose pose is known")
+
+
+@dataclass(frozen=True)
+class ChainSetup(Section):
+    """A chain of the robot's tree.
+
+    Attributes:
+        tip: Link at which the chain ends.
+        base: Link at which it starts; None for that of the whole setup.
+    """
+
+    tip: Text
+    base: Text | None = None
+
+    def _check(self) -> None:
+        if self.base == self.tip:
+            raise ValueError("two different links as base and tip")
+
+
+@dataclass(frozen=True)
 class Frames(Section):
     """The frames at both ends of the chain.
 
     Attributes:
-        base: Pose of the base link in the measurement frame.
-        tool: Pose of the tool (target, beam) in the tip frame.
+        base: Pose of the base link in the measurement frame, for measurements from a
+            station that `stations` does not name.
+        tool: Pose of the tool (target, beam) in the tip frame, for measurements of a
+            tool that `tools` does not name.
     """
 
     base: FrameSetup | None = None

@@ -1,0 +1,142 @@
+"""The chains of one robot that a job measures, by the names that measurements give."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from itertools import chain as joined
+from types import MappingProxyType
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import RobotError, nearest
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.joint_space import JointSpace
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.setup import WORLD, ChainSetup
+
+
+class Chains:
+    """Chains of one tree, whose configurations have the joints of all.
+
+    Args:
+        robot: The robot.
+        base: Link at which chains start that do not state another; default the root.
+        tip: Link at which the default chain ends; default the only leaf.
+        stated: Base and tip of chains by name.
+        names: Names of the chains that are measured: empty for the default one, `WORLD`
+            for what stands still, a name among `stated`, else a link, the tip.
+        built: Chains by name that exist already.
+
+    Attributes:
+        robot: The robot.
+        names: The names, each once.
+        joints: Names of the n moving joints: those of the only chain in its order, of
+            several each once in the order of the tree, with all that these follow.
+        mimics: The mimic joints among them.
+        revolute: True for revolute and continuous joints, shape (n,).
+        lower: Lower position limits, shape (n,) [rad, m], see `JointSpace`.
+        upper: Upper position limits, shape (n,) [rad, m].
+
+    Raises:
+        RobotError: If there is no chain or link of a name, a stated chain is called
+            `WORLD`, or a chain cannot be used.
+
+    Example:
+        >>> import calib_pin
+        >>> head = calib_pin.load_chain("example:talos_reduced", tip="head_2_link")
+        >>> both = Chains(head.robot, names=("arm_left_7_link", "head_2_link", "world"))
+        >>> len(both.joints), both.columns("head_2_link").tolist()
+        (11, [0, 1, 9, 10])
+    """
+
+    def __init__(
+        self,
+        robot: Robot,
+        base: str | None = None,
+        tip: str | None = None,
+        stated: Mapping[str, ChainSetup] = MappingProxyType({}),
+        names: Sequence[str] = ("",),
+        built: Mapping[str, Chain] = MappingProxyType({}),
+    ) -> None:
+        """Build the chains."""
+        self.robot = robot
+        self.names = tuple(dict.fromkeys(names))
+        self._base, self._tip, self._stated = base, tip, stated
+        if WORLD in stated:
+            raise RobotError(
+                f"'{WORLD}' is the name of what stands still, not of a chain",
+                column="chains",
+                allowed="another name",
+            )
+        self._chains = {
+            name: built.get(name) or self._build(name) for name in self.names
+        }
+        model = robot.model
+        moving = [found.joints for found in self._chains.values() if found.joints]
+        given = list(dict.fromkeys(joined.from_iterable(moving)))
+        if len(moving) > 1:
+            leaders = JointSpace(model, given, robot.mimics).joints
+            given = sorted(leaders, key=model.getJointId)
+        self._space = JointSpace(model, given, robot.mimics)
+        self.joints = self._space.joints
+        self.mimics = self._space.mimics
+        self.revolute = self._space.revolute
+        self.lower, self.upper = self._space.lower, self._space.upper
+
+    @staticmethod
+    def of(chain: Chain | Chains) -> Chains:
+        """A single chain under the empty name; several as they are."""
+        if isinstance(chain, Chains):
+            return chain
+        return Chains(chain.robot, chain.base, chain.tip, built={"": chain})
+
+    def named(self, names: Sequence[str]) -> Chains:
+        """The chains of other names of the same robot and statements."""
+        return Chains(
+            self.robot, self._base, self._tip, self._stated, names, self._chains
+        )
+
+    def __getitem__(self, name: str) -> Chain:
+        """The chain of a name."""
+        return self._chains[name]
+
+    def columns(self, name: str) -> NDArray[np.intp]:
+        """Positions of a chain's joints among those of all."""
+        return np.array([self.joints.index(k) for k in self[name].joints], np.intp)
+
+    def follow(self, q: Floats) -> Floats:
+        """Joint positions (N, n) [rad, m], with mimic joints where leaders put them."""
+        return self._space.follow(q)
+
+    def random_configurations(self, count: int, rng: np.random.Generator) -> Floats:
+        """Configurations drawn uniformly within the limits, shape (count, n).
+
+        Mimic joints follow their leaders.
+        """
+        return self._space.random_configurations(count, rng)
+
+    def _build(self, name: str) -> Chain:
+        """The chain of a name, not yet built."""
+        robot, base = self.robot, self._base
+        if name == WORLD:
+            still = robot.root if base is None else base
+            return Chain(robot, still, still)
+        tip = name or self._tip
+        if name in self._stated:
+            tip, base = self._stated[name].tip, self._stated[name].base or base
+        elif name and name not in robot.links:
+            known = [WORLD, *self._stated, *robot.links]
+            raise RobotError(
+                f"there is no chain or link '{name}'{nearest(name, known)}",
+                file=robot.file,
+                allowed=", ".join(known) if len(known) <= 12 else None,
+            )
+        found = Chain(robot, base, tip)
+        if not found.joints:
+            raise RobotError(
+                f"the chain ends at its base '{found.base}', where nothing moves",
+                file=robot.file,
+                allowed=f"another tip, or {WORLD} for what stands still",
+            )
+        return found

@@ -15,7 +15,6 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import measurement_model
 from calib_pin.observations import (
-    WORLD,
     BlockKey,
     Labels,
     Measurements,
@@ -29,7 +28,7 @@ from calib_pin.parameterizations import (
 )
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.parameters import ParameterSet, matching
-from calib_pin.setup import Setup
+from calib_pin.setup import WORLD, Setup
 
 
 def make_problem(

@@ -375,6 +375,20 @@ class Problem(System):
         return np.concatenate(r), np.concatenate(J)
 
 
+def error_table(problem: Problem, theta: Floats) -> Floats:
+    """Residuals as they are shown, NaN for absent components, shape (N, D).
+
+    Values that cannot be predicted are infinite.
+
+    Args:
+        problem: The problem; its layout says which columns there are.
+        theta: Parameter values, shape (P,).
+    """
+    errors = problem.errors(theta)
+    errors = np.where(np.isnan(errors), np.inf, errors)
+    return problem.layout.table(errors, len(problem.data))
+
+
 def assumed_sigma(part: Part, setup: Setup) -> Floats:
     """Standard deviations of the components of measurements that state none, (d,)."""
     return np.concatenate(

@@ -21,7 +21,6 @@ from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models import measurement_model
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.observations import (
-    WORLD,
     BlockKey,
     Measurements,
     Observations,
@@ -29,7 +28,7 @@ from calib_pin.observations import (
 )
 from calib_pin.parameterizations import frame_pose
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import WORLD, FrameSetup, Setup
 
 
 def registered(problem: Problem, theta: Floats) -> Problem:

@@ -16,11 +16,9 @@ from calib_pin.observations.blocks import (
 )
 from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
 from calib_pin.observations.measurements import BlockKey, Measurements, trusted
-from calib_pin.setup import WORLD
 
 __all__ = [
     "AT",
-    "WORLD",
     "BlockKey",
     "Booleans",
     "Floats",

@@ -10,44 +10,28 @@ from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.system import System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MeasurementModel
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import Setup
 
 
 @dataclass(frozen=True)
-class CalibratedModel:
-    """A robot with its calibration: what predicts measurements and corrects commands.
+class CalibratedChain:
+    """A chain with its calibration, before one station and with one tool.
 
     Attributes:
         error: Error model about the fitted base and tool frame.
-        measurement: Measurement model about the fitted instrument.
-        theta: Values of the error model's parameters, shape (P,), frames at zero.
+        theta: Values of its parameters, shape (P,), frames at zero.
         setup: The setup it was fitted with.
     """
 
     error: ErrorModel
-    measurement: MeasurementModel
     theta: Floats
     setup: Setup
-
-    @staticmethod
-    def create(problem: Problem, theta: Floats) -> CalibratedModel:
-        """The model of a problem at parameter values, shape (P,).
-
-        Frames and instrument move into their references; the robot keeps its values.
-        """
-        moved, values = problem.rebased(theta)
-        return CalibratedModel(
-            error=moved.error,
-            measurement=moved.measurement,
-            theta=moved.split(values)[0],
-            setup=moved.setup,
-        )
 
     @property
     def chain(self) -> Chain:
@@ -77,8 +61,8 @@ class CalibratedModel:
         return self.error.learned is None and not moved
 
     @property
-    def without_corrections(self) -> CalibratedModel:
-        """The model without what a URDF cannot hold: of a true robot, its geometry.
+    def without_corrections(self) -> CalibratedChain:
+        """The chain without what a URDF cannot hold: of a true robot, its geometry.
 
         Of a fit that is no use, see `CalibrationResult.geometry`.
         """
@@ -113,6 +97,63 @@ class CalibratedModel:
             return self.error.tool
         return self.error.corrections(self.theta)[-2] * self.error.tool
 
-    def problem(self, data: Measurements) -> Problem:
+
+@dataclass(frozen=True)
+class CalibratedModel(System):
+    """A robot with its calibration: all chains, stations, tools and instruments.
+
+    Attributes:
+        theta: Values of all parameters, shape (P,), frames and instruments at zero:
+            the parts have these in their references.
+        setup: The setup it was fitted with.
+    """
+
+    theta: Floats
+    setup: Setup
+
+    @staticmethod
+    def create(problem: Problem, theta: Floats) -> CalibratedModel:
+        """The model of a problem at parameter values, shape (P,).
+
+        Frames and instruments move into their references; the robot keeps its values.
+        """
+        moved, values = problem.rebased(theta)
+        return CalibratedModel(
+            moved.chains, moved.parts, moved.given, values, moved.setup
+        )
+
+    def of(self, chain: str | None = None) -> CalibratedChain:
+        """A chain before its first station, with its first tool.
+
+        Args:
+            chain: Name of the chain; default the first that moves.
+        """
+        part = self.moving if chain is None else self.of_chain(chain)
+        theta = self.theta[part.index[: len(part.error.screws)]]
+        return CalibratedChain(part.error, theta, self.setup)
+
+    @property
+    def geometric(self) -> bool:
+        """Whether there is nothing but geometry, which a URDF can hold."""
+        return all(self.of(name).geometric for name in self.measured_chains)
+
+    @property
+    def measured_chains(self) -> tuple[str, ...]:
+        """Names of the chains with joints, each once."""
+        return tuple(
+            dict.fromkeys(
+                key.chain for key, part in self.parts.items() if part.error.chain.joints
+            )
+        )
+
+    def urdf_corrections(self) -> dict[str, pin.SE3]:
+        """Right-multiplied corrections of the URDF's joint origins, by joint name."""
+        return {
+            joint: correction
+            for name in self.measured_chains
+            for joint, correction in self.of(name).urdf_corrections().items()
+        }
+
+    def problem(self, data: Observations) -> Problem:
         """The problem of other measurements about this calibration."""
-        return Problem(self.error, self.measurement, data, self.setup)
+        return Problem(self.chains, self.parts, self.given, data, self.setup)

@@ -217,18 +217,19 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
             several chains.
     """
     require_known("residual model", name, RESIDUAL_MODELS)
-    told = {"file": setup.file or None, "value": name}
     if any(declared(model).relative for model in measurements.models):
         raise OptionError(
             "nothing can be learned from distances between two configurations",
+            file=setup.file or None,
+            value=name,
             allowed="measurements of another model",
-            **told,
         )
     if len({key.chain for key in measurements.keys}) > 1:
         raise OptionError(
             "nothing can be learned from measurements of several chains",
+            file=setup.file or None,
+            value=name,
             allowed="measurements of one chain",
-            **told,
         )
 
 

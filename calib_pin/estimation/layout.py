@@ -71,8 +71,8 @@ class Layout:
             first[model] = at = shown[-1].columns.stop if shown else 0
             for q in quantities:
                 name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
-                place = slice(at + q.columns.start, at + q.columns.stop)
-                shown.append(replace(q, name=name, columns=place))
+                columns = slice(at + q.columns.start, at + q.columns.stop)
+                shown.append(replace(q, name=name, columns=columns))
         components = _components(measured)
         position = {(c.model, c.station, c.quantity.name): k for k, c in components}
         of_keys = {

@@ -197,7 +197,8 @@ class System:
         if len(np.unique(index)) == len(index):
             result[..., index] = J
         else:
-            np.add.at(result, (..., index), J)
+            for k, position in enumerate(index):
+                result[..., position] += J[..., k]
         return result
 
     @cached_property

@@ -71,14 +71,22 @@ class Studentized:
         count, width = int(labels.max(initial=-1)) + 1, len(layout.components)
         place = labels[layout.row] * width + layout.component
         squares, total = (
-            np.bincount(place, values, count * width).reshape(count, width)
+            np.asarray(np.bincount(place, values, count * width), float)
             for values in (components, counts)
         )
+        shape = count, width
         least = np.full(width, LEAST)
         if states_sigmas(problem.data):
             # Residuals smaller than the stated sigma do not contradict it.
             least = 1.0 / (problem.units if len(problem.units) else np.ones(width))
-        return cls(labels, layout, components, squares, total, least)
+        return cls(
+            labels,
+            layout,
+            components,
+            squares.reshape(shape),
+            total.reshape(shape),
+            least,
+        )
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).

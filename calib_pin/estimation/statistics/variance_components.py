@@ -138,7 +138,9 @@ def _counts(problem: Problem) -> Floats:
     """Measured values of each quantity, those with less weight counted less, (K,)."""
     layout = problem.layout
     weight = problem.data.weight[layout.row]
-    return np.bincount(layout.component, weight, len(layout.components))
+    return np.asarray(
+        np.bincount(layout.component, weight, len(layout.components)), float
+    )
 
 
 def current_units(problem: Problem) -> Floats:

@@ -52,8 +52,11 @@ class Parameter:
 class ParameterSet:
     """Parameters in a fixed order: base, joints from base to tip, tool, instrument.
 
+    A parameter of several screws (of a joint and of those that mimic it) may stand at
+    each of them.
+
     Raises:
-        OptionError: If a name stands twice.
+        OptionError: If two parameters have one name.
 
     Example:
         >>> names = ["elbow.placement.x", "elbow.placement.y"]
@@ -67,11 +70,11 @@ class ParameterSet:
 
     def __post_init__(self) -> None:
         """Index the names once."""
-        positions = {p.name: k for k, p in enumerate(self.parameters)}
-        if len(positions) != len(self.parameters):
-            names = [p.name for p in self.parameters]
-            twice = next(name for name in names if names.count(name) > 1)
-            raise OptionError(f"parameter '{twice}' is defined twice")
+        positions: dict[str, int] = {}
+        for k, parameter in enumerate(self.parameters):
+            first = positions.setdefault(parameter.name, k)
+            if self.parameters[first] != parameter:
+                raise OptionError(f"parameter '{parameter.name}' is defined twice")
         object.__setattr__(self, "_positions", positions)
 
     def __len__(self) -> int:
@@ -123,7 +126,7 @@ class ParameterSet:
         return lower, np.array([p.upper for p in self.parameters])
 
     def index(self, name: str) -> int:
-        """Position of an exact name.
+        """First position of an exact name.
 
         Raises:
             OptionError: If there is no such parameter; names the nearest one.
@@ -136,10 +139,9 @@ class ParameterSet:
 
     def vector(self, values: Mapping[str, float]) -> Floats:
         """Array of values by name, zero for the others, shape (P,)."""
-        result = np.zeros(len(self))
-        for name, value in values.items():
-            result[self.index(name)] = value
-        return result
+        for name in values:
+            self.index(name)
+        return np.array([values.get(name, 0.0) for name in self.names])
 
     def with_fixed(self, patterns: Iterable[str]) -> ParameterSet:
         """Hold the parameters that match a name or glob at zero.
@@ -221,5 +223,5 @@ def matching(pattern: str, names: Sequence[str]) -> list[int]:
         ([0], [0])
     """
     if pattern in names:  # The name of a joint may hold brackets.
-        return [names.index(pattern)]
+        return [k for k, name in enumerate(names) if name == pattern]
     return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)]

@@ -76,9 +76,18 @@ def test_index_is_exact() -> None:
 
 
 def test_names_are_unique() -> None:
-    twice = Parameter("a.b.c", "m", 1.0)
-    text = reason(lambda: ParameterSet((twice, Parameter("x.y.z", "m", 1.0), twice)))
+    first, second = Parameter("a.b.c", "m", 1.0), Parameter("a.b.c", "m", 2.0)
+    text = reason(lambda: ParameterSet((first, Parameter("x.y.z", "m", 1.0), second)))
     assert "'a.b.c' is defined twice" in text
+
+
+def test_one_parameter_in_two_places() -> None:
+    shared, other = Parameter("a.b.c", "m", 1.0), Parameter("x.y.z", "m", 1.0)
+    both = ParameterSet((shared, other, shared))
+    assert both.index("a.b.c") == 0
+    assert both.vector({"a.b.c": 2.0}).tolist() == [2.0, 0.0, 2.0]
+    assert both.with_fixed(["a.b.c"]).free.tolist() == [False, True, False]
+    assert both.with_priors({"a.*": 3.0}).priors.tolist() == [3.0, np.inf, 3.0]
 
 
 @pytest.mark.parametrize(

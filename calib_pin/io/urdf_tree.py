@@ -203,13 +203,12 @@ def _refused(
     """Reasons, for the sentence "joint x is ..., which a chain cannot contain"."""
     result = {}
     for name, joint in joints.items():
-        kind = joint.attributes["type"]
+        kind, mimic = joint.attributes["type"], joint.child("mimic")
         if kind in ("floating", "planar"):
             result[name] = f"a {kind} joint"
-        elif (
-            kind in _SINGLE and joint.child("mimic") is not None and name not in mimics
-        ):
-            result[name] = "a mimic joint without a leader of one degree of freedom"
+        elif kind in _SINGLE and mimic is not None and name not in mimics:
+            leader = mimic.attributes.get("joint", "")
+            result[name] = f"a mimic joint without a driven leader ('{leader}')"
     return result
 
 

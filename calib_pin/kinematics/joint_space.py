@@ -9,6 +9,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.tree import turns
 
 FREE_TRAVEL = 1.0
 """Travel of a prismatic joint either way where its URDF states no limits [m]: that of
@@ -57,9 +58,7 @@ class JointSpace:
         leaders = (mimic.leader for mimic in self.mimics.values())
         self.joints: tuple[str, ...] = tuple(dict.fromkeys([*joints, *leaders]))
         ids = [model.getJointId(name) for name in self.joints]
-        # Both kinds of prismatic joints, along an axis and unaligned, begin so.
-        kinds = [model.joints[j].shortname() for j in ids]
-        self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
+        self.revolute = np.array([turns(model, name) for name in self.joints], bool)
         single = np.array([model.nqs[j] == 1 for j in ids], bool)
         index = np.array([model.idx_qs[j] for j in ids], np.intp)
         lower, upper = model.lowerPositionLimit[index], model.upperPositionLimit[index]

@@ -37,6 +37,13 @@ def support(model: pin.Model, link: str) -> list[int]:
     return [j for j in model.supports[joint] if j != 0]
 
 
+def turns(model: pin.Model, joint: str) -> bool:
+    """Whether a joint of one degree of freedom is revolute or continuous."""
+    # The types of prismatic joints, along an axis and unaligned, begin with a P.
+    kind = model.joints[model.getJointId(joint)].shortname()
+    return not kind.startswith("JointModelP")
+
+
 class Configurations:
     """Pinocchio's configuration vectors; joints of no concern stand at zero.
 

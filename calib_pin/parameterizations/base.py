@@ -14,7 +14,9 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_space import Mimic
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.kinematics.tree import turns
 from calib_pin.parameters import Parameter
 from calib_pin.setup import FrameSetup, Setup
 
@@ -88,6 +90,44 @@ class Screw:
     frame: int
     twist: Floats
     basis: BasisFunction | None = None
+
+
+@dataclass(frozen=True)
+class Drive:
+    """What moves a joint of a chain: a drive of its own, or that of its leader.
+
+    A correction dq of the drive moves the joint by `factor dq`. Parameters of joints'
+    motions belong to the drive; a parameter of several joints stands in several screws.
+
+    Attributes:
+        joint: Joint that has the drive: this one, or the leader of a mimic joint.
+        unit: Unit of that joint's position, rad or m.
+        frame: Frame index of the joint that is moved.
+        motion: Unit twist of its motion in its own frame, shape (6,).
+        factor: Its factor, not zero.
+        offset: Its position where the drive is at zero [rad, m].
+    """
+
+    joint: str
+    unit: str
+    frame: int
+    motion: Floats
+    factor: float = 1.0
+    offset: float = 0.0
+
+
+def drives(chain: Chain) -> list[Drive]:
+    """The drives of all joints of a chain but those that stand still."""
+    model, found = chain.robot.model, []
+    for frame, (joint, motion) in enumerate(
+        zip(chain.joints, chain.motions, strict=True), start=1
+    ):
+        mimic = chain.mimics.get(joint, Mimic(joint))
+        if mimic.factor:
+            unit = "rad" if turns(model, mimic.leader) else "m"
+            given = mimic.leader, unit, frame, motion, mimic.factor, mimic.offset
+            found.append(Drive(*given))
+    return found
 
 
 @dataclass(frozen=True)

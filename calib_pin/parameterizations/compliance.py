@@ -13,9 +13,11 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import (
     BasisFunction,
+    Drive,
     Effects,
     Parameterization,
     Screw,
+    drives,
 )
 from calib_pin.setup import Payload, Setup
 
@@ -43,6 +45,8 @@ class Compliance(Parameterization):
     and nominal geometry, of the links' masses in the URDF and of a payload. It is the
     negative of what the drive must hold (Pinocchio's `computeGeneralizedGravity`), so
     that a joint that sags has a positive compliance (Wu et al., elastostatic part).
+    A drive holds the torques of its joint and of the mimic joints in the chain, each by
+    its factor.
 
     Attributes:
         gravity: Acceleration of gravity in the base link [m/s^2].
@@ -63,18 +67,21 @@ class Compliance(Parameterization):
         return cls(setup.gravity, setup.payloads)
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
-        """One screw along every joint's own motion, as large as its torque.
+        """One screw along every joint's own motion, as large as the drive's torque.
 
         Raises:
             OptionError: If nothing that has a mass loads any joint.
         """
-        functions = _Torques(chain, self)
+        moved = drives(chain)
+        if not moved:
+            return []
+        functions = _Torques(chain, self, moved)
         # Any fixed configurations that fill the limits; these are quasi-random.
         roots = np.sqrt(np.arange(2, 2 + len(chain.joints)) + 0.5)
         parts = np.outer(np.arange(1, SAMPLES + 1), roots) % 1.0
         q = chain.lower + parts * (chain.upper - chain.lower)
         heaviest = max(self.payloads, key=lambda k: self.payloads[k].mass, default="")
-        torques = functions(q, (heaviest,) * len(q))
+        torques = functions(q, (heaviest,) * len(q)) / [d.factor for d in moved]
         usual = np.sqrt(np.mean(torques**2, axis=0))
         # A newton-meter for a revolute joint, a newton for a prismatic one.
         if not usual.max() > 1e-6:
@@ -88,25 +95,26 @@ class Compliance(Parameterization):
         return [
             Screw(
                 self.parameter(
-                    joint,
+                    drive.joint,
                     "k",
-                    "rad/Nm" if chain.revolute[j] else "m/N",
-                    float(scales[j]),
+                    "rad/Nm" if drive.unit == "rad" else "m/N",
+                    float(scale),
                 ),
-                j + 1,
-                chain.motions[j],
-                BasisFunction(functions, j),
+                drive.frame,
+                drive.motion,
+                BasisFunction(functions, k),
             )
-            for j, joint in enumerate(chain.joints)
+            for k, (drive, scale) in enumerate(zip(moved, scales, strict=True))
         ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Torques:
-    """Torques of gravity on all joints."""
+    """Torques of gravity on all drives, by the factors of the joints they move."""
 
     chain: Chain
     load: Compliance
+    drives: Sequence[Drive]
 
     def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
         result = np.empty((len(q), len(self.chain.joints)))
@@ -116,7 +124,12 @@ class _Torques:
             result[rows] = self.chain.gravity_torques(
                 q[rows], self.load.gravity, self._carried(name)
             )
-        return result
+        factors = np.zeros((len(self.chain.joints), len(self.drives)))
+        for k, drive in enumerate(self.drives):
+            for other in self.drives:
+                if other.joint == drive.joint:
+                    factors[other.frame - 1, k] = other.factor * drive.factor
+        return np.asarray(result @ factors)
 
     def _carried(self, name: str) -> Payload | None:
         """The payload of a name in the measurements, None for nothing.

@@ -24,6 +24,7 @@ import numpy as np
 import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.errors import OptionError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import (
     Floats,
@@ -77,7 +78,9 @@ class ErrorModel:
 
     Attributes:
         chain: The nominal chain with n joints.
-        screws: One screw per parameter, frame by frame from base to tool.
+        screws: The P screws, frame by frame from base to tool. Where mimic joints
+            follow a leader several screws have one parameter; its value then stands in
+            theta once for each of them, and its derivative is the sum of theirs.
         base: Reference pose of the base link in the measurement frame.
         tool: Reference pose of the tool in the tip frame.
         learned: Learned correction beside the parameters, None for none.
@@ -121,11 +124,16 @@ class ErrorModel:
             OptionError: If a name is unknown, two members define one parameter, or a
                 parameterization does not suit the chain.
         """
-        robot = [
-            s
-            for name in parameterizations
-            for s in parameterization(name, setup).screws(chain)
-        ]
+        robot: list[Screw] = []
+        for name in parameterizations:
+            defined = {screw.parameter.name for screw in robot}
+            found = parameterization(name, setup).screws(chain)
+            for screw in found:
+                if screw.parameter.name in defined:
+                    raise OptionError(
+                        f"parameter '{screw.parameter.name}' is defined twice"
+                    )
+            robot += found
         count = len(chain.joints)
         screws = [
             *frame_screws("base", 0, free=estimate_base),
@@ -135,7 +143,7 @@ class ErrorModel:
         ]
         identity = pin.SE3.Identity()
         model = ErrorModel(chain, tuple(screws), identity, identity)
-        _ = model.parameters  # Checks that no name stands twice.
+        _ = model.parameters  # Checks that no name has two meanings.
         return model
 
     def with_frames(self, base: pin.SE3, tool: pin.SE3) -> ErrorModel:
@@ -170,7 +178,7 @@ class ErrorModel:
 
     @cached_property
     def parameters(self) -> ParameterSet:
-        """The parameters, in the order of the screws."""
+        """The parameter of each screw; one of mimic joints stands at each of them."""
         return ParameterSet(tuple(screw.parameter for screw in self.screws))
 
     @property

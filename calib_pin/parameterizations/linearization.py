@@ -62,7 +62,7 @@ class PoseLinearization:
             of_plain, of_whole, whole = self.fading
             plain = replace(self, fading=None).joint_twists()
             return np.asarray(of_plain @ plain + of_whole @ whole.joint_twists())
-        blocks = self.regressor.reshape(len(self.T), 6, -1, 6)
+        blocks = self.regressor.reshape(len(self.T), 6, len(self.axes), 6)
         at_tip = np.einsum("nakb,kb->nak", blocks, self.axes)
         behind = self.to_tip if self.learned is None else self.to_tip @ self.learned
         return np.asarray(adjoint(invert(behind)) @ at_tip)
@@ -99,8 +99,8 @@ class PoseLinearization:
             row = 6 * (self.frames[k] - 1)
             B[row : row + 6, k - base] = self.columns[:, k]
         at_joints = J_pose @ adjoint(invert(self.to_tip)) @ self.regressor
-        of_joints = at_joints.reshape(-1, width) @ B
-        result[:, :, base:joints] = of_joints.reshape(rows, size, -1)
+        of_joints = at_joints.reshape(rows * size, width) @ B
+        result[:, :, base:joints] = of_joints.reshape(rows, size, joints - base)
         at_tip = J_pose @ adjoint(invert(self.to_tool))
         result[:, :, joints:tip] = at_tip @ self.columns[:, joints:tip]
         result[:, :, tip:] = J_pose @ self.columns[:, tip:]

@@ -7,7 +7,12 @@ from collections.abc import Sequence
 import numpy as np
 
 from calib_pin.kinematics.chain import Chain
-from calib_pin.parameterizations.base import COMPONENTS, Parameterization, Screw
+from calib_pin.parameterizations.base import (
+    COMPONENTS,
+    Parameterization,
+    Screw,
+    drives,
+)
 
 UNITS = ("m", "m", "m", "rad", "rad", "rad")
 
@@ -65,17 +70,19 @@ class LinkTransform(Parameterization):
 class JointOffset(Parameterization):
     """`<joint>.joint-offset.q`: a screw along the joint's own motion.
 
-    It commutes with the motion, so `M_j Exp(S theta) J(q) = M_j J(q + theta)`.
+    It commutes with the motion, so `M_j Exp(S theta) J(q) = M_j J(q + theta)`. Mimic
+    joints move with the offset of their leader.
     """
 
     name = "joint-offset"
 
     def screws(self, chain: Chain) -> Sequence[Screw]:
         """One screw at every moving joint."""
-        units = np.where(chain.revolute, "rad", "m")
         return [
-            Screw(self.parameter(joint, "q", str(unit)), frame, motion)
-            for frame, (joint, unit, motion) in enumerate(
-                zip(chain.joints, units, chain.motions, strict=True), start=1
+            Screw(
+                self.parameter(drive.joint, "q", drive.unit),
+                drive.frame,
+                drive.factor * drive.motion,
             )
+            for drive in drives(chain)
         ]

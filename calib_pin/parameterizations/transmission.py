@@ -14,9 +14,11 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import (
     BasisFunction,
+    Drive,
     Effects,
     Parameterization,
     Screw,
+    drives,
 )
 from calib_pin.parameters import matching
 from calib_pin.setup import Setup
@@ -39,6 +41,7 @@ class Transmission(Parameterization):
     that is off, an eccentric wheel or encoder (once per turn), an elliptic one (twice).
     A motor behind a gear of ratio r adds the same once per turn of its own, r q. A
     prismatic joint has no turn; it has the gain, and the motor's where r is given.
+    Mimic joints move with the errors of their leader, at its position.
 
     Attributes:
         gear_ratios: Joint name or glob to r [rad/rad, rad/m].
@@ -61,46 +64,53 @@ class Transmission(Parameterization):
         """Screws along every joint's own motion, as large as its position says.
 
         Raises:
-            OptionError: If a gear ratio belongs to no joint of the chain.
+            OptionError: If a gear ratio belongs to no joint of the robot.
         """
-        ratios = _ratios(self.gear_ratios, chain.joints)
-        parts: list[tuple[int, str, str, float, float, float]] = []
-        for j, revolute in enumerate(chain.revolute):
-            unit = "rad" if revolute else "m"
-            parts.append((j, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
-            for name, frequency in _waves(bool(revolute), ratios.get(j)):
+        ratios = _ratios(self.gear_ratios, list(chain.robot.model.names)[1:])
+        parts: list[tuple[Drive, str, str, float, float, float]] = []
+        for drive in drives(chain):
+            unit = drive.unit
+            parts.append((drive, "gain", f"{unit}/{unit}", GAIN_SCALE, 0.0, 0.0))
+            for name, frequency in _waves(unit == "rad", ratios.get(drive.joint)):
                 for wave, phase in (("sin", 0.0), ("cos", np.pi / 2.0)):
                     component = name.format(wave)
                     scale = AMPLITUDE_SCALES[unit]
-                    parts.append((j, component, unit, scale, frequency, phase))
+                    parts.append((drive, component, unit, scale, frequency, phase))
         functions = _Waves(
-            joint=np.array([part[0] for part in parts]),
+            joint=np.array([part[0].frame - 1 for part in parts], np.intp),
+            factor=np.array([part[0].factor for part in parts]),
+            offset=np.array([part[0].offset for part in parts]),
             frequency=np.array([part[4] for part in parts]),
             phase=np.array([part[5] for part in parts]),
         )
         return [
             Screw(
-                self.parameter(chain.joints[j], component, unit, scale),
-                j + 1,
-                chain.motions[j],
+                self.parameter(drive.joint, component, unit, scale),
+                drive.frame,
+                drive.motion,
                 BasisFunction(functions, column),
             )
-            for column, (j, component, unit, scale, _, _) in enumerate(parts)
+            for column, (drive, component, unit, scale, _, _) in enumerate(parts)
         ]
 
 
 @dataclass(frozen=True, eq=False)
 class _Waves:
-    """`sin(frequency q + phase)` of one joint each, or q where the frequency is 0."""
+    """`factor sin(frequency q + phase)` of one drive each; q where the frequency is 0.
 
-    joint: NDArray[np.int64]
+    The joint that the drive moves stands at `factor q + offset`.
+    """
+
+    joint: NDArray[np.intp]
+    factor: Floats
+    offset: Floats
     frequency: Floats
     phase: Floats
 
     def __call__(self, q: Floats, payload: Sequence[str] = ()) -> Floats:
-        of_joint = q[:, self.joint]
-        waves = np.sin(self.frequency * of_joint + self.phase)
-        return np.where(self.frequency == 0.0, of_joint, waves)
+        of_drive = (q[:, self.joint] - self.offset) / self.factor
+        waves = np.sin(self.frequency * of_drive + self.phase)
+        return self.factor * np.where(self.frequency == 0.0, of_drive, waves)
 
 
 def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:
@@ -112,16 +122,16 @@ def _waves(revolute: bool, ratio: float | None) -> Iterator[tuple[str, float]]:
         yield "motor_{}", ratio
 
 
-def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[int, float]:
-    """Gear ratio by position of the joint; later entries win."""
-    result: dict[int, float] = {}
+def _ratios(stated: Mapping[str, float], joints: Sequence[str]) -> dict[str, float]:
+    """Gear ratio by joint; later entries win."""
+    result: dict[str, float] = {}
     for pattern, ratio in stated.items():
         found = matching(pattern, joints)
         if not found:
             raise OptionError(
-                f"no joint of the chain matches '{pattern}'{nearest(pattern, joints)}",
+                f"no joint of the robot matches '{pattern}'{nearest(pattern, joints)}",
                 column="gear_ratios",
                 allowed=", ".join(joints),
             )
-        result.update(dict.fromkeys(found, ratio))
+        result.update({joints[k]: ratio for k in found})
     return result

@@ -8,9 +8,7 @@ place of the tool only.
 
 from __future__ import annotations
 
-from collections.abc import Mapping
 from dataclasses import dataclass, replace
-from xml.etree import ElementTree
 
 import numpy as np
 import pinocchio as pin
@@ -55,17 +53,16 @@ class Skeleton:
         self.links = robot.links
         self._base = robot.links.index(base)
         self._frames = [model.getFrameId(k, pin.FrameType.BODY) for k in self.links]
-        mimics = _mimics(robot)
         single = [j for j in range(1, model.njoints) if model.nvs[j] == 1]
-        own = [joint for joint in single if model.names[joint] not in mimics]
+        still = {*robot.mimics, *robot.refused}
+        own = [joint for joint in single if model.names[joint] not in still]
         self.joints: tuple[str, ...] = tuple(str(model.names[j]) for j in own)
         # Joint, the one of `joints` whose position it takes, factor, and offset.
         self._driven = [(joint, k, 1.0, 0.0) for k, joint in enumerate(own)]
-        for joint in set(single) - set(own):
-            leader, factor, offset = mimics[model.names[joint]]
-            if leader in self.joints:
-                place = self.joints.index(leader)
-                self._driven.append((joint, place, factor, offset))
+        for name, mimic in robot.mimics.items():
+            place = self.joints.index(mimic.leader)
+            joint = model.getJointId(name)
+            self._driven.append((joint, place, mimic.factor, mimic.offset))
         kinds = [model.joints[j].shortname() for j in own]
         self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
         start = [model.idx_qs[j] for j in own]
@@ -94,18 +91,6 @@ class Skeleton:
         pin.framesForwardKinematics(model, data, full)
         T = np.array([data.oMf[frame].homogeneous for frame in self._frames])
         return np.asarray(invert(T[self._base]) @ T)
-
-
-def _mimics(robot: Robot) -> Mapping[str, tuple[str, float, float]]:
-    """Joints that follow others: of which one, factor and offset, by name."""
-    result = {}
-    for joint in ElementTree.fromstring(robot.source).iterfind("joint"):
-        mimic = joint.find("mimic")
-        if mimic is not None:
-            factor, offset = mimic.get("multiplier", "1"), mimic.get("offset", "0")
-            leader = mimic.get("joint", "")
-            result[joint.get("name", "")] = leader, float(factor), float(offset)
-    return result
 
 
 STEPS = 20

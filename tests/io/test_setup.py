@@ -18,6 +18,7 @@ from calib_pin.setup import (
     AnchorSetup,
     Ball,
     CameraSetup,
+    ChainSetup,
     Cone,
     DistanceSetup,
     FrameSetup,
@@ -31,6 +32,7 @@ from calib_pin.setup import (
     Setup,
     SolverSetup,
     SphereSetup,
+    ToolSetup,
 )
 
 
@@ -61,11 +63,21 @@ FULL = """\
 # every key there is
 base: base_link
 tip: "tool0"
+chains:
+  left: {tip: left_hand}
+  touch: {base: left_hand, tip: right_finger}
 model: position+fixed-point
 parameters: [placement, joint-offset]
 frames:
   base: {estimate: true}
   tool: {xyz: [0, 0, 0.1], rpy: [0, -1.5, 1e-5], estimate: false}
+stations:
+  day1: {xyz: [1, 0, 0], rpy: [0, 0, 3], estimate: true}
+  day2: {}
+tools:
+  probe: {xyz: [0, 0, 0.1], estimate: true}
+  stylus: {on: probe, xyz: [0, 0, 0.05], rpy: [0, 1.5, 0], estimate: false}
+  cap: {on: stylus}
 planes:
   wall: {normal: [0, 1, 4.6], offset: -0.69, estimate: false}
   floor:
@@ -132,10 +144,23 @@ def test_every_key(write):
     assert read_setup(write(FULL)) == Setup(
         base="base_link",
         tip="tool0",
+        chains={
+            "left": ChainSetup("left_hand"),
+            "touch": ChainSetup("right_finger", "left_hand"),
+        },
         model="position+fixed-point",
         parameters=("placement", "joint-offset"),
         base_frame=FrameSetup(estimate=True),
         tool_frame=FrameSetup((0.0, 0.0, 0.1), (0.0, -1.5, 1e-5), False),
+        stations={
+            "day1": FrameSetup((1.0, 0.0, 0.0), (0.0, 0.0, 3.0), True),
+            "day2": FrameSetup(),
+        },
+        tools={
+            "probe": ToolSetup((0.0, 0.0, 0.1), estimate=True),
+            "stylus": ToolSetup((0.0, 0.0, 0.05), (0.0, 1.5, 0.0), False, "probe"),
+            "cap": ToolSetup(on="stylus"),
+        },
         planes={
             "wall": PlaneSetup((0.0, 1.0, 4.6), -0.69, False),
             "floor": PlaneSetup((0.0, 0.0, 1.0), 0.0, True),
@@ -338,9 +363,9 @@ def test_what_is_not_a_number(bad, written):
 
 
 KEYS = (
-    "base, tip, model, parameters, learned, frames, planes, targets, sockets, spheres, "
-    "anchors, camera, distances, joints, gravity, payloads, gear_ratios, fixed, "
-    "bounds, prior"
+    "base, tip, chains, model, parameters, learned, frames, stations, tools, planes, "
+    "targets, sockets, spheres, anchors, camera, distances, joints, gravity, payloads, "
+    "gear_ratios, fixed, bounds, prior"
 )
 
 
@@ -675,6 +700,52 @@ KEYS = (
         (
             "payloads: {'': {mass: 1, com: [0, 0, 0]}}",
             dict(line=1, reason="cannot have this name"),
+        ),
+        # Chains, stations and tools.
+        (
+            "chains:\n  world: {tip: a}\n",
+            dict(line=2, reason="'chains.world'", allowed="any name but world, which"),
+        ),
+        *(
+            (f"{key}: {{' ': {{{rest}}}}}", dict(line=1, reason=f"'{key}. ' cannot"))
+            for key, rest in (("chains", "tip: a"), ("stations", ""), ("tools", ""))
+        ),
+        (
+            "chains:\n  left: {base: a}\n",
+            dict(line=2, reason="'chains.left.tip' is missing"),
+        ),
+        (
+            "chains:\n  left: {base: a, tip: a}\n",
+            dict(line=2, reason="'chains.left'", allowed="two different links"),
+        ),
+        (
+            "chains: {left: {tip: a, bas: b}}",
+            dict(line=1, reason="did you mean 'base'", allowed="tip, base"),
+        ),
+        (
+            "stations: {day1: {on: probe}}",
+            dict(line=1, reason="'stations.day1.on'", allowed="xyz, rpy, estimate"),
+        ),
+        (
+            "tools:\n  probe: {}\n  tip:\n    on: prob\n",
+            dict(
+                line=4,
+                value="prob",
+                reason=("'tools.tip.on' is no other tool", "did you mean 'probe'"),
+                allowed="probe",
+            ),
+        ),
+        (
+            "tools: {a: {on: a}}",
+            dict(line=1, value="a", reason="'tools.a.on'", allowed=None),
+        ),
+        (
+            "tools:\n  d: {on: a}\n  a: {on: b}\n  b: {on: c}\n  c: {on: a}\n",
+            dict(line=3, value="b", reason="'tools.a' carries itself"),
+        ),
+        (
+            "tools:\n  a: {}\n  b: {on: a, estimate: true}\n",
+            dict(line=3, reason="'tools.b'", allowed="estimate: true only without on"),
         ),
         (
             "spheres: {a: {radius: 0}}",

@@ -30,6 +30,7 @@ from calib_pin.io.urdf import (
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.joint_space import Mimic
 
 ARM = b"""<?xml version="1.0"?>
 <robot name="arm">
@@ -158,9 +159,15 @@ def test_corpus(example_robot: Path, capfd: pytest.CaptureFixture[str]) -> None:
     assert robot.file == str(path)
     assert robot.source == path.read_bytes()
     assert robot.links == tuple(link.get("name") for link in links)
-    mimics = {name for name, j in joints.items() if j.find("mimic") is not None}
-    assert set(robot.refused) == mimics
     fixed = {name for name, j in joints.items() if j.get("type") == "fixed"}
+    mimics = {
+        name: mimic.get("joint")
+        for name, joint in joints.items()
+        if name not in fixed and (mimic := joint.find("mimic")) is not None
+    }
+    # The leaders in the hands of Alex do not exist.
+    assert {*robot.refused, *robot.mimics} == set(mimics)
+    assert set(robot.refused) == {k for k, v in mimics.items() if v not in joints}
     assert set(robot.fixed_parents.values()) == fixed
 
     unit = {name: pin.SE3.Identity() for name in joints}
@@ -471,13 +478,52 @@ def test_robot_fields(refused: Callable[..., Any]) -> None:
     assert robot.links == ("a", "b", "c", "m", "w", "p")
     assert robot.leaves == ("m", "w", "p")
     assert robot.fixed_parents == {"c": "f"}
-    assert robot.refused == {
-        "mimicking": "a mimic joint",
-        "free": "a floating joint",
-        "flat": "a planar joint",
+    assert robot.refused == {"free": "a floating joint", "flat": "a planar joint"}
+    with refused(RobotError, reason="'free' between 'a' and 'w' is a floating joint"):
+        Chain(robot, tip="w")
+
+
+def mimicking(*joints: tuple[str, str]) -> bytes:
+    """A robot whose joints, one behind another, have what is written inside."""
+    lines = ['<robot name="r">', *(f'<link name="l{k}"/>' for k in range(9))]
+    for k, (name, inside) in enumerate(joints):
+        lines.append(
+            f'<joint name="{name}" type="continuous"><parent link="l{k}"/>'
+            f'<child link="l{k + 1}"/>{inside}</joint>'
+        )
+    for k in range(len(joints) + 1, 9):
+        lines.append(
+            f'<joint name="f{k}" type="fixed"><parent link="l0"/><child link="l{k}"/>'
+            "</joint>"
+        )
+    return "\n".join([*lines, "</robot>"]).encode()
+
+
+def test_mimic_joints() -> None:
+    source = mimicking(
+        ("third", '<mimic joint="second" multiplier="-0.5" offset="1"/>'),
+        ("second", '<mimic joint="first" multiplier="2" offset="0.25"/>'),
+        ("first", ""),
+        ("plain", '<mimic joint="first"/>'),
+        ("round", '<mimic joint="about"/>'),
+        ("about", '<mimic joint="round"/>'),
+        ("onto", '<mimic joint="round"/>'),
+        ("stuck", '<mimic joint="f8"/>'),
+    )
+    robot = parse_robot(source, "r.urdf")
+    # -0.5 (2 q + 0.25) + 1: a mimic of a mimic follows the joint with the drive.
+    assert robot.mimics == {
+        "third": Mimic("first", -1.0, 0.875),
+        "second": Mimic("first", 2.0, 0.25),
+        "plain": Mimic("first"),
     }
-    with refused(RobotError, reason="'mimicking' between 'a' and 'm' is a mimic"):
-        Chain(robot, tip="m")
+    assert set(robot.refused) == {"round", "about", "onto", "stuck"}
+
+
+@pytest.mark.parametrize("key", ["multiplier", "offset"])
+def test_mimic_joints_that_cannot_be_read(key: str, bad: Callable[..., None]) -> None:
+    source = mimicking(("a", ""), ("b", f'<mimic joint="a" {key}="two"/>'))
+    bad(source, line=12, value="two", reason=f"{key} in the <mimic> of joint 'b'")
 
 
 def test_bundled_robots_load() -> None:

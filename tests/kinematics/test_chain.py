@@ -71,9 +71,12 @@ def test_poses_agree_with_yourdfpy(
     # Joints outside a chain, and above both its ends, move too.
     q = {name: rng.uniform(-1.5, 1.5) for name in list(robot.model.names)[1:]}
     q = {name: value for name, value in q.items() if name not in robot.refused}
+    driven = {name: value for name, value in q.items() if name not in robot.mimics}
+    for name, mimic in robot.mimics.items():
+        q[name] = mimic.factor * q[mimic.leader] + mimic.offset
     chains = some_chains(robot, rng)
     frames = [(chain.base, chain.tip) for chain in chains]
-    expected = independent_poses(robot.source, q, frames)
+    expected = independent_poses(robot.source, driven, frames)
     for chain, pose in zip(chains, expected, strict=True):
         found = chain.poses(np.array([[q[name] for name in chain.joints]]))
         np.testing.assert_allclose(found, [pose], rtol=0, atol=1e-9)
@@ -569,7 +572,8 @@ def test_limits_run_along_the_chain() -> None:
     [
         ({"type": "floating"}, "a floating joint"),
         ({"type": "planar"}, "a planar joint"),
-        ({"more": '<mimic joint="j1"/>'}, "a mimic joint"),
+        ({"more": '<mimic joint="j"/>'}, "a mimic joint without a driven leader"),
+        ({"more": '<mimic joint="j10"/>'}, "a mimic joint without a driven leader"),
     ],
 )
 @pytest.mark.parametrize(("base", "tip"), [("a", "d"), ("d", "a"), ("e", "d")])
@@ -632,10 +636,26 @@ def test_no_moving_joint(
     joint = {"name": "j", "parent": "a", "child": "b"}
     with refused(RobotError, "no moving joint between 'a' and 'b'", file="test.urdf"):
         chain_of(urdf_of({**joint, "type": "fixed"}))
-    with refused(RobotError, "no moving joint between 'a' and 'a'"):
-        chain_of(urdf_of(joint), "a", "a")
     with refused(RobotError, "0 possible tips"):
         chain_of(urdf_of(joint), "b")
+
+
+def test_a_link_stands_still_in_itself(heavy_urdf: str, chain_of: ChainOf) -> None:
+    q = np.zeros((3, 0))
+    for link in ("a", "c", "tool"):
+        chain = chain_of(heavy_urdf, link, link)
+        assert (chain.joints, chain.tip_joint) == ((), None)
+        still = np.tile(np.eye(4), (3, 1, 1))
+        np.testing.assert_allclose(chain.poses(q), still, rtol=0, atol=1e-15)
+        for derivatives in (chain.regressor, chain.jacobian):
+            T, J = derivatives(q)
+            np.testing.assert_array_equal(T, chain.poses(q))
+            assert J.shape == (3, 6, 0)
+        assert chain.gravity_torques(q, GRAVITY, LOAD).shape == (3, 0)
+        assert chain.joint_frames().shape == (0, 4, 4)
+        assert chain.motions.shape == (0, 6)
+        drawn = chain.random_configurations(3, np.random.default_rng(0))
+        assert drawn.shape == (3, 0)
 
 
 def test_single_link() -> None:

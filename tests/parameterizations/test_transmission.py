@@ -191,8 +191,8 @@ def test_a_gear_ratio_of_no_joint(
     arm: str, chain_of: ChainOf, refused: Callable[..., Any]
 ) -> None:
     chain = chain_of(arm, "l1", "l3")
-    with refused(OptionError, "'j3'", column="gear_ratios", allowed="j1, j2"):
-        Transmission({"j1": 5.0, "j3": 80.0}).screws(chain)
+    with refused(OptionError, "'j4'", column="gear_ratios", allowed="j1, j2"):
+        Transmission({"j1": 5.0, "j4": 80.0}).screws(chain)
     setup = Setup(
         parameters=("transmission",), gear_ratios={"elbow": 2.0}, file="s.yaml"
     )

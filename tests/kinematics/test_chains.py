@@ -1,0 +1,217 @@
+"""Several chains of one tree: their names, their joints, mimic joints among them."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import RobotError
+from calib_pin.io.urdf import load_chain, load_chains, load_robot
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import invert
+from calib_pin.setup import WORLD, ChainSetup
+
+LEFT, RIGHT = "gripper_left_base_link", "gripper_right_base_link"
+
+
+@pytest.fixture(scope="module")
+def talos() -> Robot:
+    return load_robot("example:talos_reduced")
+
+
+@pytest.fixture
+def hand(urdf_of: Callable[..., str]) -> Robot:
+    """A wrist that carries two fingers, both driven by a knob on another branch.
+
+    The first finger slides; the second follows the first. Each behind its mimic joint
+    has a joint of its own.
+    """
+    joints: tuple[dict[str, Any], ...] = (
+        {"name": "wrist", "parent": "base", "child": "palm"},
+        {
+            "name": "slide",
+            "parent": "palm",
+            "child": "thumb",
+            "type": "prismatic",
+            "axis": (0, 1, 0),
+            "limits": (0.0, 0.1),
+            "more": '<mimic joint="knob" multiplier="0.05" offset="0.02"/>',
+        },
+        {
+            "name": "turn",
+            "parent": "palm",
+            "child": "finger",
+            "axis": (1, 0, 0),
+            "limits": (-9.0, 9.0),
+            "more": '<mimic joint="slide" multiplier="-20" offset="0.3"/>',
+        },
+        {"name": "end", "parent": "finger", "child": "nail"},
+        {"name": "knob", "parent": "base", "child": "dial", "limits": (-1.0, 3.0)},
+    )
+    return parse_robot(urdf_of(*joints).encode(), "hand.urdf")
+
+
+def test_a_single_chain() -> None:
+    chain = load_chain("example:tiago_no_hand", tip="arm_7_link")
+    chains = Chains.of(chain)
+    assert chains[""] is chain
+    assert Chains.of(chains) is chains
+    assert (chains.names, chains.joints) == (("",), chain.joints)
+    assert chains.columns("").tolist() == list(range(len(chain.joints)))
+    for name in ("revolute", "lower", "upper"):
+        np.testing.assert_array_equal(getattr(chains, name), getattr(chain, name))
+    np.testing.assert_array_equal(
+        chains.random_configurations(5, np.random.default_rng(2)),
+        chain.random_configurations(5, np.random.default_rng(2)),
+    )
+    # The order is that of the chain, which here runs up the tree; nothing else moves.
+    back = Chain(chain.robot, chain.tip, chain.base)
+    assert Chains.of(back).named(("", WORLD)).joints == back.joints
+
+
+def test_joints_of_several_chains(talos: Robot) -> None:
+    names = (LEFT, "", "touch", WORLD, RIGHT, LEFT)
+    stated = {"touch": ChainSetup(RIGHT, LEFT)}
+    chains = Chains(talos, tip="head_2_link", stated=stated, names=names)
+    assert chains.names == (LEFT, "", "touch", WORLD, RIGHT)
+    places = [talos.model.getJointId(joint) for joint in chains.joints]
+    assert places == sorted(set(places))
+    used = {joint for name in chains.names for joint in chains[name].joints}
+    assert set(chains.joints) == used
+    q = chains.random_configurations(4, np.random.default_rng(0))
+    for name in chains.names:
+        part = np.array(chains.joints, str)[chains.columns(name)]
+        assert tuple(part) == chains[name].joints
+        np.testing.assert_array_equal(
+            chains.lower[chains.columns(name)], chains[name].lower
+        )
+    left, right, touch = (
+        chains[name].poses(q[:, chains.columns(name)])
+        for name in (LEFT, RIGHT, "touch")
+    )
+    np.testing.assert_allclose(touch, invert(left) @ right, rtol=0, atol=1e-12)
+    assert chains["touch"].base == LEFT
+
+
+def test_the_base_of_chains(talos: Robot) -> None:
+    stated = {"a": ChainSetup(LEFT), "b": ChainSetup(LEFT, "torso_1_link")}
+    names = ("a", "b", RIGHT, WORLD)
+    chains = Chains(talos, "torso_2_link", stated=stated, names=names)
+    bases = [chains[name].base for name in names]
+    assert bases == ["torso_2_link", "torso_1_link", "torso_2_link", "torso_2_link"]
+    # What a robot measures of its own by default is asked for only where it is named.
+    assert Chains(talos, stated=stated, names=("a", WORLD))[WORLD].tip == talos.root
+
+
+def test_other_names(talos: Robot) -> None:
+    chains = Chains(talos, stated={"left": ChainSetup(LEFT)}, names=("left",))
+    more = chains.named(("left", RIGHT))
+    assert more["left"] is chains["left"]
+    assert set(more.joints) > set(chains.joints)
+    assert chains.names == ("left",)
+
+
+def test_a_stated_chain_may_have_the_name_of_a_link(talos: Robot) -> None:
+    stated = {LEFT: ChainSetup(RIGHT)}
+    assert Chains(talos, stated=stated, names=(LEFT,))[LEFT].tip == RIGHT
+
+
+def test_names_that_cannot_be_used(
+    talos: Robot, hand: Robot, refused: Callable[..., Any]
+) -> None:
+    with refused(RobotError, ["'gripper_lft_base_link'", f"'{LEFT}'"], allowed=None):
+        Chains(talos, names=("gripper_lft_base_link",))
+    stated = {"left": ChainSetup("nail")}
+    everything = "world, left, base, palm, thumb, finger, nail, dial"
+    with refused(RobotError, "mean 'left'?", allowed=everything, file="hand.urdf"):
+        Chains(hand, stated=stated, names=("lefd",))
+    with refused(RobotError, "no link 'nil' for the tip"):
+        Chains(hand, stated={"left": ChainSetup("nil")}, names=("left",))
+    with refused(RobotError, "3 possible tips"):
+        Chains(hand)
+    with refused(RobotError, "'world' is the name of what stands still"):
+        Chains(hand, stated={WORLD: ChainSetup("nail")}, names=("nail",))
+    for arguments in ({"tip": "base"}, {"names": ("base",)}):
+        with refused(RobotError, "ends at its base 'base'", allowed="world"):
+            Chains(hand, **arguments)
+    with refused(RobotError, "ends at its base 'panda_link1'"):
+        load_chain("example:panda", base="panda_link1", tip="panda_link1")
+
+
+# Mimic joints.
+
+
+def test_a_leader_outside_the_chains(hand: Robot) -> None:
+    chains = Chains(hand, names=("nail",))
+    assert chains["nail"].joints == ("wrist", "turn", "end")
+    assert chains.joints == ("wrist", "turn", "end", "knob")
+    assert list(chains.mimics) == list(chains["nail"].mimics) == ["turn"]
+    assert chains.columns("nail").tolist() == [0, 1, 2]
+    # -20 (0.05 q + 0.02) + 0.3
+    followed = chains.follow(np.array([[1.0, 9.0, 2.0, 0.5], [0.0, 0.0, 0.0, -1.0]]))
+    np.testing.assert_allclose(
+        followed, [[1.0, -0.6, 2.0, 0.5], [0.0, 0.9, 0.0, -1.0]], rtol=0, atol=1e-15
+    )
+    both = chains.named(("nail", "thumb"))
+    assert both.joints == tuple(k for k in hand.model.names if k in both.joints)
+    assert set(both.joints) == {"wrist", "slide", "turn", "end", "knob"}
+
+
+def test_limits_of_leaders_and_of_those_that_follow(hand: Robot) -> None:
+    chains = Chains(hand, names=("nail", "thumb"))
+    ends = np.column_stack([chains.lower, chains.upper])
+    limits = dict(zip(chains.joints, ends, strict=True))
+    # The slide, 0.05 q + 0.02, ends at 0 and 0.1; the turn is -q - 0.1.
+    expected = {"slide": (0.0, 0.1), "knob": (-0.4, 1.6), "turn": (-1.7, 0.3)}
+    for name, pair in expected.items():
+        np.testing.assert_allclose(limits[name], pair, rtol=0, atol=1e-12)
+    q = chains.random_configurations(500, np.random.default_rng(0))
+    np.testing.assert_array_equal(q, chains.follow(q))
+    assert ((chains.lower - 1e-12 <= q) & (q <= chains.upper + 1e-12)).all()
+    assert (np.ptp(q, axis=0) > 0.97 * (chains.upper - chains.lower)).all()
+    # Where nothing slides, the knob goes from -1 to 3.
+    alone = Chain(hand, tip="nail")
+    np.testing.assert_allclose(alone.lower, [-2.0, -3.1, -2.0], rtol=0, atol=1e-12)
+    np.testing.assert_allclose(alone.upper, [2.0, 0.9, 2.0], rtol=0, atol=1e-12)
+
+
+def test_limits_that_a_mimic_joint_never_keeps(urdf_of: Callable[..., str]) -> None:
+    follower = {"name": "b", "parent": "m", "child": "e", "limits": (5.0, 6.0)}
+    text = urdf_of(
+        {"name": "a", "parent": "s", "child": "m", "limits": (-1.0, 2.0)},
+        {**follower, "more": '<mimic joint="a" multiplier="-2"/>'},
+    )
+    chain = Chain(parse_robot(text.encode(), "r.urdf"))
+    assert (chain.lower.tolist(), chain.upper.tolist()) == ([-1.0, -4.0], [2.0, 2.0])
+    q = chain.random_configurations(9, np.random.default_rng(0))
+    np.testing.assert_array_equal(q[:, 1], -2.0 * q[:, 0])
+
+
+@pytest.mark.parametrize(
+    ("robot", "base", "tip"),
+    [
+        ("example:panda", "panda_leftfinger", "panda_rightfinger"),
+        ("example:panda", None, "panda_rightfinger"),
+        ("example:talos_full_v2", None, "gripper_left_fingertip_3_link"),
+        ("example:baxter", None, "r_gripper_r_finger_tip"),
+    ],
+)
+def test_mimic_joints_of_real_robots(
+    robot: str, base: str | None, tip: str, independent_poses: Callable[..., Any]
+) -> None:
+    chains = load_chains(robot, base=base, tip=tip)
+    chain = chains[""]
+    assert chains.mimics
+    q = chains.random_configurations(3, np.random.default_rng(4))
+    for row, pose in zip(q, chain.poses(q[:, chains.columns("")]), strict=True):
+        # yourdfpy moves them by itself.
+        named = dict(zip(chains.joints, row, strict=True))
+        driven = {k: value for k, value in named.items() if k not in chains.mimics}
+        source = chain.robot.source
+        (expected,) = independent_poses(source, driven, [(chain.base, chain.tip)])
+        np.testing.assert_allclose(pose, expected, rtol=0, atol=1e-12)

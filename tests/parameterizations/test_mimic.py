@@ -1,0 +1,216 @@
+"""Errors of joints that follow another: their leader's, by the factor of each."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.io.urdf import load_chains
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.parameterizations import PARAMETERIZATIONS, drives
+from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.setup import Payload, Setup
+
+SETUP = Setup(
+    gravity=(1.0, -2.0, -9.5),
+    payloads={"load": Payload(2.0, (0.05, -0.1, 0.2))},
+    gear_ratios={"*": -31.5},
+)
+MOTIONS = ("joint-offset", "transmission", "compliance")
+
+
+@pytest.fixture(scope="module")
+def arm(urdf_of: Callable[..., str]) -> Chains:
+    """A chain of five joints: a leader, two that follow it, and one that stands still.
+
+    One of those that follow slides and moves by meters per radian.
+    """
+
+    def joint(name: str, k: int, mimic: str = "", **more: Any) -> dict[str, Any]:
+        rng = np.random.default_rng(k)
+        return {
+            "name": name,
+            "parent": f"l{k}",
+            "child": f"l{k + 1}",
+            "placement": pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-1, 1, 3)),
+            "axis": (0, 0.6, 0.8),
+            "mass": (1.0 + k, tuple(rng.uniform(-0.3, 0.3, 3))),
+            "more": mimic,
+            **more,
+        }
+
+    joints = (
+        joint("lead", 0),
+        joint("turn", 1, '<mimic joint="lead" multiplier="-0.5" offset="0.2"/>'),
+        joint("free", 2),
+        joint("still", 3, '<mimic joint="free" multiplier="0" offset="0.3"/>'),
+        joint(
+            "slide",
+            4,
+            '<mimic joint="turn" multiplier="-0.4" offset="0.1"/>',
+            type="prismatic",
+        ),
+    )
+    return Chains(parse_robot(urdf_of(*joints).encode(), "arm.urdf"))
+
+
+def amounts(model: ErrorModel, size: float, seed: int = 0) -> Floats:
+    """Random values of the parameters, the same for all screws of one."""
+    drawn = np.random.default_rng(seed).normal(size=len(model.parameters))
+    values = dict(zip(model.parameters.names, drawn, strict=True))
+    return size * model.parameters.vector(values) * model.parameters.scales
+
+
+def test_drives(arm: Chains) -> None:
+    found = [(d.joint, d.unit, d.frame, d.factor, d.offset) for d in drives(arm[""])]
+    assert found == [
+        ("lead", "rad", 1, 1.0, 0.0),
+        ("lead", "rad", 2, -0.5, 0.2),
+        ("free", "rad", 3, 1.0, 0.0),
+        # -0.4 (-0.5 q + 0.2) + 0.1
+        ("lead", "rad", 5, 0.2, pytest.approx(0.02)),
+    ]
+
+
+@pytest.mark.parametrize("name", MOTIONS)
+def test_one_parameter_of_all_that_follow(name: str, arm: Chains) -> None:
+    model = ErrorModel.create(arm[""], [name], setup=SETUP)
+    robot = [s.parameter for s in model.screws if not s.parameter.nuisance]
+    owners = [p.name.split(".")[0] for p in robot]
+    assert {k: owners.count(k) for k in set(owners)} == {
+        "lead": 3 * owners.count("free"),
+        "free": owners.count("free"),
+    }
+    assert len(set(robot)) == len({p.name for p in robot})
+
+
+@pytest.mark.parametrize("name", sorted(set(PARAMETERIZATIONS) - set(MOTIONS)))
+def test_their_placements_are_their_own(name: str, arm: Chains) -> None:
+    names = ErrorModel.create(arm[""], [name], setup=SETUP).parameters.names
+    assert len(set(names)) == len(names)
+    joints = {joint.split(".")[0] for joint in names} - {"base", "tool"}
+    assert joints == set(arm[""].joints)
+
+
+def test_an_offset_of_the_drive_moves_all(arm: Chains) -> None:
+    model = ErrorModel.create(arm[""], ["joint-offset"])
+    q = arm.random_configurations(5, np.random.default_rng(1))
+    values = {"lead.joint-offset.q": 0.01, "free.joint-offset.q": -0.02}
+    moved = arm.follow(q + np.array([0.01, 0.0, -0.02, 0.0, 0.0]))
+    np.testing.assert_allclose(
+        model.poses(q, model.parameters.vector(values)),
+        arm[""].poses(moved),
+        rtol=0,
+        atol=1e-13,
+    )
+
+
+def test_errors_of_the_gear_of_the_drive_move_all(arm: Chains) -> None:
+    model = ErrorModel.create(arm[""], ["transmission"], setup=SETUP)
+    q = arm.random_configurations(5, np.random.default_rng(1))
+    values = {
+        "lead.transmission.gain": 0.01,
+        "lead.transmission.cos1": 0.02,
+        "lead.transmission.sin2": -0.03,
+        "lead.transmission.motor_sin": 0.004,
+    }
+    drive = q[:, 0]
+    dq = 0.01 * drive + 0.02 * np.cos(drive) - 0.03 * np.sin(2 * drive)
+    dq += 0.004 * np.sin(-31.5 * drive)
+    expected = arm.follow(np.column_stack([drive + dq, q[:, 1:]]))
+    found = model.joint_positions(q, model.parameters.vector(values))
+    np.testing.assert_allclose(found, expected, rtol=0, atol=1e-13)
+
+
+def test_a_drive_gives_way_to_all_that_it_holds(arm: Chains) -> None:
+    chain, load = arm[""], SETUP.payloads["load"]
+    model = ErrorModel.create(chain, ["compliance"], setup=SETUP)
+    q = arm.random_configurations(4, np.random.default_rng(1))
+    theta = model.parameters.vector({"lead.compliance.k": 1e-3})
+    dq = model.joint_positions(q, theta) - q
+    # Virtual work: the torque is the slope of the potential along the drive's way.
+    robot = chain.robot.model.copy()
+    robot.gravity.linear = np.array(SETUP.gravity)
+    mass = pin.Inertia(load.mass, np.array(load.com), np.zeros((3, 3)))
+    tip = robot.frames[robot.getFrameId(chain.tip, pin.FrameType.BODY)]
+    robot.appendBodyToJoint(tip.parentJoint, mass, tip.placement)
+    data, step = robot.createData(), 1e-5
+
+    def potential(by: float) -> Floats:
+        moved = arm.follow(q + np.array([by, 0, 0, 0, 0]))
+        return np.array([pin.computePotentialEnergy(robot, data, row) for row in moved])
+
+    torque = (potential(-step) - potential(step)) / (2.0 * step)
+    assert np.abs(torque).min() > 0.5
+    factors = np.array([1.0, -0.5, 0.0, 0.0, 0.2])
+    # Energies of some 100 J have 1e-14 J of rounding, which the step makes 1e-9 Nm.
+    np.testing.assert_allclose(dq, 1e-3 * np.outer(torque, factors), atol=1e-10)
+
+
+@pytest.mark.parametrize("ends", [(None, None), ("l5", "l0"), ("l3", "l5")])
+@pytest.mark.parametrize("name", sorted(PARAMETERIZATIONS))
+def test_the_sum_of_columns_is_the_derivative(
+    name: str, ends: tuple[str | None, str | None], arm: Chains
+) -> None:
+    chains = Chains(arm.robot, *ends)
+    model = ErrorModel.create(chains[""], [name], setup=SETUP)
+    q = chains.random_configurations(3, np.random.default_rng(2))
+    q = q[:, chains.columns("")]
+    theta = amounts(model, 5.0)
+    _, J = model.jacobian(q, theta)
+    names = np.array(model.parameters.names)
+    for parameter in set(names):
+        mine = names == parameter
+        scale = model.parameters.scales[mine][0]
+        step = 1e-3 * scale if scale < 1.0 else 1e-5
+        ahead, behind = (model.poses(q, theta + by * mine) for by in (step, -step))
+        for i in range(len(q)):
+            twist = pin.log6(pin.SE3(behind[i]).actInv(pin.SE3(ahead[i]))).vector
+            found = J[i][:, mine].sum(axis=1)
+            # Rounding of 1e-15 over the step, and a third-order remainder.
+            atol = 1e-13 / step + 1e-8 * np.abs(found).max()
+            np.testing.assert_allclose(found, twist / (2 * step), rtol=0, atol=atol)
+
+
+def test_from_a_mimic_joint_without_its_leader(arm: Chains) -> None:
+    """The position of the drive follows from that of the joint."""
+    part = Chains(arm.robot, "l1", "l2")
+    assert part[""].joints == ("turn",)
+    q = arm.random_configurations(3, np.random.default_rng(0))
+    whole = ErrorModel.create(arm[""], ["transmission"], setup=SETUP)
+    model = ErrorModel.create(part[""], ["transmission"], setup=SETUP)
+    values = {"lead.transmission.sin1": 0.01, "lead.transmission.motor_cos": 0.002}
+    moved = model.joint_positions(q[:, 1:2], model.parameters.vector(values))
+    expected = whole.joint_positions(q, whole.parameters.vector(values))[:, 1:2]
+    np.testing.assert_allclose(moved, expected, rtol=0, atol=1e-13)
+
+
+@pytest.mark.parametrize("name", sorted(PARAMETERIZATIONS))
+def test_what_stands_still_has_frames_alone(name: str, arm: Chains) -> None:
+    chain = arm.named(("world",))["world"]
+    model = ErrorModel.create(chain, [name], setup=SETUP)
+    assert all(parameter.nuisance for parameter in model.parameters)
+    q, theta = np.zeros((2, 0)), np.linspace(-0.3, 0.4, 12)
+    T, J = model.jacobian(q, theta)
+    np.testing.assert_array_equal(T, model.poses(q, theta))
+    for k in range(12):
+        step = 1e-5 * np.eye(12)[k]
+        ahead, behind = (model.poses(q, theta + by)[0] for by in (step, -step))
+        twist = pin.log6(pin.SE3(behind).actInv(pin.SE3(ahead))).vector / 2e-5
+        np.testing.assert_allclose(J[0, :, k], twist, rtol=0, atol=1e-9)
+    T, J = model.kinematics(q, theta)
+    assert (T.shape, J.shape) == ((2, 4, 4), (2, 6, 0))
+    assert model.linearize(q, theta).joint_twists().shape == (2, 6, 0)
+
+
+def test_fingers_of_a_real_robot() -> None:
+    chain = load_chains("example:panda", tip="panda_rightfinger")[""]
+    names = ErrorModel.create(chain, ["joint-offset", "transmission"]).parameters.names
+    assert "panda_finger_joint1.joint-offset.q" in names
+    assert not any("finger_joint2" in name for name in names)

@@ -221,7 +221,10 @@ def half_covariance(J: Floats, basis: Floats, parameters: ParameterSet) -> Float
         The factor, shape (P, rank).
     """
     scaled = parameters.scales[:, None] * basis
-    return np.asarray(scaled @ inverse_root(J @ scaled))
+    A = J @ scaled
+    # What nothing shows, or was eliminated, costs nothing.
+    used = A.any(axis=0)
+    return np.asarray(scaled[:, used] @ inverse_root(A[:, used]))
 
 
 def inverse_root(A: Floats) -> Floats:

@@ -21,12 +21,13 @@ from functools import cached_property
 import numpy as np
 
 from calib_pin.estimation.directions import Directions, half_covariance
+from calib_pin.estimation.elimination import own_deviations, with_response
 from calib_pin.estimation.evidence import Outlier, VarianceComponent
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem, expecting
 from calib_pin.estimation.shrinkage import Evidence
 from calib_pin.estimation.solve import Solution
-from calib_pin.estimation.statistics.systematic import ROWS, Systematic
+from calib_pin.estimation.statistics.systematic import ROWS, Systematic, sampled
 from calib_pin.estimation.statistics.variance_components import (
     REJECTED,
     by_quantity,
@@ -48,6 +49,8 @@ class Posterior:
         by_noise: Deviations of the parameters by independent noises of deviation one,
             shape (P, r).
         by_effects: The same by the effects of gears and compliance, shape (P, S).
+        by_station: The same of parameters that were eliminated, by the noise of their
+            own station, shape (P, k); in a column stations are independent.
         systematic: These effects; None for none.
         noise: Variance of a measured value of each quantity at a new configuration,
             relative to that of its row, shape (K,).
@@ -57,6 +60,7 @@ class Posterior:
     theta: Floats
     by_noise: Floats
     by_effects: Floats
+    by_station: Floats
     systematic: Systematic | None
     noise: Floats
 
@@ -64,7 +68,11 @@ class Posterior:
     def covariance(self) -> Floats:
         """Covariance of the parameters, shape (P, P)."""
         half = np.column_stack([self.by_noise, self.by_effects])
-        return np.asarray(half @ half.T)
+        result = half @ half.T
+        for own in self.problem.own_of_stations.values():
+            alone = self.by_station[own]
+            result[np.ix_(own, own)] += alone @ alone.T
+        return np.asarray(result)
 
     def twists(self, part: Part, q: Floats, J: Floats) -> Floats:
         """Deviations of the tool of a part as body twists, shape (N, 6, r + S).
@@ -111,6 +119,7 @@ def posterior(
         effects: The same of `systematic.rows`.
     """
     fun, jac = problem.factorize(theta) if known is None else known
+    stations = problem.stations(theta)
     basis, held = _held(problem, directions, size)
     half = half_covariance(np.concatenate([jac, held]), basis, problem.parameters)
     noise = np.ones(len(problem.layout.components))
@@ -135,7 +144,7 @@ def posterior(
         # Of very many rows a sample absorbs as much as all of them.
         few, J, inverse = problem, jac, half
         if len(problem.data) > ROWS:
-            few = replace(problem, data=problem.data.sample(ROWS))
+            few = replace(problem, data=sampled(problem))
             _, J = few.linearize_rows(theta)
             own = np.concatenate([J, held])
             inverse = half_covariance(own, basis, problem.parameters)
@@ -144,8 +153,11 @@ def posterior(
     return Posterior(
         problem=problem,
         theta=theta,
-        by_noise=half @ (vectors * np.sqrt(np.maximum(values, 0.0))),
+        by_noise=with_response(
+            stations, half @ (vectors * np.sqrt(np.maximum(values, 0.0)))
+        ),
         by_effects=by_effects,
+        by_station=own_deviations(stations, len(theta)),
         systematic=systematic,
         noise=noise,
     )
@@ -311,7 +323,7 @@ class Fit:
         """Residuals by effects that the model does not have, shape (M, S)."""
         if self.effects is None:
             return None
-        few = replace(self.problem, data=self.problem.data.sample(ROWS))
+        few = replace(self.problem, data=sampled(self.problem))
         return self.effects.rows(few, self.theta)
 
 
@@ -340,7 +352,11 @@ def posterior_about(
         fitted._by_effects if own else None,
     )
     # Without redundancy nobody knows.
-    return replace(found, by_noise=fitted.unit * found.by_noise)
+    return replace(
+        found,
+        by_noise=fitted.unit * found.by_noise,
+        by_station=fitted.unit * found.by_station,
+    )
 
 
 def likely_posteriors(fitted: Fit) -> tuple[Posterior, ...]:

@@ -16,10 +16,11 @@ from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis, visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
 from calib_pin.estimation.model import Configured, ToolPoses
-from calib_pin.estimation.problem import Problem, sigma_at
+from calib_pin.estimation.problem import Problem, representative, sigma_at
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
+from calib_pin.observations import BlockKey
 from calib_pin.parameterizations.linearization import PoseLinearization
 from calib_pin.solvers import LeastSquaresResult
 
@@ -71,14 +72,16 @@ def analyze_structure(
         The structure of the data alone, and the directions that the data or a prior
         let the robot move in, shape (P, r).
     """
-    blocks = len(problem.parts)
-    at = []
-    for key, part in problem.parts.items():
+    keys = representative(problem)
+    blocks, at = len(keys), []
+    parameters = len(problem.parameters) - len(_omitted(problem, keys))
+    for key in keys:
+        part = problem.parts[key]
         # Each quantity alone may have to show its structure.
         least = min(
             q.columns.stop - q.columns.start for q in part.measurement.quantities
         )
-        enough = -(-3 * len(problem.parameters) // (blocks * least))
+        enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
         at.append(observable_configurations(problem, key, theta, count, rng))
     found, J = structure_at(problem, theta, at)
@@ -101,7 +104,8 @@ def structure_at(
     """
     J = jacobian_at(problem, theta, at)
     count = sum(len(some.q) for some in at)
-    found = structure(J[: len(J) - problem.priors], problem.parameters, count)
+    shown = problem.parameters.without(_omitted(problem, [some.key for some in at]))
+    found = structure(J[: len(J) - problem.further.priors], shown, count)
     scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
     return replace(found, scaled=scaled), J
 
@@ -141,14 +145,14 @@ def scale_deviation(
     Returns:
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
-    free = problem.parameters.free
+    free = problem.parameters.free.copy()
+    free[_omitted(problem, [some.key for some in at])] = False
     scales = problem.parameters.scales
     twists, grown = [], []
-    bases = {part.scope.station: 0 for part in problem.parts.values()}
-    tools = {part.scope.tool: 0 for part in problem.parts.values()}
-    bases = {name: 6 * k for k, name in enumerate(bases)}
-    tools = {name: 6 * (k + len(bases)) for k, name in enumerate(tools)}
-    frames = 6 * (len(bases) + len(tools))
+    scopes = [problem.parts[some.key].scope for some in at]
+    ends = dict.fromkeys([*(s.station for s in scopes), *(s.tool for s in scopes)])
+    first_of = {name: 6 * k for k, name in enumerate(ends)}
+    frames = 6 * len(ends)
     for some in at:
         part = problem.parts[some.key]
         own = part.of_chain(some)
@@ -160,7 +164,7 @@ def scale_deviation(
         by_own = np.zeros((6 * count, len(part.index)))
         by_own[:, : len(of_robot)] = by_error.reshape(6 * count, -1)
         displaced = np.zeros((6 * count, frames))
-        first, last = bases[part.scope.station], tools[part.scope.tool]
+        first, last = first_of[part.scope.station], first_of[part.scope.tool]
         displaced[:, first : first + 6] = adjoint(invert(poses.to_base)).reshape(-1, 6)
         on_tool = part.scope.offset.toActionMatrixInverse()
         displaced[:, last : last + 6] = np.tile(on_tool, (count, 1))
@@ -182,6 +186,17 @@ def scale_deviation(
     # What rounding leaves of large terms is nothing noticed.
     least = EXPLAINED * float(np.linalg.norm(rows * z))
     return 1.0 / size if size > least else np.inf
+
+
+def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> list[int]:
+    """Parameters of stations that none of some blocks is measured from."""
+    used = {problem.parts[key].scope.station for key in keys}
+    return [
+        int(position)
+        for name, own in problem.own_of_stations.items()
+        if name not in used
+        for position in own
+    ]
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:

@@ -5,21 +5,24 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import NamedTuple, Protocol
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.layout import Layout
-from calib_pin.estimation.model import Model, ToolPoses, whitened_jacobian
+from calib_pin.estimation.elimination import (
+    Rows,
+    Station,
+    eliminate,
+    reduced,
+    station_parameters,
+)
+from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluator
+from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
-from calib_pin.estimation.system import Part, System
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import Linearization
-from calib_pin.observations import BlockKey, Measurements, Observations
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet
-from calib_pin.setup import Setup
 
 SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
@@ -29,6 +32,9 @@ EXACT = 1e-6
 """
 
 
+ALIKE = 2
+"""Stations of a kind that show what very many do; others only add frames."""
+
 MANY = 1_000_000
 """Entries of a Jacobian from which measurements go through the compiled kernels, in
 chunks.
@@ -37,129 +43,8 @@ Below, Pinocchio takes less time than loading the kernels.
 """
 
 
-class Evaluator(Protocol):
-    """The measurements of one block as a function of its parameters, shape (p,)."""
-
-    def errors(self, theta: Floats) -> Floats:
-        """Residuals in their units, predicted minus measured, shape (N, d)."""
-        ...
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        ...
-
-    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (M,), and Jacobian, (M, p), good for a step."""
-        ...
-
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The same to full precision, for decisions about ranks."""
-        ...
-
-
-class RowByRow:
-    """Measurements of a model by Pinocchio, a residual row for each value.
-
-    Args:
-        model: The model.
-        data: The measurements.
-        sigma: Standard deviations of the residual components, shape (N, d).
-    """
-
-    def __init__(self, model: Model, data: Measurements, sigma: Floats) -> None:
-        """Prepare nothing: what does not change is computed where it is needed."""
-        self._model, self._data, self._sigma = model, data, sigma
-
-    @cached_property
-    def _tool(self) -> ToolPoses:
-        return ToolPoses(self._model.error, self._data)
-
-    def errors(self, theta: Floats) -> Floats:
-        """Residuals in their units, shape (N, d)."""
-        of_robot, instrument = self._model.split(theta)
-        T = self._tool(of_robot)
-        return self._model.measurement.residual(T, instrument, self._data)
-
-    def residual(self, theta: Floats) -> Floats:
-        """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta), self._data, self._sigma)
-
-    def square(self, theta: Floats) -> float:
-        """Sum of squares of the whitened residuals."""
-        r = self.residual(theta)
-        return float(r @ r)
-
-    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
-        of_robot, instrument = self._model.split(theta)
-        tool = self._tool.linearize(of_robot)
-        linear = self._model.measurement.linearize(tool.T, instrument, self._data)
-        known = Linearization(
-            linear.residual,
-            kept(linear.J_pose, self._data),
-            kept(linear.J_instrument, self._data),
-        )
-        J = whitened_jacobian(tool, known, self._sigma).reshape(-1, len(theta))
-        return whitened(linear.residual, self._data, self._sigma), J
-
-    factorize = linearize
-
-
-def evaluator(model: Model, data: Measurements, sigma: Floats, many: bool) -> Evaluator:
-    """Compiled kernels where measurements are many and kernels can evaluate them.
-
-    Args:
-        model: The model of the block.
-        data: Its measurements.
-        sigma: Standard deviations of the residual components, shape (N, d).
-        many: Whether a Jacobian of all measurements would be too large to be handy.
-    """
-    if not many or not model.error.geometric or data.start.size:
-        return RowByRow(model, data, sigma)
-    from calib_pin.estimation.many_rows import ManyRows
-
-    return ManyRows(model, data, sigma)
-
-
-def whitened(errors: Floats, data: Measurements, sigma: Floats) -> Floats:
-    """Residuals in standard deviations, (N, d) -> (N d,)."""
-    return np.asarray((kept(errors, data) / sigma).reshape(-1))
-
-
-def kept(values: Floats, data: Measurements) -> Floats:
-    """Values with zeros for measurements that are set aside, shape (N, ...).
-
-    They may be so wrong that they cannot be predicted, and nothing times infinity is
-    not nothing.
-    """
-    if data.weight.all():
-        return values
-    aside = (data.weight == 0.0).reshape(-1, *[1] * (values.ndim - 1))
-    return np.where(aside, 0.0, values)
-
-
-class Block(NamedTuple):
-    """A block of measurements before its part.
-
-    Attributes:
-        part: The part.
-        data: The measurements, with the joints of the part's chain.
-        rows: Where they stand among all measurements.
-        values: Where their residual components stand among all.
-    """
-
-    part: Part
-    data: Measurements
-    rows: slice
-    values: slice
-
-    def table(self, flat: Floats) -> Floats:
-        """Components of all measurements as a table of these, (M,) -> (N, d)."""
-        return np.asarray(flat[self.values].reshape(len(self.data), -1))
-
-
 @dataclass(frozen=True)
-class Problem(System):
+class Problem(Measured):
     """Whitened residuals of measurements as a function of the error parameters.
 
     The residual vector holds the measurements, block by block, each component divided
@@ -167,13 +52,7 @@ class Problem(System):
     name, one per direction of an expected size, one per free parameter with a prior.
 
     Attributes:
-        data: The measurements; a block of which there is a part for each key.
-        setup: Which parameters are fixed, bounded or have a prior, and the noise
-            where the data do not state it.
         held_at: Values of parameters that are held at a bound, by position.
-        units: Standard deviation of unit weight of every quantity of every instrument,
-            shape (K,): what the stated or assumed standard deviations are multiplied
-            by; empty for ones.
         expected: How large the robot's errors are expected to be; None where the
             measurements alone decide.
 
@@ -181,10 +60,7 @@ class Problem(System):
         OptionError: If the setup names a parameter that does not exist.
     """
 
-    data: Observations
-    setup: Setup = field(default_factory=Setup)
     held_at: Mapping[int, float] = field(default_factory=dict)
-    units: Floats = field(default_factory=lambda: np.zeros(0))
     expected: Expected | None = None
 
     @cached_property
@@ -201,61 +77,6 @@ class Problem(System):
             # The names are first known here; the mistake stands in the setup file.
             raise error.within(self.setup.file) from None
 
-    @cached_property
-    def layout(self) -> Layout:
-        """Measurement and quantity of each residual component."""
-        quantities = {
-            key: part.measurement.quantities for key, part in self.parts.items()
-        }
-        return Layout.of(self.data, quantities)
-
-    @cached_property
-    def blocks(self) -> tuple[Block, ...]:
-        """Every block of measurements with its part."""
-        result, start = [], 0
-        for data, rows in zip(self.data.blocks, self.data.slices, strict=True):
-            part = self.parts[data.key]
-            own = part.of_chain(data)
-            assert isinstance(own, Measurements)
-            stop = start + len(data) * part.components
-            result.append(Block(part, own, rows, slice(start, stop)))
-            start = stop
-        return tuple(result)
-
-    @cached_property
-    def sigma(self) -> Floats:
-        """Standard deviation of every residual component, shape (M,).
-
-        It is what whitens: the given one with the unit weight of its quantity, infinite
-        for measurements that are set aside.
-        """
-        sigma, weight = self.given_sigma, self.data.weight
-        if len(self.units):
-            sigma = sigma * self.units[self.layout.component]
-        if (weight == 1.0).all():
-            return sigma
-        with np.errstate(divide="ignore"):
-            return np.asarray(sigma / np.sqrt(weight)[self.layout.row])
-
-    @cached_property
-    def given_sigma(self) -> Floats:
-        """Standard deviations that are stated or assumed, shape (M,)."""
-        return np.concatenate(
-            [
-                (
-                    np.tile(assumed_sigma(part, self.setup), (len(data), 1))
-                    if data.sigma is None
-                    else data.sigma
-                ).reshape(-1)
-                for part, data, _, _ in self.blocks
-            ]
-        )
-
-    @cached_property
-    def values(self) -> int:
-        """Number of measured values that count."""
-        return int(np.isfinite(self.sigma).sum())
-
     @property
     def count(self) -> int:
         """Number of values that are known: measured ones, known distances, priors."""
@@ -267,14 +88,11 @@ class Problem(System):
         known = self._distances, self.expected, self._priors
         return Blocks([block for block in known if block is not None and len(block)])
 
-    @property
-    def priors(self) -> int:
-        """Number of priors on single parameters, the last residual rows."""
-        return len(self._priors)
-
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
-        return self._measured(theta, lambda one, own: one.errors(own).reshape(-1))
+        pairs = zip(self.blocks, self.evaluators, strict=True)
+        parts = [one.errors(theta[b.part.index]).reshape(-1) for b, one in pairs]
+        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual: measurements, then `further`."""
@@ -289,7 +107,7 @@ class Problem(System):
         r = self.further.residual(theta)
         squares = sum(
             one.square(theta[block.part.index])
-            for block, one in zip(self.blocks, self._evaluators, strict=True)
+            for block, one in zip(self.blocks, self.evaluators, strict=True)
         )
         return 0.5 * (squares + float(r @ r))
 
@@ -298,7 +116,8 @@ class Problem(System):
 
         Of very many measurements they are those of a smaller system with the same
         normal equations, in which singular values below 1e-8 of the largest are lost:
-        enough for a step, not for a rank.
+        enough for a step, not for a rank. Of very many stations the parameters of each
+        alone are eliminated: their columns are zero, see `completed`.
 
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
@@ -317,20 +136,77 @@ class Problem(System):
             RowByRow(block.part, block.data, block.table(self.sigma))
             for block in self.blocks
         ]
-        return self._joined(theta, lambda one, own: one.linearize(own), rows)
+        found = self._evaluated(theta, lambda one, own: one.linearize(own), rows)
+        return self._with_further(theta, *self._stacked(found))
+
+    def completed(self, theta: Floats, step: Floats) -> Floats:
+        """A step with that of the parameters that were eliminated.
+
+        Args:
+            theta: Parameter values, shape (P,).
+            step: Step of the other parameters from there, shape (P,).
+        """
+        result = step.copy()
+        for station in self.stations(theta):
+            result[station.own] = (
+                station.settled + station.response @ step[station.shared]
+            )
+        return result
+
+    def stations(self, theta: Floats) -> Sequence[Station]:
+        """The parameters that were eliminated, where these were last linearized.
+
+        Args:
+            theta: Parameter values, shape (P,).
+        """
+        if not self.own_of_stations:
+            return ()
+        known: dict[bytes, Sequence[Station]] = self._eliminated
+        if theta.tobytes() not in known:
+            self.linearize(theta)
+        return known[theta.tobytes()]
+
+    @cached_property
+    def own_of_stations(self) -> Mapping[str, NDArray[np.intp]]:
+        """Parameters that are eliminated, by the station that alone has them."""
+        if not self._large:
+            return {}
+        indices: dict[str, list[NDArray[np.intp]]] = {}
+        for part in self.parts.values():
+            indices.setdefault(part.scope.station, []).append(part.index)
+        parameters = self.parameters
+        tied = np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
+        tied |= ~parameters.free | ~parameters.nuisance
+        tied[self._distances.columns[self._distances.columns >= 0]] = True
+        return station_parameters(indices, ~tied)
+
+    @property
+    def absorbed(self) -> int:
+        """Number of parameters that are eliminated."""
+        return sum(map(len, self.own_of_stations.values()))
 
     @property
     def many(self) -> bool:
         """Whether `linearize` returns a smaller system in place of the rows."""
-        return not all(isinstance(one, RowByRow) for one in self._evaluators)
+        plain = all(isinstance(one, RowByRow) for one in self.evaluators)
+        return not plain or bool(self.own_of_stations)
 
     @cached_property
-    def _evaluators(self) -> tuple[Evaluator, ...]:
-        entries = len(self.layout.row) * len(self.parameters)
+    def evaluators(self) -> tuple[Evaluator, ...]:
+        """Residuals and derivatives of each block."""
         return tuple(
-            evaluator(block.part, block.data, block.table(self.sigma), entries >= MANY)
+            evaluator(block.part, block.data, block.table(self.sigma), self._large)
             for block in self.blocks
         )
+
+    @cached_property
+    def _large(self) -> bool:
+        return len(self.layout.row) * len(self.given) >= MANY
+
+    @cached_property
+    def _eliminated(self) -> dict[bytes, Sequence[Station]]:
+        """The last elimination, by the parameter values at which it was made."""
+        return {}
 
     @cached_property
     def _distances(self) -> KnownDistances:
@@ -344,35 +220,57 @@ class Problem(System):
         parameters = self.parameters
         return Priors(np.where(parameters.free, parameters.priors, np.inf))
 
-    def _measured(
-        self, theta: Floats, evaluate: Callable[[Evaluator, Floats], Floats]
-    ) -> Floats:
-        """What the evaluators of all blocks say, one behind the other."""
-        parts = [
-            evaluate(one, theta[block.part.index])
-            for block, one in zip(self.blocks, self._evaluators, strict=True)
+    def _evaluated(
+        self,
+        theta: Floats,
+        evaluate: Callable[[Evaluator, Floats], tuple[Floats, Floats]],
+        evaluators: Sequence[Evaluator],
+    ) -> list[Rows]:
+        """What the evaluators of all blocks say of the blocks' own parameters."""
+        pairs = zip(self.blocks, evaluators, strict=True)
+        return [
+            (block.part.index, *evaluate(one, theta[block.part.index]))
+            for block, one in pairs
         ]
-        return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def _joined(
         self,
         theta: Floats,
         evaluate: Callable[[Evaluator, Floats], tuple[Floats, Floats]],
-        evaluators: Sequence[Evaluator] = (),
     ) -> tuple[Floats, Floats]:
         """Residual and Jacobian of all blocks, and the further rows behind them."""
-        r, J = [], []
-        pairs = zip(self.blocks, evaluators or self._evaluators, strict=True)
-        for block, one in pairs:
-            own, columns = evaluate(one, theta[block.part.index])
-            r.append(own)
-            J.append(self.spread(block.part, columns))
-        if len(self.further):
-            r.append(self.further.residual(theta))
-            J.append(self.further.jacobian(theta))
-        if len(r) == 1:
-            return r[0], J[0]
+        found = self._evaluated(theta, evaluate, self.evaluators)
+        if not self.own_of_stations:
+            return self._with_further(theta, *self._stacked(found))
+        of_station: dict[str, list[Rows]] = {}
+        for block, rows in zip(self.blocks, found, strict=True):
+            of_station.setdefault(block.part.scope.station, []).append(rows)
+        left, stations = [], []
+        for name, parts in of_station.items():
+            station, rest = eliminate(self.own_of_stations[name], parts)
+            stations.append(station)
+            left.append(rest)
+        self._eliminated.clear()
+        self._eliminated[theta.tobytes()] = stations
+        return self._with_further(theta, *reduced(left, len(theta)))
+
+    def _stacked(self, found: Sequence[Rows]) -> tuple[Floats, Floats]:
+        """Residual and Jacobian by all parameters, block after block."""
+        pairs = zip(self.blocks, found, strict=True)
+        parts = [(r, self.spread(block.part, J)) for block, (_, r, J) in pairs]
+        if len(parts) == 1:
+            return parts[0]
+        r, J = zip(*parts, strict=True)
         return np.concatenate(r), np.concatenate(J)
+
+    def _with_further(
+        self, theta: Floats, r: Floats, J: Floats
+    ) -> tuple[Floats, Floats]:
+        """Residual and Jacobian with the further rows behind the measurements."""
+        if not len(self.further):
+            return r, J
+        residual, jacobian = self.further.residual(theta), self.further.jacobian(theta)
+        return np.concatenate([r, residual]), np.concatenate([J, jacobian])
 
 
 def error_table(problem: Problem, theta: Floats) -> Floats:
@@ -387,19 +285,6 @@ def error_table(problem: Problem, theta: Floats) -> Floats:
     errors = problem.errors(theta)
     errors = np.where(np.isnan(errors), np.inf, errors)
     return problem.layout.table(errors, len(problem.data))
-
-
-def assumed_sigma(part: Part, setup: Setup) -> Floats:
-    """Standard deviations of the components of measurements that state none, (d,)."""
-    return np.concatenate(
-        [
-            np.full(
-                quantity.columns.stop - quantity.columns.start,
-                setup.noise.get(quantity.name, quantity.sigma),
-            )
-            for quantity in part.measurement.quantities
-        ]
-    )
 
 
 def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
@@ -417,11 +302,22 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
     return np.tile(sigma, (count, 1))
 
 
+def representative(problem: Problem) -> list[BlockKey]:
+    """Blocks that show the structure; of very many stations some of each kind."""
+    keys = list(problem.parts)
+    if not problem.own_of_stations:
+        return keys
+    found: dict[BlockKey, list[BlockKey]] = {}
+    for key in keys:
+        found.setdefault(key._replace(station=""), []).append(key)
+    return [key for alike in found.values() for key in alike[:ALIKE]]
+
+
 def expecting(problem: Problem, expected: Expected) -> Problem:
     """The problem with errors of the robot that are expected to be so large."""
     result = replace(problem, expected=expected)
     # The measurements are the same, and very many take time to prepare.
-    for name in ("layout", "blocks", "given_sigma", "sigma", "_evaluators"):
+    for name in ("layout", "blocks", "given_sigma", "sigma", "evaluators"):
         result.__dict__[name] = getattr(problem, name)
     return result
 
@@ -443,4 +339,4 @@ def distinct_values(problem: Problem) -> int:
     counted = np.zeros(len(problem.data), bool)
     counted[rows[first]] = True
     used = counted[problem.layout.row] & np.isfinite(problem.sigma)
-    return int(used.sum()) + problem.count - problem.values - problem.priors
+    return int(used.sum()) + problem.count - problem.values - problem.further.priors

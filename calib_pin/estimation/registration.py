@@ -10,7 +10,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
-from calib_pin.estimation.problem import SAMPLE, Block, Problem
+from calib_pin.estimation.measured import Block
+from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.system import (
     FRAME,
     Part,

@@ -88,6 +88,11 @@ class Blocks:
         """Number p of rows."""
         return sum(map(len, self.blocks))
 
+    @property
+    def priors(self) -> int:
+        """Number of priors on single parameters, the last rows."""
+        return sum(len(block) for block in self.blocks if isinstance(block, Priors))
+
     def residual(self, theta: Floats) -> Floats:
         """All rows, (..., P) -> (..., p)."""
         empty = np.empty((*theta.shape[:-1], 0))

@@ -209,7 +209,9 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
     if problem.many and len(problem.data) > 2 * SAMPLE:
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
-        start = gauss_newton(few.linearize, few.cost, start, basis).x
+        start = gauss_newton(
+            few.linearize, few.cost, start, basis, complete=few.completed
+        ).x
     return refine(problem, start, basis)
 
 
@@ -231,6 +233,7 @@ def refine(
         basis,
         tolerance=max(tolerance, ENOUGH) if problem.many else tolerance,
         worthwhile=INVISIBLE / max(problem.count, 1),
+        complete=problem.completed,
     )
 
 

@@ -141,6 +141,7 @@ def _judged(problem: Problem, directions: Directions, solution: Solution) -> _St
     triangle = np.linalg.qr(result.jac @ basis, mode="r")
     s = np.linalg.svd(triangle, compute_uv=False)
     rank = int((s > RANK * s.max(initial=0.0)).sum())
+    rank += problem.absorbed
     dof = problem.count - rank
     sigma0 = float(np.sqrt(2.0 * result.cost / dof)) if dof > 0 else np.nan
     return _Stage(directions, replace(solution, result=result), rank, sigma0)
@@ -244,7 +245,8 @@ class _Stages:
         if self._problem.many and self.stages:
             # The start had half the digits; at the solution there are all of them.
             J, r = self.last.result.jac, self.last.result.fun
-        count, parameters = self._problem.count, self._problem.parameters
+        count = self._problem.count - self._problem.absorbed
+        parameters = self._problem.parameters
         return practical_directions(J, r, count, parameters, self._visible, sigma0)
 
     def _solve(self, directions: Directions) -> _Stage:
@@ -309,7 +311,7 @@ def without_prior(
     if problem.many:
         fun, jac = problem.factorize(found.x)
     else:
-        start = len(found.fun) - problem.priors - len(expected)
+        start = len(found.fun) - problem.further.priors - len(expected)
         own = np.r_[0:start, start + len(expected) : len(found.fun)]
         fun, jac = found.fun[own], found.jac[own]
     return replace(found, fun=fun, jac=jac, cost=0.5 * float(fun @ fun))

@@ -45,6 +45,8 @@ OPTIONS = GaussNewtonOptions()
 
 Linearize = Callable[[Floats], tuple[Floats, Floats]]
 Cost = Callable[[Floats], float]
+Complete = Callable[[Floats, Floats], Floats]
+"""A step from x with that of variables which were eliminated, from the others' step."""
 
 
 @dataclass(frozen=True)
@@ -82,6 +84,7 @@ def gauss_newton(
     max_iterations: int = 100,
     damped: bool = True,
     callback: Callable[[int, float], None] | None = None,
+    complete: Complete | None = None,
 ) -> LeastSquaresResult:
     """Minimize half the sum of squared residuals.
 
@@ -101,6 +104,7 @@ def gauss_newton(
         damped: Whether a step that raises the cost is damped and tried again;
             otherwise every step is taken whole.
         callback: Called with the step count and the cost after each step.
+        complete: Completes steps where `linearize` has eliminated variables.
 
     Returns:
         The result; its status tells whether to trust it.
@@ -114,7 +118,7 @@ def gauss_newton(
     while status is Status.ITERATIONS and iteration < max_iterations:
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
-        trial = _search(step, cost_of, x, basis, damping, limit, damped)
+        trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)
         evaluations += trial.evaluations
         if trial.improved or not damped:
             x, way = trial.x, way + trial.length
@@ -163,6 +167,7 @@ def _search(
     damping: float,
     limit: tuple[float, float],
     damped: bool,
+    complete: Complete | None,
 ) -> _Trial:
     """Damp the step from x until the cost falls, or nothing is left to gain.
 
@@ -179,7 +184,8 @@ def _search(
     evaluations = 0
     while True:
         dy = step.solve(damping)
-        candidate = x + basis @ dy
+        change = basis @ dy
+        candidate = x + (change if complete is None else complete(x, change))
         evaluations += 1
         improved = 2.0 * cost_of(candidate) < step.square
         rounding = not improved and negligible

@@ -23,7 +23,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.directions import Directions, half_covariance
-from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.problem import Problem, distinct_values, representative
 from calib_pin.estimation.statistics.restricted_likelihood import (
     EXACT,
     Groups,
@@ -34,6 +34,7 @@ from calib_pin.estimation.statistics.variance_components import current_units, g
 from calib_pin.estimation.system import Part, assembled
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import (
     NOTHING,
     PARAMETERIZATIONS,
@@ -150,7 +151,7 @@ def systematic(
     spare = distinct_values(problem) - directions.count
     if effects is None or spare < SPARE:
         return None
-    sample = replace(problem, data=problem.data.sample(ROWS))
+    sample = replace(problem, data=sampled(problem))
     fun, jac = sample.linearize_rows(theta)
     measured = fun[: len(sample.layout.row)]
     if float(measured @ measured) <= EXACT * sample.values:
@@ -160,6 +161,15 @@ def systematic(
     X[: len(measured)] = effects.rows(sample, theta)
     groups = grouped(sample, np.column_stack([jac @ half, X, fun]))
     return _significant(sample, effects, groups)
+
+
+def sampled(problem: Problem) -> Observations:
+    """Measurements that effects are estimated from; of many stations those of some."""
+    data = problem.data
+    if problem.own_of_stations:
+        kept = set(representative(problem))
+        data = Observations(tuple(b for b in data.blocks if b.key in kept))
+    return data.sample(ROWS)
 
 
 def _candidates(problem: Problem) -> Systematic | None:

@@ -12,12 +12,14 @@ residuals between configurations beyond it are lack of fit (see `PureError`).
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import half_covariance
+from calib_pin.estimation.elimination import with_response
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.layout import Component
 from calib_pin.estimation.problem import Problem, repeated
@@ -31,6 +33,7 @@ from calib_pin.estimation.statistics.restricted_likelihood import (
     Variances,
     estimate_variances,
 )
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.solvers import LeastSquaresResult
 
@@ -109,21 +112,53 @@ def by_quantity(
     """
     if not problem.many:
         return grouped(problem, np.column_stack([jac @ half, fun]))
-    # Those of one quantity are what is left where the others weigh nothing.
-    current = current_units(problem)
-    further = len(problem.further)
-    systems = [(fun, jac)]
-    if len(current) > 1:
-        systems = []
-        for k in range(len(current)):
-            alone = np.where(np.arange(len(current)) == k, current, np.inf)
-            systems.append(replace(problem, units=alone).linearize(theta))
-    rows = [np.column_stack([J @ half, r]) for r, J in systems]
-    parts = [part[: len(part) - further] for part in rows]
-    products = np.array([part.T @ part for part in parts])
-    products *= current[:, None, None] ** 2
-    known = rows[0][len(rows[0]) - further :]
-    return Groups(_counts(problem), products, known.T @ known)
+    size, counts = half.shape[1] + 1, _counts(problem)
+    products = np.zeros((len(counts), size, size))
+    half = with_response(problem.stations(theta), half)
+    own = {}
+    for station in problem.stations(theta):
+        own.update(dict.fromkeys(station.own.tolist(), station))
+    for k, part, r, J in _by_quantity(problem, theta):
+        rows = np.column_stack([J @ half[part.index], r])
+        for station in {
+            id(s): s for p in part.index if (s := own.get(int(p)))
+        }.values():
+            # What its station absorbs of measurements is no redundancy.
+            mine = [
+                np.flatnonzero(part.index == p)[0]
+                for p in station.own
+                if p in part.index
+            ]
+            found = np.isin(station.own, part.index)
+            rows[:, -1] += J[:, mine] @ station.settled[found]
+            counts[k] -= float(np.sum((J[:, mine] @ station.root[found]) ** 2))
+        products[k] += rows.T @ rows
+    products *= current_units(problem)[:, None, None] ** 2
+    further = problem.further
+    known = np.column_stack([further.jacobian(theta) @ half, further.residual(theta)])
+    return Groups(counts, products, known.T @ known)
+
+
+def _by_quantity(
+    problem: Problem, theta: Floats
+) -> Iterator[tuple[int, Part, Floats, Floats]]:
+    """Linearized measurements of each quantity of each block, by its own parameters."""
+    current, of_keys = current_units(problem), problem.layout.of_keys
+    firsts = {
+        key: list(dict.fromkeys(found.tolist())) for key, found in of_keys.items()
+    }
+    for place in range(max(map(len, firsts.values()))):
+        # The quantities are what is left where the others weigh nothing.
+        chosen = {found[place] for found in firsts.values() if place < len(found)}
+        alone = problem
+        if max(map(len, firsts.values())) > 1:
+            kept = np.isin(np.arange(len(current)), list(chosen))
+            alone = replace(problem, units=np.where(kept, current, np.inf))
+        for block, one in zip(alone.blocks, alone.evaluators, strict=True):
+            found = firsts[block.part.key]
+            if place < len(found):
+                r, J = one.linearize(theta[block.part.index])
+                yield found[place], block.part, r, J
 
 
 def _leverages(problem: Problem, result: LeastSquaresResult, half: Floats) -> Floats:

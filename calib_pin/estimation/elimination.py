@@ -1,0 +1,148 @@
+"""Parameters of single stations, eliminated from the least squares station by station.
+
+The normal equations of many stations are block-arrow: each frame, tool or instrument
+that only one station has meets the robot, and no other station. With the columns A of
+these and B of all others, the best change of the former follows from that of the
+latter, `a = -A^+ (r + B b)`, and what is left for b is `r + B b` with the range of A
+projected out (the Schur complement, by orthogonal projection). So the cost grows with
+the measurements and not with the square of the stations.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.kinematics.spatial import Floats
+
+WORTHWHILE = 60
+"""Parameters of single stations from which they are eliminated: as many as a robot has.
+
+With fewer, all together cost less, and every rank is that of all."""
+
+SINGULAR = 1e-10
+"""Singular values below this part of the largest are rounding."""
+
+Rows = tuple[NDArray[np.intp], Floats, Floats]
+"""Positions of parameters (p,), residual (M,) and Jacobian by these (M, p)."""
+
+
+@dataclass(frozen=True)
+class Station:
+    """The parameters of one station alone, about a linearization.
+
+    Attributes:
+        own: Their positions, shape (k,).
+        shared: Positions of the other parameters of its measurements, shape (m,).
+        root: Factor of their covariance by its own measurements, `A^+ = root U^T`, with
+            U orthonormal, shape (k, rank).
+        response: Their change with the others', `-A^+ B`, shape (k, m).
+        settled: Their best change by themselves, `-A^+ r`, shape (k,).
+    """
+
+    own: NDArray[np.intp]
+    shared: NDArray[np.intp]
+    root: Floats
+    response: Floats
+    settled: Floats
+
+
+def station_parameters(
+    indices: Mapping[str, Sequence[NDArray[np.intp]]], loose: NDArray[np.bool_]
+) -> dict[str, NDArray[np.intp]]:
+    """The parameters that only one station has, by station; empty where they are few.
+
+    Args:
+        indices: By station the parameters of each of its blocks.
+        loose: The parameters that nothing but measurements knows, shape (P,).
+    """
+    count = np.zeros(len(loose), np.int64)
+    of_station = {
+        name: np.unique(np.concatenate(list(parts))) for name, parts in indices.items()
+    }
+    for positions in of_station.values():
+        count[positions] += 1
+    alone = loose & (count == 1)
+    if len(of_station) == 1 or alone.sum() < WORTHWHILE:
+        return {}
+    return {name: found[alone[found]] for name, found in of_station.items()}
+
+
+def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Rows]:
+    """Eliminate the parameters of a station from the rows of its measurements.
+
+    Args:
+        own: Positions of its parameters, shape (k,).
+        rows: Its linearized measurements.
+
+    Returns:
+        The station, and the rows that are left for the other parameters.
+    """
+    every = np.unique(np.concatenate([index for index, _, _ in rows]))
+    J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
+    start = 0
+    for index, r, columns in rows:
+        J[start : start + len(r), np.searchsorted(every, index)] = columns
+        start += len(r)
+    r = np.concatenate([r for _, r, _ in rows])
+    is_own = np.isin(every, own)
+    A, B = J[:, is_own], J[:, ~is_own]
+    U, s, Vt = np.linalg.svd(A, full_matrices=False)
+    kept = s > SINGULAR * s.max(initial=0.0)
+    U, root = U[:, kept], Vt[kept].T / s[kept]
+    along, rest = U.T @ B, U.T @ r
+    shared = every[~is_own]
+    station = Station(every[is_own], shared, root, -root @ along, -root @ rest)
+    return station, (shared, r - U @ rest, B - U @ along)
+
+
+def with_response(stations: Sequence[Station], factor: Floats) -> Floats:
+    """Changes of all parameters, where only the shared ones were given, (P, k)."""
+    if not stations:
+        return factor
+    result = factor.copy()
+    for station in stations:
+        result[station.own] = station.response @ factor[station.shared]
+    return result
+
+
+def own_deviations(stations: Sequence[Station], count: int) -> Floats:
+    """Deviations of parameters by the measurements of their own station, shape (P, k).
+
+    A column has one noise for each station: stations are independent of each other.
+
+    Args:
+        stations: The stations.
+        count: Number of parameters P.
+    """
+    width = max((station.root.shape[1] for station in stations), default=0)
+    result = np.zeros((count, width))
+    for station in stations:
+        result[station.own, : station.root.shape[1]] = station.root
+    return result
+
+
+def reduced(rows: Sequence[Rows], count: int) -> tuple[Floats, Floats]:
+    """A residual and a Jacobian by all parameters with the same normal equations.
+
+    Args:
+        rows: Linearized measurements.
+        count: Number of parameters P.
+    """
+    every = np.unique(np.concatenate([index for index, _, _ in rows]))
+    stacked = np.zeros((sum(len(r) for _, r, _ in rows), len(every) + 1))
+    start = 0
+    for index, r, columns in rows:
+        part = slice(start, start + len(r))
+        stacked[part, np.searchsorted(every, index)] = columns
+        stacked[part, -1] = r
+        start += len(r)
+    if not np.isfinite(stacked).all():
+        return np.full(1, np.nan), np.zeros((1, count))
+    R = np.asarray(np.linalg.qr(stacked, mode="r"))
+    J = np.zeros((len(R), count))
+    J[:, every] = R[:, :-1]
+    return R[:, -1], J

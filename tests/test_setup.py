@@ -1,20 +1,11 @@
-"""Which frame is meant, and where the measured point may be."""
+"""Where the measured point may be."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from calib_pin.setup import (
-    Ball,
-    Cone,
-    FrameSetup,
-    Obstacle,
-    RangerSetup,
-    Region,
-    Setup,
-    ToolSetup,
-)
+from calib_pin.setup import Ball, Cone, Obstacle, RangerSetup, Region
 
 BOX = ((0.0, -1.0, 0.5), (1.0, 1.0, 0.75))
 SPHERE = Ball((1.0, 0.0, 0.5), 0.5)
@@ -91,23 +82,3 @@ def test_the_window_of_a_ranger() -> None:
 def test_the_kind_of_an_obstacle() -> None:
     assert Obstacle(sphere=0.1).kind == "sphere"
     assert Obstacle(mesh="table.stl", scale=(1e-3, 1e-3, 1e-3)).kind == "mesh"
-
-
-def test_frames_of_stations_and_tools() -> None:
-    base, tool = FrameSetup((1.0, 0.0, 0.0)), FrameSetup((2.0, 0.0, 0.0))
-    there, probe = FrameSetup((3.0, 0.0, 0.0)), ToolSetup((4.0, 0.0, 0.0))
-    setup = Setup(
-        base_frame=base, tool_frame=tool, stations={"b": there}, tools={"p": probe}
-    )
-    assert (setup.station("b"), setup.tool("p")) == (there, probe)
-    # Names that are not stated, and measurements that give none.
-    for name in ("", "other"):
-        assert (setup.station(name), setup.tool(name)) == (base, tool)
-
-
-def test_the_tools_that_carry_a_tool() -> None:
-    tools = {"a": ToolSetup(), "b": ToolSetup(on="a"), "c": ToolSetup(on="b")}
-    assert Setup(tools=tools).carriers("c") == ("c", "b", "a")
-    assert Setup(tools=tools).carriers("other") == ("other",)
-    # A circle that only Python can state ends too.
-    assert Setup(tools={**tools, "a": ToolSetup(on="c")}).carriers("c") == tuple("cba")

@@ -225,7 +225,7 @@ def assembled(parts: Sequence[Part]) -> tuple[dict[BlockKey, Part], ParameterSet
     """
     parts = with_shared_references(parts)
     found: list[dict[str, Parameter]] = [{}, {}, {}, {}]
-    twists: dict[str, Floats] = {}
+    twists: dict[tuple[str, str], Floats] = {}
     for part in parts:
         inner = len(part.error.screws)
         ends = (0, FRAME, inner - FRAME, inner, len(part.parameters))
@@ -234,8 +234,11 @@ def assembled(parts: Sequence[Part]) -> tuple[dict[BlockKey, Part], ParameterSet
                 group.setdefault(parameter.name, parameter)
         for screw in part.error.screws[FRAME:-FRAME]:
             name = screw.parameter.name
+            # Joints that mimic one another each have a motion of their own.
+            joint = (*part.error.chain.joints, "")[screw.frame - 1]
+            key = name, joint if joint in part.error.chain.mimics else ""
             if screw.basis is None and not np.allclose(
-                twists.setdefault(name, screw.twist), screw.twist, rtol=0.0, atol=1e-9
+                twists.setdefault(key, screw.twist), screw.twist, rtol=0.0, atol=1e-9
             ):
                 raise OptionError(
                     f"'{name}' is another motion in the chain '{part.key.chain}' than "

@@ -249,8 +249,13 @@ def _check_tools(tree: Tree, setup: Setup) -> None:
                 tool.on,
                 ", ".join(others) or None,
             )
-        last = setup.carriers(name)[-1]
-        if last in setup.tools and setup.tools[last].on == name:
+    for name, tool in setup.tools.items():
+        on, below = tool.on, {name}
+        while on is not None and on not in below:
+            below.add(on)
+            on = setup.tools[on].on
+        if on == name:
+            path = ("tools", name, "on")
             raise tree.error(f"'tools.{name}' carries itself", path, tool.on)
 
 

@@ -16,7 +16,6 @@ from calib_pin.parameterizations.base import (
     frame_pose,
     frame_screws,
     frame_setup,
-    mounted,
 )
 from calib_pin.parameterizations.compliance import NOTHING, Compliance
 from calib_pin.parameterizations.dh import DenavitHartenberg, FullDenavitHartenberg
@@ -43,7 +42,6 @@ __all__ = [
     "frame_pose",
     "frame_screws",
     "frame_setup",
-    "mounted",
     "parameterization",
     "required_keys",
 ]

@@ -94,7 +94,7 @@ class Screw:
 
 @dataclass(frozen=True)
 class Drive:
-    """What moves a joint of a chain: a drive of its own, or that of its leader.
+    """The drive that moves a joint of a chain: its own, or that of its leader.
 
     A correction dq of the drive moves the joint by `factor dq`. Parameters of joints'
     motions belong to the drive; a parameter of several joints stands in several screws.
@@ -236,18 +236,6 @@ def frame_pose(frame: FrameSetup) -> pin.SE3:
     """The pose that a setup states, zero for the parts that it leaves out."""
     rotation = pin.rpy.rpyToMatrix(*(frame.rpy or (0.0, 0.0, 0.0)))
     return pin.SE3(rotation, np.array(frame.xyz or (0.0, 0.0, 0.0)))
-
-
-def mounted(setup: Setup, tool: str) -> tuple[str, pin.SE3]:
-    """The tool at the tip that carries a tool, and the pose of the latter on it.
-
-    Of a tool at the tip: itself, and the identity.
-    """
-    *carried, last = setup.carriers(tool)
-    pose = pin.SE3.Identity()
-    for name in carried:
-        pose = frame_pose(setup.tools[name]) * pose
-    return last, pose
 
 
 def frame_setup(pose: pin.SE3, *, known: bool) -> FrameSetup:

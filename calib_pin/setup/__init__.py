@@ -287,30 +287,13 @@ class Setup(PlanSetup, FitSetup, MeasurementSetup, RobotSetup):
     """Everything a setup file can state; the defaults are those of an empty file.
 
     Attributes:
-        base_frame: Pose of the base link in the measurement frame, for measurements
-            from a station that `stations` does not name.
-        tool_frame: Pose of the tool (target, beam) in the tip frame, for measurements
-            of a tool that `tools` does not name.
+        base_frame: Pose of the base link in the measurement frame, from the only
+            station unless `stations` states it.
+        tool_frame: Pose of the only tool (target, beam) in the tip frame, unless
+            `tools` states it.
         file: Where all this was read from, for messages.
     """
 
     base_frame: FrameSetup = field(default_factory=FrameSetup)
     tool_frame: FrameSetup = field(default_factory=FrameSetup)
     file: str = field(default="", compare=False)
-
-    def station(self, name: str) -> FrameSetup:
-        """The frame of a station."""
-        return self.stations.get(name, self.base_frame)
-
-    def tool(self, name: str) -> FrameSetup:
-        """The frame of a tool, in that of the tool that carries it if there is one."""
-        return self.tools.get(name, self.tool_frame)
-
-    def carriers(self, name: str) -> tuple[str, ...]:
-        """A tool, the one that carries it, and so on to the one at the tip."""
-        found: list[str] = []
-        on: str | None = name
-        while on is not None and on not in found:
-            found.append(on)
-            on = self.tools[on].on if on in self.tools else None
-        return tuple(found)

@@ -119,10 +119,10 @@ class Frames(Section):
     """The frames at both ends of the chain.
 
     Attributes:
-        base: Pose of the base link in the measurement frame, for measurements from a
-            station that `stations` does not name.
-        tool: Pose of the tool (target, beam) in the tip frame, for measurements of a
-            tool that `tools` does not name.
+        base: Pose of the base link in the measurement frame, from the only station
+            unless `stations` states it.
+        tool: Pose of the only tool (target, beam) in the tip frame, unless `tools`
+            states it.
     """
 
     base: FrameSetup | None = None

@@ -20,7 +20,8 @@ from calib_pin.io.columns import (
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
-from calib_pin.observations import AT, WORLD, BlockKey, Labels
+from calib_pin.observations import AT, BlockKey, Labels
+from calib_pin.setup import WORLD
 
 QUATERNION = {"qx": PURE, "qy": PURE, "qz": PURE, "qw": PURE}
 ROTATION_VECTOR = {"rx": ANGLE, "ry": ANGLE, "rz": ANGLE}

@@ -30,7 +30,6 @@ from calib_pin.io.table import Table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import (
-    WORLD,
     BlockKey,
     Booleans,
     Indices,
@@ -39,7 +38,7 @@ from calib_pin.observations import (
     Observations,
 )
 from calib_pin.progress import Progress
-from calib_pin.setup import JointMap
+from calib_pin.setup import WORLD, JointMap
 
 POSITIONS = 0.95
 """Part of the time after which joint positions are read."""

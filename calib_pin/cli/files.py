@@ -37,7 +37,7 @@ def open_setup(
 
     from calib_pin.estimation.robust.weights import LOSSES
     from calib_pin.estimation.solve import SOLVERS
-    from calib_pin.io.measurement_parts import check_model
+    from calib_pin.io.inferred_model import asked_models
     from calib_pin.io.setup import read_setup
     from calib_pin.parameterizations import PARAMETERIZATIONS
     from calib_pin.residual_models import RESIDUAL_MODELS
@@ -61,8 +61,7 @@ def open_setup(
     ):
         if given is not None:
             require_known(kind, given, known)
-    if model is not None:
-        check_model(model)
+    asked_models(model)
     return replace(
         setup,
         solver=replace(setup.solver, name=solver or setup.solver.name),

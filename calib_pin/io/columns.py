@@ -6,6 +6,7 @@ import re
 from array import array
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import compress
 
 import numpy as np
 from numpy.typing import NDArray
@@ -116,26 +117,29 @@ class Column:
         unit: Unit in square brackets, or None.
         place: Number of columns before it in the file.
         numbers: Number in each row, shape (N,); not finite where there is none.
-        words: Untrimmed text of the cells that hold no finite number, None in rows
-            that do; empty where all rows do.
+        words: Untrimmed texts of the cells that hold no finite number, each once.
+        codes: Position among these of the text of each cell, shape (N,); -1 in rows
+            with a number, of shape (0,) where all rows have one.
     """
 
     header: str
     unit: str | None
     place: int
     numbers: Floats
-    words: Sequence[str | None]
+    words: tuple[str, ...]
+    codes: NDArray[np.int64]
 
     def rows(self, index: NDArray[np.int64]) -> Column:
         """Some of the rows, in this order."""
-        words = [self.words[row] for row in index.tolist()] if self.words else ()
-        return replace(self, numbers=self.numbers[index], words=words)
+        codes = self.codes[index] if self.words else self.codes
+        return replace(self, numbers=self.numbers[index], codes=codes)
 
     def blank(self) -> NDArray[np.bool_]:
         """Whether each cell is blank, shape (N,)."""
         if not self.words:
             return np.zeros(len(self.numbers), bool)
-        return np.array([word is not None and not word.strip() for word in self.words])
+        # The last entry is that of the code -1.
+        return np.array([*(not word.strip() for word in self.words), False])[self.codes]
 
 
 class GrowingColumn:
@@ -144,26 +148,38 @@ class GrowingColumn:
     def __init__(self) -> None:
         """A column without rows."""
         self.numbers = array("d")
-        self.words: list[str | None] = []
+        self._codes, self._known = array("q"), dict[str, int]()
 
     def extend(self, cells: Sequence[str]) -> None:
         """Add rows."""
         numbers = read_numbers(cells)
-        finite = np.isfinite(numbers)
-        if self.words or not finite.all():
-            known: dict[str, str] = {}  # Names repeat; each is kept once.
-            self.words += [None] * (len(self.numbers) - len(self.words))
-            self.words += [
-                None if number else known.setdefault(cell, cell)
-                for cell, number in zip(cells, finite.tolist(), strict=True)
-            ]
+        without = ~np.isfinite(numbers)
+        if self._known or without.any():
+            codes = np.full(len(cells), -1)
+            codes[without] = numbered(list(compress(cells, without)), self._known)
+            missing = len(self.numbers) - len(self._codes)
+            self._codes.extend(array("q", [-1]) * missing)
+            self._codes.frombytes(codes.tobytes())
         self.numbers.frombytes(numbers.tobytes())
 
     def grown(self, header: str, unit: str | None, place: int) -> Column:
         """The column; see its attributes."""
         numbers = np.frombuffer(self.numbers)
         numbers.setflags(write=False)
-        return Column(header, unit, place, numbers, self.words)
+        codes = np.frombuffer(self._codes, np.int64)
+        return Column(header, unit, place, numbers, tuple(self._known), codes)
+
+
+def numbered(cells: Sequence[str], known: dict[str, int]) -> NDArray[np.int64]:
+    """The number of each text, shape (N,); texts that are new get the next ones.
+
+    Args:
+        cells: The texts, N strings.
+        known: Number by text; new ones are added.
+    """
+    for cell in dict.fromkeys(cells):
+        known.setdefault(cell, len(known))
+    return np.fromiter(map(known.__getitem__, cells), np.int64, len(cells))
 
 
 def closest(name: str, candidates: Collection[str]) -> str:

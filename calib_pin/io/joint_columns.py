@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Mapping, Sequence, Set
 from dataclasses import dataclass
 
 import numpy as np
@@ -12,8 +12,14 @@ from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
+from calib_pin.observations import Labels
 from calib_pin.setup import JointMap
+
+MIMICRY = 1e-3
+"""Largest distance of a joint from where the one that it mimics takes it [rad, m]:
+encoders of both, and limits that are rounded, differ by less."""
 
 LONGEST_TRAVEL = 20.0
 """Largest position of a prismatic joint that can be meant [m]: a long rail."""
@@ -37,12 +43,12 @@ class JointSource:
 
 
 def joint_sources(
-    chain: Chain, joints: Mapping[str, JointMap]
+    chain: Chain | Chains, joints: Mapping[str, JointMap]
 ) -> tuple[JointSource, ...]:
     """Find the column of every joint of the chain.
 
     Args:
-        chain: The chain.
+        chain: The chain, or all chains that are measured.
         joints: Joint map by file column; maps of joints outside the chain are idle.
 
     Returns:
@@ -81,35 +87,88 @@ def joint_sources(
 
 
 def read_positions(
-    table: Table, chain: Chain, sources: Sequence[JointSource]
+    table: Table,
+    chain: Chain | Chains,
+    sources: Sequence[JointSource],
+    chain_of: Labels | None = None,
 ) -> Floats:
-    """Joint positions in chain order.
+    """Joint positions in the order of the sources.
+
+    A joint that mimics another follows it, and needs no column.
 
     Args:
         table: The file.
-        chain: The chain.
-        sources: The columns of its joints.
+        chain: The chain, or all chains that are measured.
+        sources: The columns of their joints.
+        chain_of: Chain of each measurement, which has to state the joints of this one;
+            others may be blank and then are zero. None if all need all.
 
     Returns:
         Joint positions, shape (N, n) [rad, m].
 
     Raises:
-        InputError: If a column is missing, or its values cannot be in their unit.
+        InputError: If a column is missing, its values cannot be in their unit, or a
+            joint is not where the one that it mimics takes it.
     """
-    _check_present(table, chain, sources)
-    q = np.empty((len(table.lines), len(sources)))
+    chains, count = Chains.of(chain), len(table.lines)
+    needed = {name: _stated_joints(chains[name]) for name in chains.names}
+    if chain_of is None:
+        needed = {"": frozenset[str]().union(*needed.values())}
+        chain_of = Labels.all("", count)
+    _check_present(table, chains, sources, needed)
+    q, stated = np.zeros((count, len(sources))), np.zeros((count, len(sources)), bool)
     for i, source in enumerate(sources):
-        parts = {c: table.numbers(c, kind) for c, kind in source.kinds.items()}
-        position = parts[source.column]
-        if source.map is not None:
-            for name, factor in source.map.coupled.items():
-                position = position + factor * parts[name]
-            gear = source.map.sign * source.map.gear
-            position = gear * position + source.map.offset
-        limits = float(chain.lower[i]), float(chain.upper[i])
-        _check_unit(table, source, position, limits)
-        q[:, i] = position
-    return q
+        if not all(name in table for name in source.kinds):
+            continue
+        needs = np.array([source.joint in needed[name] for name in chain_of.names])
+        rows = needs[chain_of.codes]
+        if not rows.all():
+            blank = [table.columns[name].blank() for name in source.kinds]
+            rows |= ~np.any(blank, axis=0)
+        limits = float(chains.lower[i]), float(chains.upper[i])
+        if rows.all():
+            q[:, i] = _positions(table, source, limits)
+        elif rows.any():
+            own = table.rows(np.flatnonzero(rows), source.kinds)
+            q[rows, i] = _positions(own, source, limits)
+        stated[:, i] = rows
+    followed = chains.follow(q)
+    for joint, mimic in chains.mimics.items():
+        i, leader = chains.joints.index(joint), chains.joints.index(mimic.leader)
+        far = stated[:, i] & stated[:, leader] & (abs(followed - q)[:, i] > MIMICRY)
+        if far.any():
+            row, kind = int(np.argmax(far)), sources[i].kinds[sources[i].column]
+            raise table.cell_error(
+                f"joint '{joint}' mimics '{mimic.leader}', which puts it at "
+                f"{followed[row, i]:.6g} {kind.si}",
+                sources[i].column,
+                row,
+                f"{MIMICRY:g} {kind.si} away from there or less; the column may be "
+                "left out",
+            )
+    return followed
+
+
+def _positions(
+    table: Table, source: JointSource, limits: tuple[float, float]
+) -> Floats:
+    """Positions of one joint, shape (N,) [rad, m]."""
+    parts = {c: table.numbers(c, kind) for c, kind in source.kinds.items()}
+    position = parts[source.column]
+    if source.map is not None:
+        for name, factor in source.map.coupled.items():
+            position = position + factor * parts[name]
+        position = source.map.sign * source.map.gear * position + source.map.offset
+    _check_unit(table, source, position, limits)
+    return position
+
+
+def _stated_joints(chain: Chain) -> frozenset[str]:
+    """The joints that a measurement of a chain states: those that mimic none."""
+    return frozenset(
+        chain.mimics[joint].leader if joint in chain.mimics else joint
+        for joint in chain.joints
+    )
 
 
 def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats]:
@@ -148,7 +207,7 @@ def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats
 
 
 def spare_columns(
-    table: Table, chain: Chain, joints: Mapping[str, JointMap]
+    table: Table, chain: Chain | Chains, joints: Mapping[str, JointMap]
 ) -> list[str]:
     """The columns that hold no joint, neither of the chain nor of the whole robot.
 
@@ -161,7 +220,9 @@ def spare_columns(
     return [name for name in table.columns if name not in taken | own]
 
 
-def _columns_of_joints(chain: Chain, joints: Mapping[str, JointMap]) -> dict[str, str]:
+def _columns_of_joints(
+    chain: Chain | Chains, joints: Mapping[str, JointMap]
+) -> dict[str, str]:
     """The mapped column by joint, checked against the robot."""
     # The first name is Pinocchio's "universe", which is no joint.
     known = list(chain.robot.model.names)[1:]
@@ -182,15 +243,27 @@ def _columns_of_joints(chain: Chain, joints: Mapping[str, JointMap]) -> dict[str
     return mapped
 
 
-def _check_present(table: Table, chain: Chain, sources: Sequence[JointSource]) -> None:
-    joint_of = {column: source.joint for source in sources for column in source.kinds}
+def _check_present(
+    table: Table,
+    chains: Chains,
+    sources: Sequence[JointSource],
+    needed: Mapping[str, Set[str]],
+) -> None:
+    """Refuse files without a joint that measurements of a chain need."""
+    joint_of = {
+        column: source.joint
+        for source in sources
+        if any(source.joint in joints for joints in needed.values())
+        for column in source.kinds
+    }
     missing = [column for column in joint_of if column not in table]
     if not missing:
         return
     first, rest = missing[0], missing[1:]
-    known = {*joint_of, *reserved(), *chain.robot.model.names}
+    known = {*joint_of, *reserved(), *chains.robot.model.names}
     free = [name for name in table.columns if name not in known]
-    what = f"joint '{joint_of[first]}' of the chain"
+    chain = next(name for name in needed if joint_of[first] in needed[name])
+    what = f"joint '{joint_of[first]}' of the chain" + f" '{chain}'" * bool(chain)
     if first != joint_of[first]:
         what = f"column '{first}' for {what}"
     raise table.error(

@@ -20,7 +20,8 @@ from calib_pin.io.columns import (
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
-from calib_pin.observations import AT
+from calib_pin.observations import AT, BlockKey, Labels
+from calib_pin.setup import WORLD
 
 QUATERNION = {"qx": PURE, "qy": PURE, "qz": PURE, "qw": PURE}
 ROTATION_VECTOR = {"rx": ANGLE, "ry": ANGLE, "rz": ANGLE}
@@ -112,6 +113,10 @@ ORIENTED = frozenset(name for kinds in ORIENTATIONS for name in kinds)
 """Columns of an orientation, in any of the ways."""
 
 
+NAMES = (*BlockKey._fields, "target", "payload", "set")
+"""Columns of names; the first tell blocks apart."""
+
+
 def needed(model: str) -> dict[str, Kind]:
     """The measured columns that a model cannot do without."""
     return {name: KINDS[unit] for name, unit in declared(model).columns.items()}
@@ -135,7 +140,7 @@ def sigmas() -> frozenset[str]:
 
 def reserved() -> frozenset[str]:
     """Names that have a meaning in every file, whatever the robot's joints are."""
-    return measured() | sigmas() | {"target", "set", "payload", "model"}
+    return measured() | sigmas() | set(NAMES)
 
 
 LARGEST_SIGMA = {"m": 1.0, "rad": 1.0, "px": 1e3}
@@ -223,34 +228,50 @@ def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | No
     return found, np.stack(columns, axis=1)
 
 
-def check_targets(table: Table, model: str) -> None:
-    """Refuse rows that do not name what they cannot do without.
+def check_targets(table: Table, key: BlockKey, target: Labels) -> None:
+    """Refuse measurements that do not name what they cannot do without.
+
+    Args:
+        table: The file.
+        key: What the measurements have in common.
+        target: The target of each; empty names if the file has no such column.
 
     Raises:
         InputError: If there are such.
     """
-    naming = declared(model).naming
-    if naming.required != "every":
+    naming, noun = declared(key.model).naming, ""
+    if naming.required == "every":
+        noun, reason = naming.noun, f"model '{key.model}'"
+    elif key.chain == WORLD:
+        noun, reason = "point that stands still", f"chain '{WORLD}'"
+    if not noun:
         return
     if "target" not in table:
         raise table.error(
-            f"model '{model}' needs a column 'target' with the {naming.noun} of each "
-            "row",
-            "target",
+            f"{reason} needs a column 'target' with the {noun} of each row", "target"
         )
-    names = [name.rpartition(AT)[2] for name in table.texts("target")]
-    if not all(names):
-        row = names.index("")
-        raise table.cell_error(f"the row names no {naming.noun}", "target", row)
+    nameless = target.map(place_of).where("")
+    if nameless.any():
+        row = int(np.argmax(nameless))
+        raise table.cell_error(f"the row names no {noun}", "target", row)
 
 
-def find_starts(table: Table, distance: Floats, q: Floats) -> NDArray[np.int64]:
+def place_of(target: str) -> str:
+    """The plane, socket or other place in the name of a target."""
+    return target.rpartition(AT)[2]
+
+
+def find_starts(
+    table: Table, target: Labels, payload: Labels, distance: Floats, q: Floats
+) -> NDArray[np.int64]:
     """The row at which the relative measurement of each row starts, shape (N,).
 
     Rows of one target belong together; the first of them is their start.
 
     Args:
         table: The file.
+        target: Target of each row.
+        payload: Payload of each row.
         distance: Distances from the start, shape (N,) [m].
         q: Joint positions, shape (N, n) [rad, m].
 
@@ -259,14 +280,12 @@ def find_starts(table: Table, distance: Floats, q: Floats) -> NDArray[np.int64]:
             measured from it.
     """
     count = len(distance)
-    names = table.texts("target") if "target" in table else ("",) * count
-    loads = table.texts("payload") if "payload" in table else ("",) * count
-    first: dict[str, int] = {}
-    start = np.array([first.setdefault(name, row) for row, name in enumerate(names)])
+    _, first, which = np.unique(target.codes, return_index=True, return_inverse=True)
+    start = np.asarray(first[which])
     begins = start == np.arange(count)
     sizes = np.bincount(start, minlength=count)
     still = (q == q[start]).all(axis=1) & ~begins
-    other = np.array([loads[row] != loads[start[row]] for row in range(count)])
+    other = payload.codes != payload.codes[start]
     of = "the first row of a target is its start"
     for wrong, reason, column, allowed in (
         (begins & (distance != 0.0), f"{of}, where the distance is 0", "distance", "0"),

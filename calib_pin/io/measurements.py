@@ -9,6 +9,9 @@ from __future__ import annotations
 import csv
 import io
 from collections.abc import Callable, Collection, Mapping, Sequence
+from dataclasses import replace
+from itertools import chain as one_after_another
+from itertools import count
 from pathlib import Path
 from typing import Any
 
@@ -18,12 +21,13 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError
 from calib_pin.io.columns import Floats
 from calib_pin.io.files import write_atomically
+from calib_pin.io.inferred_model import asked_models
 from calib_pin.io.joint_columns import (
     column_values,
     joint_sources,
     read_positions,
 )
-from calib_pin.io.measurement_parts import check_model, check_places, read_parts
+from calib_pin.io.measurement_blocks import check_names, check_places, read_blocks
 from calib_pin.io.table import read_table
 from calib_pin.io.written_columns import (
     column_name,
@@ -31,8 +35,8 @@ from calib_pin.io.written_columns import (
     writable,
 )
 from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models.side_by_side import concatenate
-from calib_pin.observations import PLUS, Measurements
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Labels, Measurements, Observations
 from calib_pin.progress import Progress, portion
 from calib_pin.setup import JointMap
 
@@ -45,26 +49,29 @@ LINES = 5000
 
 def read_measurements(
     paths: str | Path | Sequence[str | Path],
-    chain: Chain,
+    chain: Chain | Chains,
     *,
     model: str | None = None,
+    station_per_file: bool = False,
     joints: Mapping[str, JointMap] = {},
     sockets: Collection[str] = (),
     notice: Callable[[str], None] | None = None,
     progress: Progress | None = None,
-) -> Measurements:
+) -> Observations:
     r"""Read measurement files and join them in the given order.
 
-    A column `model` names the measurement model row by row; in a file of several a row
-    leaves blank what only the others read. Of relative distances the first row of each
-    target is where the others of that target start.
+    Columns `model`, `chain`, `station` and `tool` name the block of each measurement;
+    in a file of several models a measurement leaves blank what only the others read. Of
+    relative distances the first row of each target is where the others start.
 
     Args:
         paths: One CSV file, or several.
-        chain: Chain whose joints the files hold.
+        chain: Chain whose joints the files hold; where they name others, those of the
+            same robot.
         model: Measurement model of the files that have no column `model`; of several
             names with a plus between them each file is read as the only one that its
             columns allow. None infers it from the columns.
+        station_per_file: Whether each file is a station, called as the file is.
         joints: How file columns become joints; others are taken by their own name.
         sockets: Sockets that are known, for which one configuration is enough.
         notice: Called once per file that has columns without a meaning, with one
@@ -72,9 +79,10 @@ def read_measurements(
         progress: Told the part that is done, 0 to 1.
 
     Returns:
-        All rows, in SI units; `files` holds the paths as they were given. Of several
-        models the rows of each stand together, first those of the first in `model`, or
-        in the files.
+        All measurements, in SI units; `files` holds the paths as they were given.
+        Joints are those of all chains that files name or that were given with a name;
+        those that a measurement does not state are zero. Blocks are in the order in
+        which they begin, first those of the first in `model`.
 
     Raises:
         InputError: If a file does not hold measurements of this chain; names the file
@@ -90,40 +98,70 @@ def read_measurements(
         ...     file = Path(folder) / "tracker.csv"
         ...     _ = file.write_text(text)
         ...     data = read_measurements(file, chain)
-        >>> data.model, data.values.tolist()
-        ('position', [[1.5, 0.0, 0.25]])
+        >>> data.models, data.only.values.tolist()
+        (('position',), [[1.5, 0.0, 0.25]])
     """
     files = [paths] if isinstance(paths, str | Path) else list(paths)
     if not files:
         raise InputError("no measurement file is given")
-    if model is not None:
-        check_model(model)
-    sources = joint_sources(chain, joints)
+    asked, chains = asked_models(model), Chains.of(chain)
+    stations = _stations(files) if station_per_file else [None] * len(files)
     parts: list[Measurements] = []
-    for k, file in enumerate(files):
+    for k, (file, station) in enumerate(zip(files, stations, strict=True)):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        parts += read_parts(
-            read_table(file, portion(tell, 0.0, CUT)),
-            *(chain, sources, joints, model, notice, tell),
+        table = read_table(file, portion(tell, 0.0, CUT))
+        parts += read_blocks(table, chains, joints, asked, station, notice, tell)
+    parts.sort(key=lambda part: [*asked, part.model].index(part.model))
+    names = dict.fromkeys([*filter(None, chains.names), *(p.chain for p in parts)])
+    data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
+    check_names(data)
+    check_places(data, sockets)
+    return data
+
+
+def _stations(files: Sequence[str | Path]) -> list[str | None]:
+    """A name for each file: that of the file, made unique."""
+    names: list[str | None] = []
+    for file in files:
+        stem = Path(file).stem
+        others = (f"{stem}-{k}" for k in count(2))
+        names.append(
+            next(
+                name for name in one_after_another([stem], others) if name not in names
+            )
         )
-    asked = [] if model is None else model.split(PLUS)
-    result = []
-    for name in dict.fromkeys([*asked, *(part.model for part in parts)]):
-        own = [part for part in parts if part.model == name]
-        if own:
-            result.append(concatenate(own))
-            check_places(result[-1], sockets)
-    return concatenate(result)
+    return names
+
+
+def _with_joints(parts: Sequence[Measurements], chains: Chains) -> list[Measurements]:
+    """The same with the joints of all chains; those that were not stated are zero."""
+
+    def spread(q: Floats, joints: Sequence[str]) -> Floats:
+        result = np.zeros((len(q), len(chains.joints)))
+        result[:, [chains.joints.index(joint) for joint in joints]] = q
+        return chains.follow(result)
+
+    return [
+        part
+        if part.joints == chains.joints
+        else replace(
+            part,
+            joints=chains.joints,
+            q=spread(part.q, part.joints),
+            start=spread(part.start, part.joints) if part.start.size else part.start,
+        )
+        for part in parts
+    ]
 
 
 def read_configurations(
-    path: str | Path, chain: Chain, joints: Mapping[str, JointMap] = {}
+    path: str | Path, chain: Chain | Chains, joints: Mapping[str, JointMap] = {}
 ) -> Floats:
     r"""Read only the joint positions of a CSV file; other columns are ignored.
 
     Args:
         path: CSV file.
-        chain: Chain whose joints the file holds.
+        chain: Chain whose joints the file holds, or several.
         joints: How file columns become joints; others are taken by their own name.
 
     Returns:
@@ -144,22 +182,21 @@ def read_configurations(
     return read_positions(read_table(path), chain, joint_sources(chain, joints))
 
 
-def read_names(path: str | Path, column: str) -> tuple[str, ...]:
+def read_names(path: str | Path, column: str) -> Labels:
     """Read only a column of names of a CSV file; empty where it has none.
 
     Args:
         path: CSV file.
-        column: `target` or `payload`.
+        column: Name of the column, such as `target`.
 
     Raises:
         InputError: If it is not such a file.
     """
-    table = read_table(path)
-    return table.texts(column) if column in table else ()
+    return read_table(path).texts([column]).get(column, Labels.none())
 
 
 def encode_configurations(
-    chain: Chain,
+    chain: Chain | Chains,
     q: Floats,
     target: Sequence[str] = (),
     *,
@@ -169,7 +206,7 @@ def encode_configurations(
     r"""Configurations to be measured as a CSV file.
 
     Args:
-        chain: The chain.
+        chain: The chain, or several.
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each; no column where none is named.
         joints: How file columns become joints; the file holds what a controller
@@ -199,7 +236,7 @@ def encode_configurations(
 
 def write_measurements(
     path: str | Path,
-    measurements: Measurements,
+    measurements: Measurements | Observations,
     comments: Sequence[str] = (),
     force: bool = False,
     progress: Progress | None = None,
@@ -209,9 +246,9 @@ def write_measurements(
     Args:
         path: File to write.
         measurements: Measurements to write; quaternions of unit length with qw >= 0, as
-            `read_measurements` gives them, come back unchanged. So do rows of several
-            models where those of each stand together, and the targets of relative
-            distances where every start has one of its own.
+            `read_measurements` gives them, come back unchanged. So do the targets of
+            relative distances where every start has one of its own. Those of files
+            stand in the order of their lines, others block after block.
         comments: Lines for the head of the file.
         force: Whether an existing file is replaced.
         progress: Told the part that is done, 0 to 1.
@@ -238,7 +275,7 @@ def write_measurements(
 
 
 def encode_measurements(
-    measurements: Measurements,
+    measurements: Measurements | Observations,
     comments: Sequence[str] = (),
     progress: Progress | None = None,
 ) -> bytes:
@@ -248,9 +285,7 @@ def encode_measurements(
         OptionError: If there is no such measurement model.
         OutputError: If a name or a relative distance would not read back.
     """
-    check_model(measurements.model)
-    columns = dict(measurement_columns(measurements))
-    return encode_table(columns, comments, progress)
+    return encode_table(dict(measurement_columns(measurements)), comments, progress)
 
 
 def encode_table(

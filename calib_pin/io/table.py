@@ -22,11 +22,13 @@ from calib_pin.io.columns import (
     Floats,
     GrowingColumn,
     Kind,
+    numbered,
     read_numbers,
     split_header,
     what_is_wrong,
 )
 from calib_pin.io.csv_text import CsvText, Stretch, open_csv
+from calib_pin.observations import Labels
 from calib_pin.progress import Progress
 
 
@@ -96,22 +98,21 @@ class Table:
     def cell(self, name: str, row: int) -> str:
         """Trimmed text of one cell."""
         column = self.columns[name]
-        word = column.words[row] if column.words else None
-        if word is None:
-            word = self.text.cells(int(self.lines[row]))[column.place]
-        return word.strip()
+        if column.words and column.codes[row] >= 0:
+            return column.words[column.codes[row]].strip()
+        return self.text.cells(int(self.lines[row]))[column.place].strip()
 
-    def cells(self, names: Collection[str]) -> dict[str, Sequence[str]]:
+    def cells(self, names: Collection[str]) -> dict[str, Labels]:
         """Untrimmed text of whole columns, by name, N strings each.
 
         Raises:
             InputError: If it must be read again, and the file has changed.
         """
-        found: dict[str, Sequence[str]] = {}
+        found: dict[str, Labels] = {}
         for name in names:
-            words = [word for word in self.columns[name].words if word is not None]
-            if len(words) == len(self.lines):
-                found[name] = words
+            column = self.columns[name]
+            if column.words and (column.codes >= 0).all():
+                found[name] = Labels(column.words, column.codes)
         again = [name for name in names if name not in found]
         return found | self._cells_of_file(again) if again else found
 
@@ -147,15 +148,17 @@ class Table:
             )
         return values if factor == 1.0 else values * factor
 
-    def texts(self, name: str) -> tuple[str, ...]:
-        """A column of trimmed text, N strings.
+    def texts(self, names: Collection[str]) -> dict[str, Labels]:
+        """Trimmed text of those columns that there are, by name, N strings each.
 
         Raises:
-            InputError: If the header states a unit.
+            InputError: If a header states a unit.
         """
-        if self.columns[name].unit is not None:
-            raise self.error(f"'{name}' is text and takes no unit", name)
-        return tuple(cell.strip() for cell in self.cells([name])[name])
+        there = [name for name in names if name in self]
+        for name in there:
+            if self.columns[name].unit is not None:
+                raise self.error(f"'{name}' is text and takes no unit", name)
+        return {name: cells.map(str.strip) for name, cells in self.cells(there).items()}
 
     def implausible(
         self, name: str, row: int, value: float, kind: Kind, why: str = ""
@@ -199,27 +202,27 @@ class Table:
             raise self.cell_error(reason, name, row, f"{largest:g} {kind.si} or less")
         raise self.implausible(name, row, float(values[row]), kind, why)
 
-    def _cells_of_file(self, names: Sequence[str]) -> dict[str, Sequence[str]]:
+    def _cells_of_file(self, names: Sequence[str]) -> dict[str, Labels]:
         """Untrimmed text of whole columns, read from the file once more."""
         places = [self.columns[name].place for name in names]
         first, stretches = self.text.split()
         header = first.cells(0)
         if len(header) <= max(places):
             raise self.text.changed()
-        lines, known = array("q"), dict[str, str]()  # Names repeat; each is kept once.
-        found: list[list[str]] = [[] for _ in places]
+        lines = array("q")
+        known = [dict[str, int]() for _ in places]
+        found: list[list[NDArray[np.int64]]] = [[] for _ in places]
         for stretch in stretches:
             lines.extend(stretch.numbers)
             columns = stretch.columns(header)
-            for cells, place in zip(found, places, strict=True):
-                cells += map(known.setdefault, columns[place], columns[place])
+            for codes, place, number in zip(found, places, known, strict=True):
+                codes.append(numbered(columns[place], number))
         rows = np.searchsorted(lines, self.lines)
         if not np.array_equal(np.take(lines, rows, mode="clip"), self.lines):
             raise self.text.changed()
-        order = rows.tolist()
         return {
-            name: [cells[row] for row in order]
-            for name, cells in zip(names, found, strict=True)
+            name: Labels(tuple(number), np.concatenate(codes)[rows])
+            for name, codes, number in zip(names, found, known, strict=True)
         }
 
     def _factor(self, name: str, kind: Kind) -> float:

@@ -14,134 +14,139 @@ from calib_pin.errors import OutputError
 from calib_pin.io.columns import Floats, split_header
 from calib_pin.io.measured_columns import reserved
 from calib_pin.measurement_models import declared
-from calib_pin.observations import AT, PART, Measurements
+from calib_pin.observations import (
+    AT,
+    BlockKey,
+    Booleans,
+    Labels,
+    Measurements,
+    Observations,
+)
 
 
 def measurement_columns(
-    measurements: Measurements,
+    measurements: Measurements | Observations,
 ) -> Iterator[tuple[str, Sequence[object] | NDArray[Any]]]:
-    """Names and cells of the columns that hold measurements."""
-    rows = _with_starts(measurements)
-    for name, column in zip(rows.joints, rows.q.T, strict=True):
+    """Names and cells of the columns that hold measurements.
+
+    Raises:
+        OptionError: If there is no measurement model of a name.
+        OutputError: If a name or a relative distance would not read back.
+    """
+    data = _with_starts(Observations.of(measurements))
+    order = data.in_order
+    for name, column in zip(data.joints, data.q[order].T, strict=True):
         yield column_name(name), column
-    models, target = _models(rows), rows.target
-    if len(rows.parts) > 1:
-        yield "model", models
-        target = tuple(name.partition(PART)[2] for name in target)
-    yield from _measured(rows, models).items()
-    if any(target):
-        yield "target", writable("target", target)
-    if any(rows.payload):
-        yield "payload", writable("payload", rows.payload)
-    if rows.validate.any():
-        yield "set", ["validate" if late else "train" for late in rows.validate]
+    for field in BlockKey._fields:
+        of_block = Labels.of([getattr(block, field) for block in data.blocks])
+        if len(of_block.distinct) > 1 or (field != "model" and any(of_block)):
+            yield field, writable(field, of_block[data.block_of[order]])
+    for name, column in _measured(data).items():
+        yield name, column[order]
+    for field in ("target", "payload"):
+        names = getattr(data, field)
+        if any(names.distinct):
+            yield field, writable(field, names[order])
+    if data.validate.any():
+        yield "set", Labels(("train", "validate"), data.validate[order].astype(int))
 
 
-def _models(rows: Measurements) -> tuple[str, ...]:
-    """The model of each row."""
-    if len(rows.parts) == 1:
-        return (rows.model,) * len(rows)
-    models = tuple(name.partition(PART)[0] for name in rows.target)
-    for model, target in zip(models, rows.target, strict=True):
-        if model not in rows.parts:
-            raise OutputError(f"target {target!r} is of none of {rows.model}")
-    return models
+def _measured(data: Observations) -> dict[str, NDArray[Any]]:
+    """Cells of the columns of all blocks, blank where a block has no such column."""
+    found: dict[str, list[tuple[slice, Floats]]] = {}
+    # All values stand before all standard deviations.
+    for sigmas in (False, True):
+        for block, rows in zip(data.blocks, data.slices, strict=True):
+            stated = declared(block.model)
+            names, table = stated.values, block.values
+            if sigmas:
+                if block.sigma is None:
+                    continue
+                names = tuple(f"sigma_{name}" for name in stated.components)
+                table = block.sigma
+            for name, column in zip(names, table.T, strict=True):
+                found.setdefault(name, []).append((rows, column))
+    result = {}
+    for name, parts in found.items():
+        whole = sum(len(column) for _, column in parts) == len(data)
+        cells = np.full(len(data), 0.0 if whole else "", float if whole else object)
+        for rows, column in parts:
+            cells[rows] = column
+        result[name] = cells
+    return result
 
 
-def _measured(rows: Measurements, models: Sequence[str]) -> dict[str, NDArray[Any]]:
-    """Cells of the columns of all models, blank where a row's own has none."""
-    values: dict[str, NDArray[Any]] = {}
-    sigmas: dict[str, NDArray[Any]] = {}
-    a = b = 0
-    for model in rows.parts:
-        stated, own = declared(model), np.array(models, str) == model
-        c, d = a + len(stated.values), b + len(stated.components)
-        _fill(values, stated.values, rows.values[:, a:c], own)
-        told = None if rows.sigma is None else rows.sigma[:, b:d]
-        a, b = c, d
-        if told is None or np.isnan(told[own]).all():
-            continue
-        if not np.isfinite(told[own]).all():
-            raise OutputError(f"only some rows of '{model}' have standard deviations")
-        _fill(sigmas, [f"sigma_{name}" for name in stated.components], told, own)
-    return values | sigmas
-
-
-def _fill(
-    columns: dict[str, NDArray[Any]],
-    names: Sequence[str],
-    table: Floats,
-    own: NDArray[np.bool_],
-) -> None:
-    """Put the rows of one model into columns that others may share."""
-    if own.all():
-        columns.update(zip(names, table.T, strict=True))
-    elif own.any():
-        for name, column in zip(names, table.T, strict=True):
-            cells = columns.setdefault(name, np.full(len(own), "", object))
-            cells[own] = column[own]
-
-
-def _with_starts(data: Measurements) -> Measurements:
+def _with_starts(data: Observations) -> Observations:
     """With a row for every start, before the first that is measured from it.
 
     Raises:
         OutputError: If a relative distance would not read back.
     """
-    model = next((name for name in data.parts if declared(name).relative), None)
-    if model is None:
+    if not any(declared(model).relative for model in data.models):
         return data
-    relative = np.array(_models(data), str) == model
-    before = data.parts[: data.parts.index(model)]
-    distance = data.values[:, sum(len(declared(name).values) for name in before)]
-    start = data.start if data.start.size else np.full(data.q.shape, np.nan)
+    rank = np.argsort(data.in_order)
+    return Observations(
+        tuple(
+            # The first that is measured from a start is the first in the file.
+            _started(block.rows(np.argsort(rank[rows])))
+            if declared(block.model).relative
+            else block
+            for block, rows in zip(data.blocks, data.slices, strict=True)
+        )
+    )
+
+
+def _started(data: Measurements) -> Measurements:
+    """Relative measurements with a row for every start."""
+    if not data.start.size:
+        raise _unreadable(data, 0, "has no start")
     for wrong, reason in (
-        (~np.isfinite(start).all(axis=1), "has no start"),
-        ((data.q == start).all(axis=1), "is taken at its start"),
-        (distance <= 0.0, "is not more than 0"),
+        ((data.q == data.start).all(axis=1), "is taken at its start"),
+        (data.values[:, 0] <= 0.0, "is not more than 0"),
     ):
-        if (relative & wrong).any():
-            place = data.source(int(np.argmax(relative & wrong)))
-            raise OutputError(
-                f"{place}: the relative distance {reason} and would not read back"
-            )
-    target, first = _start_names(data, relative)
+        if wrong.any():
+            raise _unreadable(data, int(np.argmax(wrong)), reason)
+    target, first = _start_names(data)
     index = np.repeat(np.arange(len(data)), 1 + first)
     begins = np.append(index[1:] == index[:-1], False)
     rows = replace(data, target=target).rows(index)
     q, values = rows.q.copy(), rows.values.copy()
-    q[begins], values[begins] = start[index[begins]], 0.0
+    q[begins], values[begins] = rows.start[begins], 0.0
     return replace(rows, q=q, values=values)
 
 
-def _start_names(
-    data: Measurements, relative: NDArray[np.bool_]
-) -> tuple[tuple[str, ...], NDArray[np.bool_]]:
-    """Targets that tell starts apart; of several with one name the first keeps it.
+def _unreadable(data: Measurements, row: int, reason: str) -> OutputError:
+    return OutputError(
+        f"{data.source(row)}: the relative distance {reason} and would not read back"
+    )
 
-    Args:
-        data: The rows.
-        relative: Those that have a start, shape (N,).
+
+def _start_names(data: Measurements) -> tuple[Labels, Booleans]:
+    """Targets that tell starts apart; of several with one name the first keeps it.
 
     Returns:
         The target of each row, and whether it is the first of its start, shape (N,).
     """
-    target, first = list(data.target), np.zeros(len(data), bool)
-    taken, kept, numbers = set(target), set[str](), count(2)
-    names: dict[tuple[str, bytes, str], str] = {}
-    for row in np.flatnonzero(relative).tolist():
-        name = target[row]
-        key = name, data.start[row].tobytes(), data.payload[row]
-        if key not in names:
-            first[row] = True
-            names[key] = name
-            stem = name if name and name[-1] not in AT + PART else f"{name}start"
-            while name in kept and names[key] in taken:
-                names[key] = f"{stem}/{next(numbers)}"
-            kept.add(name)
-            taken.add(names[key])
-        target[row] = names[key]
-    return tuple(target), first
+    # Bit by bit, for starts have to read back.
+    bits = np.ascontiguousarray(data.start).view(np.int64)
+    _, found, start = np.unique(
+        np.column_stack([data.target.codes, data.payload.codes, bits]),
+        axis=0,
+        return_index=True,
+        return_inverse=True,
+    )
+    taken, kept, numbers = set(data.target.names), set[str](), count(2)
+    names = [""] * len(found)
+    for k in np.argsort(found).tolist():
+        name = names[k] = data.target[found[k]]
+        stem = f"{name}start" if not name or name.endswith(AT) else name
+        while name in kept and names[k] in taken:
+            names[k] = f"{stem}/{next(numbers)}"
+        kept.add(name)
+        taken.add(names[k])
+    first = np.zeros(len(data), bool)
+    first[found] = True
+    return Labels(tuple(names), start.reshape(-1)), first
 
 
 def column_name(joint: str) -> str:
@@ -155,9 +160,10 @@ def column_name(joint: str) -> str:
     return joint
 
 
-def writable(column: str, names: Sequence[str]) -> Sequence[str]:
+def writable(column: str, names: Sequence[str]) -> Labels:
     """The cells of a column of names."""
-    for name in dict.fromkeys(names):
+    labels = Labels.of(names)
+    for name in labels.distinct:
         if name != name.strip() or set(name) & set("\r\n\0"):
             raise OutputError(f"{column} {name!r} would not read back")
-    return names
+    return labels

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from typing import Any, overload
 
@@ -63,6 +63,12 @@ class Labels(Sequence[str]):
         """The names that occur, in the order in which they do."""
         used, first = np.unique(self.codes, return_index=True)
         return tuple(self.names[k] for k in used[np.argsort(first)].tolist())
+
+    def map(self, change: Callable[[str], str]) -> Labels:
+        """The labels of changed names; a name that does not occur is left out."""
+        used, codes = np.unique(self.codes, return_inverse=True)
+        changed = Labels.of([change(self.names[k]) for k in used.tolist()])
+        return Labels(changed.names, changed.codes[codes])
 
     def where(self, name: str) -> Booleans:
         """Mask of the measurements of a name, shape (N,)."""

@@ -27,8 +27,7 @@ from calib_pin.io.measurements import (
 from calib_pin.io.table import read_table
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, measurement_model
-from calib_pin.measurement_models.side_by_side import concatenate, targets_of
-from calib_pin.observations import Measurements, states_sigmas
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import CameraSetup, JointMap, Setup
 
 URDF = """<robot name="r">
@@ -52,6 +51,9 @@ URDF = """<robot name="r">
 </robot>"""
 
 
+CHAINS = ("", "left_hand", "touch", "world")
+
+
 def robot(xml: str, file: str = "r.urdf") -> Robot:
     root = ElementTree.fromstring(xml)
     links = tuple(link.attrib["name"] for link in root.findall("link"))
@@ -71,19 +73,14 @@ def robot(xml: str, file: str = "r.urdf") -> Robot:
     )
 
 
+def read(*about, **options) -> Measurements:
+    """The measurements of files of one block."""
+    return read_measurements(*about, **options).only
+
+
 @pytest.fixture(scope="module")
 def chain() -> Chain:
     return Chain(robot(URDF), tip="c")
-
-
-@pytest.fixture
-def write(tmp_path):
-    def write(text: str | bytes, name: str = "m.csv") -> Path:
-        file = tmp_path / name
-        file.write_bytes(text.encode() if isinstance(text, str) else text)
-        return file
-
-    return write
 
 
 @pytest.fixture
@@ -97,7 +94,7 @@ def bad(write, chain, refused):
         file = write(text)
         options = {k: fields.pop(k) for k in ("model", "joints") if k in fields}
         with refused(InputError, **{"file": str(file), **fields}):
-            read_measurements(file, chain, **options)
+            read(file, chain, **options)
 
     return bad
 
@@ -107,7 +104,7 @@ def bad(write, chain, refused):
 
 def test_position(write, chain):
     file = write("lift,elbow,wrist,x,y,z\n0.1,0.2,0.3,1,2,3\n0.4,0.5,7,-1,-2,-3e-1\n")
-    data = read_measurements(file, chain)
+    data = read(file, chain)
     assert data.joints == ("lift", "elbow", "wrist")
     assert data.model == "position"
     assert data.q.tolist() == [[0.1, 0.2, 0.3], [0.4, 0.5, 7.0]]
@@ -121,7 +118,7 @@ def test_position(write, chain):
 
 
 def test_columns_in_any_order_with_units(write, chain):
-    data = read_measurements(
+    data = read(
         write(
             "target, z [um] ,wrist [deg],lift [mm],x[mm],y [ in ],elbow [mrad],"
             "sigma [mm],set\n"
@@ -141,7 +138,7 @@ def test_columns_in_any_order_with_units(write, chain):
 
 
 def test_comments_blank_lines_quotes_and_spaces(write, chain):
-    data = read_measurements(
+    data = read(
         write(
             '# made by hand\n\n "lift" ,elbow , wrist,distance,target\n'.replace(
                 '" ,', '",'
@@ -165,7 +162,7 @@ def test_comments_blank_lines_quotes_and_spaces(write, chain):
 @pytest.mark.parametrize("mark", [b"", b"\xef\xbb\xbf"])
 def test_line_ends_and_byte_order_mark(write, chain, end, mark):
     lines = ["lift,elbow,wrist,distance,target", "0,0,0,1,Wände", "", "0,0,0,2,b"]
-    data = read_measurements(write(mark + end.join(lines).encode()), chain)
+    data = read(write(mark + end.join(lines).encode()), chain)
     assert data.target == ("Wände", "b")
     assert data.lines.tolist() == [2, 4]
 
@@ -174,25 +171,23 @@ def test_names_match_exactly(write, refused):
     xml = URDF.replace('"elbow"', '"joint1"').replace('"wrist"', '"joint11"')
     chain = Chain(robot(xml), tip="c")
     file = write("joint11,lift,joint1,distance\n0.1,0.2,0.3,1\n")
-    assert read_measurements(file, chain).q.tolist() == [[0.2, 0.3, 0.1]]
+    assert read(file, chain).q.tolist() == [[0.2, 0.3, 0.1]]
     with refused(InputError, line=1, column="joint1", reason="joint 'joint1'"):
-        read_measurements(write("joint11,lift,distance\n0.1,0.2,1\n"), chain)
+        read(write("joint11,lift,distance\n0.1,0.2,1\n"), chain)
 
 
 def test_sigma_by_component(write, chain):
     header = "lift,elbow,wrist,x,y,z,sigma,sigma_y [um]\n"
-    data = read_measurements(write(header + "0,0,0,1,2,3,0.001,50\n"), chain)
+    data = read(write(header + "0,0,0,1,2,3,0.001,50\n"), chain)
     np.testing.assert_allclose(data.sigma, [[1e-3, 5e-5, 1e-3]])
 
     names = "sigma_rz [mrad],sigma_x,sigma_y,sigma_z,sigma_rx [deg],sigma_ry"
     header = f"lift,elbow,wrist,x,y,z,rx,ry,rz,{names}\n"
-    data = read_measurements(
-        write(header + "0,0,0,1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5"), chain
-    )
+    data = read(write(header + "0,0,0,1,2,3,0,0,0,6,0.1,0.2,0.3,4,0.5"), chain)
     np.testing.assert_allclose(data.sigma, [[0.1, 0.2, 0.3, np.pi / 45, 0.5, 0.006]])
 
     header = "lift,elbow,wrist,distance,sigma_distance [mm]\n"
-    data = read_measurements(write(header + "0,0,0,1,2"), chain)
+    data = read(write(header + "0,0,0,1,2"), chain)
     assert data.sigma.tolist() == [[0.002]]
 
 
@@ -200,13 +195,13 @@ def test_model_asked_for_takes_its_columns_only(write, chain):
     header = "lift,elbow,wrist,x,y,z,qx,qy,qz,qw,distance,sigma_distance,sigma_rx\n"
     file = write(header + "0,0,0,1,2,3,0,0,0,1,4,0.1,0.1\n")
     notices: list[str] = []
-    data = read_measurements(file, chain, model="position", notice=notices.append)
+    data = read(file, chain, model="position", notice=notices.append)
     assert (data.model, data.values.tolist()) == ("position", [[1, 2, 3]])
     assert data.sigma is None
     assert notices == [
         f"{file}: columns ignored: qx, qy, qz, qw, distance, sigma_distance, sigma_rx"
     ]
-    data = read_measurements(file, chain, model="plane-distance")
+    data = read(file, chain, model="plane-distance")
     assert (data.values.tolist(), data.sigma.tolist()) == ([[4.0]], [[0.1]])
 
 
@@ -216,14 +211,14 @@ def test_columns_without_a_meaning_are_reported_once(write, chain):
     notices: list[str] = []
     second = write(",lift,elbow,wrist,distance\n1,0,0,0,1", "n.csv")
     first = write(header + rows)
-    read_measurements([first, second], chain, notice=notices.append)
+    read([first, second], chain, notice=notices.append)
     assert notices == [
         f"{first}: columns ignored: tool_position, time [s]",
         f"{second}: columns ignored: (unnamed)",
     ]
     notices.clear()
     clean = write("lift,elbow,wrist,gripper,distance\n0,0,0,0,1\n")
-    read_measurements(clean, chain, notice=notices.append)
+    read(clean, chain, notice=notices.append)
     assert notices == []
 
 
@@ -232,7 +227,7 @@ def test_several_files_are_joined_in_order(write, chain):
     b = write(
         "# b\ndistance [mm],wrist,elbow,lift,set\n3000,3,2,0.1,validate\n", "b.csv"
     )
-    data = read_measurements([b, str(a)], chain)
+    data = read([b, str(a)], chain)
     assert data.values.tolist() == [[3.0], [1.0], [2.0]]
     assert data.files == (str(b), str(a), str(a))
     assert data.lines.tolist() == [3, 2, 3]
@@ -277,7 +272,7 @@ def test_orientations(write, chain, header, write_down):
     rows = [",".join(map(repr, np.asarray(write_down(M)).tolist())) for M in R]
     text = f"lift,elbow,wrist,x,y,z,{header}\n"
     text += "".join(f"0,0,0,1,2,3,{row}\n" for row in rows)
-    data = read_measurements(write(text), chain)
+    data = read(write(text), chain)
     assert data.model == "pose"
     assert data.values[:, :3].tolist() == [[1, 2, 3]] * len(R)
     quaternions = data.values[:, 3:]
@@ -301,7 +296,7 @@ def test_orientations(write, chain, header, write_down):
     ],
 )
 def test_known_orientations(write, chain, row, expected):
-    data = read_measurements(write("lift,elbow,wrist,x,y,z," + row), chain)
+    data = read(write("lift,elbow,wrist,x,y,z," + row), chain)
     # The cosine of the number next to pi/2 is 6e-17; four such terms are added.
     np.testing.assert_allclose(data.values[0, 3:], expected, atol=4e-16)
 
@@ -317,7 +312,7 @@ def test_joint_maps(write, chain):
     }
     file = write("J3,J2 [deg],lift,extra [mrad],hand,distance\n0.1,180,0.2,10,x,1\n")
     notices: list[str] = []
-    data = read_measurements(file, chain, joints=joints, notice=notices.append)
+    data = read(file, chain, joints=joints, notice=notices.append)
     assert data.joints == ("lift", "elbow", "wrist")
     expected = [0.2, 0.5 - 0.01 * np.pi, 2 * (0.1 + 0.5 * np.pi - 0.01)]
     np.testing.assert_allclose(data.q, [expected])
@@ -335,7 +330,7 @@ def test_own_column_of_a_mapped_joint_is_reported(write, chain):
     notices: list[str] = []
     file = write("lift,elbow,wrist,J2,distance\n0,1,0,2,1\n")
     joints = {"J2": JointMap("elbow")}
-    data = read_measurements(file, chain, joints=joints, notice=notices.append)
+    data = read(file, chain, joints=joints, notice=notices.append)
     assert data.q.tolist() == [[0, 2, 0]]
     assert notices == [f"{file}: columns ignored: elbow"]
 
@@ -409,9 +404,9 @@ def test_joint_with_the_name_of_a_measured_column(write, refused):
     chain = Chain(robot(URDF.replace('"lift"', '"x"')), tip="c")
     file = write("x,elbow,wrist,distance\n0,0,0,1\n")
     with refused(InputError, reason=("'x' has a meaning of its own", "'joints'")):
-        read_measurements(file, chain)
+        read(file, chain)
     file = write("rail,elbow,wrist,x,y,z\n0.1,0,0,1,2,3\n")
-    data = read_measurements(file, chain, joints={"rail": JointMap("x")})
+    data = read(file, chain, joints={"rail": JointMap("x")})
     assert (data.q[0, 0], data.values[0, 0]) == (0.1, 1.0)
 
 
@@ -444,14 +439,16 @@ NAMED = TEXT.filter(lambda name: name.rpartition("@")[2] != "")
 
 
 @st.composite
-def measurements(draw, model=None):
-    """Rows of one model, which keep to what the reader checks."""
-    model = model or draw(st.sampled_from(list(MEASUREMENT_MODELS)))
+def measurements(draw, key=None, chains=None):
+    """Measurements of one block, which keep to what the reader checks."""
+    key = key or BlockKey(draw(st.sampled_from(list(MEASUREMENT_MODELS))))
+    joints = chains.joints if chains else ("lift", "elbow", "wrist")
+    model, n = key.model, len(joints)
     stated = declared(model)
     width, components = len(stated.values), len(stated.components)
     count = draw(st.integers(1, 5))
     # Within the unit checks of the reader: 0 to 0.5 m, about a turn.
-    q = draw(arrays(float, (count, 3), elements=st.floats(-0.4, 0.4)))
+    q = draw(arrays(float, (count, n), elements=st.floats(-0.4, 0.4)))
     values = draw(arrays(float, (count, width), elements=st.floats(-2, 2)))
     if model == "pose":
         quaternion = draw(arrays(float, (count, 4), elements=st.floats(0.1, 1)))
@@ -460,67 +457,101 @@ def measurements(draw, model=None):
     sizes = st.floats(1e-8, 1e3) if model == "camera" else SIGMA
     sigma = draw(st.none() | arrays(float, (count, components), elements=sizes))
     named = model not in ("position", "pose", "plane-distance", "relative-distance")
+    named |= key.chain == "world"
     names = st.lists(NAMED if named else TEXT, min_size=count, max_size=count)
     if model in ("point-distance", "plane-contact", "sphere-contact"):
-        names |= st.just([""] * count)
+        # Those of one model and station name all of their targets, or none.
+        names = st.just([""] * count) if key.chain != "world" and not chains else names
     target = draw(names)
     payload = draw(st.lists(TEXT, min_size=count, max_size=count))
     start = np.zeros((0, 0))
     if model == "relative-distance":
         values = np.abs(values) + 1e-6
-        begins = [0.45, *draw(arrays(float, 2, elements=st.floats(-3, 3)))]
+        size = 0.4 if chains else 3.0
+        begins = [0.45, *draw(arrays(float, n - 1, elements=st.floats(-size, size)))]
         first = [target.index(name) for name in target]
         payload = [payload[k] for k in first]
         start = np.array([begins] * count) - 0.01 * np.array(first)[:, None]
     return Measurements(
-        joints=("lift", "elbow", "wrist"),
-        q=q,
-        model=model,
+        joints=joints,
+        q=chains.follow(q) if chains else q,
         values=values,
         sigma=sigma,
-        target=tuple(target),
-        payload=tuple(payload),
-        start=start,
+        target=target,
+        payload=payload,
+        start=chains.follow(start) if chains and start.size else start,
         validate=draw(arrays(bool, count)),
+        **key._asdict(),
     )
 
 
 @st.composite
-def mixtures(draw):
-    """Rows of several models."""
-    names = st.lists(
-        st.sampled_from(list(MEASUREMENT_MODELS)), min_size=2, max_size=4, unique=True
+def mixtures(draw, tree):
+    """Measurements of several blocks, in any order within a file."""
+    # Of a model and a chain either all measurements name a station, or none.
+    models = draw(
+        st.lists(
+            st.sampled_from(list(MEASUREMENT_MODELS)),
+            min_size=2,
+            max_size=4,
+            unique=True,
+        )
     )
-    return concatenate([draw(measurements(name)) for name in draw(names)])
+    places = st.sampled_from([("", ""), ("", "probe"), ("day 1", ""), ("2", "1")])
+    keys = {}
+    for model in models:
+        for chain in draw(st.sets(st.sampled_from(CHAINS), min_size=1, max_size=2)):
+            if (model, chain) == ("relative-distance", "world"):
+                continue
+            station, tool = draw(places)
+            keys[BlockKey(model, chain, station, tool)] = None
+            if station and draw(st.booleans()):
+                keys[BlockKey(model, chain, "b", tool)] = None
+    chains = tree.named(tuple({key.chain for key in keys} or {""}))
+    blocks = [draw(measurements(key, chains)) for key in keys]
+    if not blocks:
+        blocks = [draw(measurements(BlockKey("pose"), chains))]
+    order = draw(st.permutations(range(sum(map(len, blocks)))))
+    lines = np.split(np.array(order), np.cumsum([len(b) for b in blocks])[:-1])
+    blocks = [
+        replace(block, lines=np.sort(own) + 1, files=["m.csv"] * len(block))
+        for block, own in zip(blocks, lines, strict=True)
+    ]
+    return Observations(tuple(sorted(blocks, key=lambda block: block.lines[0])))
 
 
 def same(data, again):
-    """Whether two measurements are the same, bit by bit."""
-    for name in ("q", "values", "sigma", "start", "validate"):
-        one, other = getattr(data, name), getattr(again, name)
-        assert (one is None) == (other is None)
-        assert one is None or (one.shape, one.tobytes()) == (
-            other.shape,
-            other.tobytes(),
-        )
-    assert (again.model, again.joints) == (data.model, data.joints)
-    assert (again.target, again.payload) == (data.target, data.payload)
+    """Whether measurements are the same, bit by bit."""
+    blocks = (Observations.of(part).blocks for part in (data, again))
+    for one, other in zip(*blocks, strict=True):
+        for name in ("q", "values", "sigma", "start", "validate"):
+            here, there = getattr(one, name), getattr(other, name)
+            assert (here is None) == (there is None), name
+            assert here is None or (here.shape, here.tobytes()) == (
+                there.shape,
+                there.tobytes(),
+            ), name
+        assert (other.key, other.joints) == (one.key, one.joints)
+        assert (other.target, other.payload) == (one.target, one.payload)
     return True
 
 
 @settings(
-    max_examples=60,
+    max_examples=100,
     deadline=None,
-    suppress_health_check=[HealthCheck.function_scoped_fixture],
+    suppress_health_check=[HealthCheck.function_scoped_fixture, HealthCheck.too_slow],
 )
-@given(data=measurements() | mixtures(), comments=st.lists(TEXT, max_size=3))
-def test_written_files_read_back_bit_by_bit(tmp_path, chain, data, comments):
+@given(drawn=st.data(), comments=st.lists(TEXT, max_size=3))
+def test_written_files_read_back_bit_by_bit(tmp_path, chain, tree, drawn, comments):
+    data = drawn.draw(measurements() | mixtures(tree))
     file = tmp_path / "written.csv"
     write_measurements(file, data, comments, force=True)
+    several = isinstance(data, Observations)
     options = {"notice": pytest.fail, "sockets": sockets(data)}
-    if data.model not in ("position", "pose", "plane-distance", "camera"):
-        options["model"] = data.model
-    again = read_measurements(file, chain, **options)
+    (model, *others) = Observations.of(data).models
+    if not others and model not in ("position", "pose", "plane-distance", "camera"):
+        options["model"] = model
+    again = read_measurements(file, tree if several else chain, **options)
     assert same(data, again)
     first = file.read_bytes()
     write_measurements(file, again, comments, force=True)
@@ -530,7 +561,7 @@ def test_written_files_read_back_bit_by_bit(tmp_path, chain, data, comments):
 
 def sockets(data):
     """All of them, so that one row is enough for each."""
-    return {name.rpartition("@")[2] for name in targets_of(data, "fixed-point")}
+    return {name.rpartition("@")[2] for name in Observations.of(data).target}
 
 
 def test_what_is_written(tmp_path, chain):
@@ -555,7 +586,7 @@ def test_what_is_written(tmp_path, chain):
         + "0.0001," * 6
         + '"a, ""b""",validate\n'
     )
-    again = read_measurements(file, chain)
+    again = read(file, chain)
     assert again.target == data.target
     assert again.q.tobytes() == data.q.tobytes()
 
@@ -567,10 +598,10 @@ def test_normalized_quaternions_stay_as_they_are(write, tmp_path, chain):
     text = "lift,elbow,wrist,x,y,z,qx,qy,qz,qw\n" + "".join(
         f"0,0,0,1,2,3,{','.join(map(repr, row.tolist()))}\n" for row in rows
     )
-    data = read_measurements(write(text), chain)
+    data = read(write(text), chain)
     file = tmp_path / "again.csv"
     write_measurements(file, data)
-    assert read_measurements(file, chain).values.tobytes() == data.values.tobytes()
+    assert read(file, chain).values.tobytes() == data.values.tobytes()
 
 
 def test_an_existing_file_needs_force(tmp_path, refused):
@@ -974,19 +1005,19 @@ def test_the_wrong_unit_of_a_mapped_joint(bad):
     ],
 )
 def test_plausible_values_pass(write, chain, text):
-    read_measurements(write(text), chain)
+    read(write(text), chain)
 
 
 def test_a_gear_makes_large_motor_angles_plausible(write, chain):
     joints = {"motor": JointMap("elbow", gear=0.01)}
     file = write("lift,motor,wrist,distance\n0,200,0,1\n")
-    assert read_measurements(file, chain, joints=joints).q[0, 1] == 2.0
+    assert read(file, chain, joints=joints).q[0, 1] == 2.0
 
 
 def test_limits_of_many_turns_are_believed(write):
     xml = URDF.replace('lower="-2.9" upper="2.9"', 'lower="-60" upper="60"')
     file = write("lift,elbow,wrist,distance\n0,59,0,1\n")
-    assert read_measurements(file, Chain(robot(xml), tip="c")).q[0, 1] == 59.0
+    assert read(file, Chain(robot(xml), tip="c")).q[0, 1] == 59.0
 
 
 @pytest.mark.parametrize(
@@ -1009,7 +1040,7 @@ def test_limits_of_many_turns_are_believed(write):
 )
 def test_model_names(write, chain, refused, model, fields):
     with refused(OptionError, **fields):
-        read_measurements(write("lift\n0\n"), chain, model=model)
+        read(write("lift\n0\n"), chain, model=model)
 
 
 @pytest.mark.parametrize(
@@ -1044,7 +1075,7 @@ def test_pose_asked_for_lacks_the_orientation(bad):
 def test_several_near_columns_give_no_hint(write, chain):
     file = write("lift,elbow_1,elbow_2,wrist,distance\n0,0,0,0,1\n")
     with pytest.raises(InputError) as caught:
-        read_measurements(file, chain)
+        read(file, chain)
     assert caught.value.column == "elbow"
     assert "did you mean" not in caught.value.reason
 
@@ -1053,14 +1084,14 @@ def test_files_that_cannot_be_joined(write, chain, refused):
     distance = write(f"{J},distance\n0,0,0,1\n", "d.csv")
     sigma = write(f"{J},distance,sigma\n0,0,0,1,1\n", "s.csv")
     with refused(InputError, file=str(sigma), reason="standard deviations"):
-        read_measurements([distance, sigma], chain)
+        read([distance, sigma], chain)
     with refused(InputError, reason="no measurement file"):
-        read_measurements([], chain)
+        read([], chain)
 
 
 def test_missing_file(tmp_path, chain, refused):
     with refused(InputError, file=str(tmp_path / "none.csv"), reason="no such file"):
-        read_measurements(tmp_path / "none.csv", chain)
+        read(tmp_path / "none.csv", chain)
 
 
 def test_every_measurement_model_has_a_file_format():
@@ -1142,7 +1173,7 @@ def test_columns_of_models(write, chain, model, text, values, sigma, target):
     header, *rows = text.splitlines()
     q = ["0,0,0,", "0.1,0.2,0.3,"]
     lines = [f"lift,elbow,wrist,{header}", *map("".join, zip(q, rows, strict=True))]
-    data = read_measurements(write("\n".join(lines)), chain, model=model)
+    data = read(write("\n".join(lines)), chain, model=model)
     assert data.model == model
     assert data.values.tolist() == values
     assert data.values.shape == (2, len(declared(model).values))
@@ -1163,20 +1194,20 @@ def test_columns_of_models(write, chain, model, text, values, sigma, target):
 )
 def test_models_are_inferred(write, chain, columns, model):
     row = ",".join("a" if name == "target" else "0" for name in columns.split(","))
-    data = read_measurements(write(f"{J},{columns}\n0,0,0,{row}\n"), chain)
+    data = read(write(f"{J},{columns}\n0,0,0,{row}\n"), chain)
     assert data.model == model
 
 
 def test_payload(write, chain):
     file = write(f"{J},distance,payload\n0,0,0,1, gripper \n0,0,0,1,\n")
-    assert read_measurements(file, chain, notice=pytest.fail).payload == ("gripper", "")
+    assert read(file, chain, notice=pytest.fail).payload == ("gripper", "")
 
 
 # --- relative distances ------------------------------------------------------------
 
 
 def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
-    data = read_measurements(
+    data = read(
         write(
             "lift [mm],elbow,wrist,distance [mm],target,sigma [mm],set,payload\n"
             "100,0,0,0,a,,,p\n"
@@ -1202,7 +1233,7 @@ def test_relative_distances_start_at_the_first_row_of_a_target(write, chain):
 def test_without_targets_all_start_at_the_first_row(write, chain):
     file = write(f"{J},distance\n0,0,0,0\n0.1,0,0,0.1\n0.2,0,0,0.2\n")
     again = write(f"{J},distance\n0.4,0,0,0\n0.3,0,0,0.1\n", "n.csv")
-    data = read_measurements([file, again], chain, model="relative-distance")
+    data = read([file, again], chain, model="relative-distance")
     assert data.start[:, 0].tolist() == [0.0, 0.0, 0.4]
     assert data.values[:, 0].tolist() == [0.1, 0.2, 0.1]
 
@@ -1308,13 +1339,13 @@ def test_starts_of_one_target_are_told_apart(tmp_path, chain, target, names):
     data = relative(target=(target,) * 3, start=start)
     if target == "a":
         # A name that others have is not taken.
-        data = concatenate(
+        data = Measurements.concatenate(
             [data, relative(target=("a/3",) * 3, start=np.full((3, 3), 0.05))]
         )
         names += ("a/3",) * 3
     file = tmp_path / "out.csv"
     write_measurements(file, data)
-    again = read_measurements(file, chain, model="relative-distance")
+    again = read(file, chain, model="relative-distance")
     assert again.target == names
     assert again.start.tobytes() == data.start.tobytes()
     assert again.values.tobytes() == data.values.tobytes()
@@ -1348,34 +1379,20 @@ MIXED = f"""{J},model,x,y,z,u,v,distance,target,sigma,payload
 def test_a_file_of_several_models(write, chain):
     file = write(MIXED)
     data = read_measurements(file, chain, notice=pytest.fail)
-    assert data.model == "camera+position+relative-distance"
-    # Rows of one model stand together.
-    assert data.target == (
-        *("camera:m1", "camera:m2", "position:"),
-        "relative-distance:a",
-    )
+    assert data.models == ("camera", "position", "relative-distance")
+    camera, position, distance = data.blocks
+    assert (camera.target, position.target) == (("m1", "m2"), ("",))
+    assert distance.target == ("a",)
     assert data.lines.tolist() == [2, 4, 3, 6]
     assert data.q[:, 0].tolist() == [0.0, 0.2, 0.1, 0.4]
-    assert data.values.tolist() == [
-        [1, 2, 0, 0, 0, 0],
-        [3, 4, 0, 0, 0, 0],
-        [0, 0, 1, 2, 3, 0],
-        [0, 0, 0, 0, 0, 0.1],
-    ]
-    nan, inf = np.nan, np.inf
-    np.testing.assert_array_equal(
-        data.sigma,
-        [
-            [nan, nan, inf, inf, inf, inf],
-            [nan, nan, inf, inf, inf, inf],
-            [inf, inf, nan, nan, nan, inf],
-            [inf, inf, inf, inf, inf, 0.001],
-        ],
-    )
+    assert camera.values.tolist() == [[1, 2], [3, 4]]
+    assert position.values.tolist() == [[1, 2, 3]]
+    assert distance.values.tolist() == [[0.1]]
+    # Blocks state their standard deviations or leave them open, each for itself.
+    assert (camera.sigma, position.sigma) == (None, None)
+    assert distance.sigma.tolist() == [[0.001]]
     assert data.payload == ("p", "", "", "")
-    np.testing.assert_array_equal(
-        data.start, [[nan] * 3, [nan] * 3, [nan] * 3, [0.3, 0, 0]]
-    )
+    assert (camera.start.size, distance.start.tolist()) == (0, [[0.3, 0, 0]])
     assert data.files == (str(file),) * 4
 
 
@@ -1383,40 +1400,31 @@ def test_what_is_written_of_several_models(tmp_path, write, chain):
     data = read_measurements(write(MIXED), chain)
     file = tmp_path / "out.csv"
     write_measurements(file, data)
+    # In the order of the file that was read.
     assert file.read_text() == (
         "lift,elbow,wrist,model,u,v,x,y,z,distance,sigma_distance,target,payload\n"
         "0.0,0.0,0.0,camera,1.0,2.0,,,,,,m1,p\n"
-        "0.2,0.0,0.0,camera,3.0,4.0,,,,,,m2,\n"
         "0.1,0.0,0.0,position,,,1.0,2.0,3.0,,,,\n"
+        "0.2,0.0,0.0,camera,3.0,4.0,,,,,,m2,\n"
         "0.3,0.0,0.0,relative-distance,,,,,,0.0,0.001,a,\n"
         "0.4,0.0,0.0,relative-distance,,,,,,0.1,0.001,a,\n"
     )
     assert same(data, read_measurements(file, chain))
     # A model that is left without rows is not in the file.
     write_measurements(file, data.rows(np.array([2])), force=True)
-    assert read_measurements(file, chain).model == "position"
-
-
-def test_what_would_not_read_back_of_several_models(tmp_path, write, chain):
-    data = read_measurements(write(MIXED), chain).rows(np.array([0, 1]))
-    file = tmp_path / "out.csv"
-    sigma = data.sigma.copy()
-    sigma[0] = 1.0
-    with pytest.raises(OutputError, match="some rows of 'camera' have standard dev"):
-        write_measurements(file, replace(data, sigma=sigma))
-    with pytest.raises(OutputError, match="'wall' is of none of camera"):
-        write_measurements(file, replace(data, target=("wall", "wall")))
-    for name, value in (("payload", " p"), ("target", "camera: m")):
-        with pytest.raises(OutputError, match=f"{name} '.*' would not read back"):
-            write_measurements(file, replace(data, **{name: (value, value)}))
-    assert not file.exists()
+    assert read(file, chain).model == "position"
+    for name in ("payload", "target", "station", "tool", "chain"):
+        names = " p" if name in BlockKey._fields else (" p",) * 2
+        camera = replace(data.blocks[0], **{name: names})
+        with pytest.raises(OutputError, match=f"{name} ' p' would not read back"):
+            write_measurements(file, camera, force=True)
 
 
 def test_a_model_column_of_one_model_is_a_plain_file(write, chain):
     file = write(
         f"{J},distance,model\n0,0,0,1,point-distance\n1,0,0,1,point-distance\n"
     )
-    data = read_measurements(file, chain, model="position", notice=pytest.fail)
+    data = read(file, chain, model="position", notice=pytest.fail)
     assert (data.model, data.target) == ("point-distance", ("", ""))
 
 
@@ -1425,20 +1433,18 @@ def test_several_files_of_different_models(write, chain, refused):
     position = write(f"{J},x,y,z,sigma\n0,0,0,1,2,3,0.1\n", "p.csv")
     mixed = write(MIXED, "m.csv")
     data = read_measurements([distance, position], chain)
-    assert data.model == "plane-distance+position"
-    assert data.values.tolist() == [[1, 0, 0, 0], [2, 0, 0, 0], [0, 1, 2, 3]]
-    assert data.target == ("plane-distance:wall", "plane-distance:", "position:")
+    assert data.models == ("plane-distance", "position")
+    assert [block.values.tolist() for block in data.blocks] == [[[1], [2]], [[1, 2, 3]]]
+    assert data.target == ("wall", "", "")
     assert data.files == (str(distance), str(distance), str(position))
-    assert not states_sigmas(data)
+    assert [block.sigma is None for block in data.blocks] == [True, False]
     # The column wins over what is asked for.
     data = read_measurements([distance, mixed], chain, model="plane-distance")
-    assert data.model == "plane-distance+camera+position+relative-distance"
+    assert data.models == ("plane-distance", "camera", "position", "relative-distance")
     # All rows of a model stand together.
     plain = write(f"{J},x,y,z\n0,0,0,1,2,3\n", "q.csv")
     data = read_measurements([mixed, plain], chain)
-    assert [name.partition(":")[0] for name in data.target] == [
-        *("camera", "camera", "position", "position", "relative-distance")
-    ]
+    assert list(map(len, data.blocks)) == [2, 2, 1]
     assert data.lines.tolist() == [2, 4, 3, 2, 6]
     with refused(
         InputError, file=str(position), reason="with and without standard dev"
@@ -1453,7 +1459,7 @@ def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused
     touched = write(f"{J},note\n0,0,0,1\n", "t.csv")
 
     def models(files, model):
-        return read_measurements(files, chain, model=model).model
+        return "+".join(read_measurements(files, chain, model=model).models)
 
     # Those that are asked for decide on the order.
     both = "fixed-point+position"
@@ -1484,7 +1490,7 @@ def test_each_file_is_the_one_model_that_its_columns_allow(write, chain, refused
         (sockets, "fixed-point+plane-contact", dict(reason="'model'")),
     ):
         with refused(InputError, file=str(file), line=1, **fields):
-            read_measurements(file, chain, model=model)
+            read(file, chain, model=model)
 
 
 @pytest.mark.parametrize(
@@ -1738,19 +1744,19 @@ def test_sockets_count_over_all_files(write, chain, refused):
         write(f"{J},target,set\n{row}\n", f"{name}.csv")
         for name, row in (("a", "0,0,0,s,train"), ("b", "0.1,0,0,s,validate"))
     ]
-    assert len(read_measurements(files, chain, model="fixed-point")) == 2
+    assert len(read(files, chain, model="fixed-point")) == 2
     with refused(
         InputError, file=str(files[1]), line=2, reason="the socket 's' has one"
     ):
-        read_measurements(files[1], chain, model="fixed-point")
-    data = read_measurements(files[1], chain, model="fixed-point", sockets=["s"])
+        read(files[1], chain, model="fixed-point")
+    data = read(files[1], chain, model="fixed-point", sockets=["s"])
     assert len(data) == 1
 
 
 def test_contacts_ignore_the_sigma_of_what_they_do_not_read(write, chain):
     notices: list[str] = []
     file = write(f"{J},x,sigma_x\n0,0,0,1,1\n")
-    data = read_measurements(file, chain, model="plane-contact", notice=notices.append)
+    data = read(file, chain, model="plane-contact", notice=notices.append)
     assert data.sigma is None
     assert notices == [f"{file}: columns ignored: x, sigma_x"]
 
@@ -1760,15 +1766,15 @@ def test_joints_with_reserved_names(write, name, refused):
     chain = Chain(robot(URDF.replace('"lift"', f'"{name}"')), tip="c")
     file = write(f"{name},elbow,wrist,distance\n0,0,0,1\n")
     with refused(InputError, reason=f"'{name}' has a meaning of its own"):
-        read_measurements(file, chain)
+        read(file, chain)
     file = write("rail,elbow,wrist,distance\n0.1,0,0,1\n")
     joints = {"rail": JointMap(name)}
-    data = read_measurements(file, chain, joints=joints, notice=pytest.fail)
+    data = read(file, chain, joints=joints, notice=pytest.fail)
     assert data.q[0, 0] == 0.1
     file = write(f"{name},rail,elbow,wrist,distance\n,0.1,0,0,1\n")
     if name not in ("model", "payload"):
         notices: list[str] = []
-        read_measurements(file, chain, joints=joints, notice=notices.append)
+        read(file, chain, joints=joints, notice=notices.append)
         assert notices == [f"{file}: columns ignored: {name}"]
 
 
@@ -1780,7 +1786,7 @@ def test_many_rows(write, bad, chain):
     rows = np.random.default_rng(3).uniform(0.0, 0.4, (4_000, 9))
     text = f"{J},x,y,z,rx,ry,rz\n"
     text += "\n".join(",".join(map(repr, row)) for row in rows.tolist())
-    data = read_measurements(write(text), chain)
+    data = read(write(text), chain)
     assert data.q.tobytes() == rows[:, :3].tobytes()
     assert data.values[:, :3].tobytes() == rows[:, 3:6].tobytes()
     assert data.lines.tolist() == list(range(2, 4_002))
@@ -1847,7 +1853,7 @@ def test_real_files(tmp_path, urdf, tip, files, model, counts, ignored):
     chain = real_chain(urdf, tip)
     paths = [DATA / file for file in files]
     notices: list[str] = []
-    data = read_measurements(paths, chain, notice=notices.append)
+    data = read(paths, chain, notice=notices.append)
     assert data.model == model
     assert len(data) == sum(counts)
     assert data.files == sum(
@@ -1858,7 +1864,7 @@ def test_real_files(tmp_path, urdf, tip, files, model, counts, ignored):
     assert np.abs(data.values[:, :3]).max() < 3.0
     written = tmp_path / "again.csv"
     write_measurements(written, data)
-    again = read_measurements(written, chain)
+    again = read(written, chain)
     assert again.q.tobytes() == data.q.tobytes()
     assert again.values.tobytes() == data.values.tobytes()
 
@@ -1868,7 +1874,7 @@ def test_real_configurations(refused):
     file = DATA / "mukca_panda" / "panda_1.csv"
     assert read_configurations(file, chain).shape == (182, 7)
     with refused(InputError, line=1, reason="no measured columns"):
-        read_measurements(file, chain)
+        read(file, chain)
 
 
 @pytest.mark.parametrize(("number", "count"), [(1, 182), (2, 559)])
@@ -1876,12 +1882,12 @@ def test_real_sockets(tmp_path, number, count):
     chain = real_chain("panda_description/urdf/panda.urdf", "panda_link8")
     file = DATA / "mukca_panda" / f"panda_{number}.csv"
     notices: list[str] = []
-    data = read_measurements(file, chain, model="fixed-point", notice=notices.append)
+    data = read(file, chain, model="fixed-point", notice=notices.append)
     assert len(data) == count
     assert notices == [f"{file}: columns ignored: tool_position"]
     written = tmp_path / "again.csv"
     write_measurements(written, data)
-    assert same(data, read_measurements(written, chain, model="fixed-point"))
+    assert same(data, read(written, chain, model="fixed-point"))
 
 
 def test_progress_of_reading_and_writing(tmp_path):

@@ -1,0 +1,276 @@
+"""The measurements in one file, a block for each model, chain, station and tool."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Collection, Mapping, Sequence, Set
+from dataclasses import replace
+
+import numpy as np
+
+from calib_pin.errors import InputError, RobotError, nearest
+from calib_pin.io.columns import Floats
+from calib_pin.io.inferred_model import infer_model
+from calib_pin.io.joint_columns import joint_sources, read_positions, spare_columns
+from calib_pin.io.measured_columns import (
+    NAMES,
+    ORIENTED,
+    check_spread,
+    check_targets,
+    components,
+    find_starts,
+    measured,
+    needed,
+    place_of,
+    read_sigma,
+    read_values,
+    reserved,
+    sigmas,
+)
+from calib_pin.io.table import Table
+from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.observations import (
+    BlockKey,
+    Booleans,
+    Indices,
+    Labels,
+    Measurements,
+    Observations,
+)
+from calib_pin.progress import Progress
+from calib_pin.setup import WORLD, JointMap
+
+POSITIONS = 0.95
+"""Part of the time after which joint positions are read."""
+
+
+def read_blocks(
+    table: Table,
+    chains: Chains,
+    joints: Mapping[str, JointMap],
+    asked: Sequence[str] = (),
+    station: str | None = None,
+    notice: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+) -> list[Measurements]:
+    """Measurements of one file, block by block in the order in which these begin.
+
+    A measurement leaves blank what only the models of others read: a number there was
+    meant to be read, and would be lost. Columns that none of them reads may hold
+    anything.
+
+    Args:
+        table: The file.
+        chains: The chains that it may name; if it names none, the only one of these.
+        joints: How file columns become joints; others are taken by their own name.
+        asked: Measurement models of a file without a column `model`.
+        station: Station of all measurements; None takes the column `station`.
+        notice: Called with one sentence that lists the columns without a meaning.
+        progress: Told the part that is done, 0 to 1.
+
+    Raises:
+        InputError: If a measurement names a model or a chain that there is not, or has
+            a value of another model, or the file does not hold such measurements.
+    """
+    texts, count = table.texts(NAMES), len(table.lines)
+    if station is not None and "station" in texts:
+        raise table.error(
+            "the file names its stations itself, so it cannot be a station", "station"
+        )
+    default = chains.names[0] if len(chains.names) == 1 else ""
+    absent = {"chain": default, "station": station or ""}
+    names = {
+        name: texts.get(name, Labels.all(absent.get(name, ""), count)) for name in NAMES
+    }
+    names["chain"] = names["chain"].map(lambda name: name or default)
+    chains = _named_chains(table, chains, names["chain"])
+    q = read_positions(table, chains, joint_sources(chains, joints), names["chain"])
+    if progress is not None:
+        progress(POSITIONS)
+    if "model" in table:
+        _check_models(table, names["model"])
+    else:
+        names["model"] = Labels.all(infer_model(table, asked), count)
+    blocks = _split(names)
+    read = {name: _read_by(name) for name in names["model"].distinct}
+    anybody = frozenset[str]().union(*read.values())
+    spare, used = spare_columns(table, chains, joints), set(NAMES)
+    parts = []
+    for key, rows in blocks.items():
+        own = table
+        if len(blocks) > 1:
+            own = table.rows(rows, reserved())
+            _check_blank(own, key.model, anybody - read[key.model])
+            own = _without_blank(own, set(needed(key.model)))
+        texts = {name: labels[rows].map(str) for name, labels in names.items()}
+        part, columns = _read_block(own, chains, key, q[rows], texts, spare)
+        parts.append(part)
+        used |= columns
+    ignored = table.ignored([name for name in spare if name not in used])
+    if ignored and notice is not None:
+        notice(ignored)
+    return parts
+
+
+def check_names(data: Observations) -> None:
+    """Refuse stations and tools that some measurements name and others leave open."""
+    for k in ("station", "tool"):
+        named = {key[:2] for key in data.keys if getattr(key, k)}
+        for block in data.blocks:
+            if not getattr(block, k) and block.key[:2] in named:
+                raise block.error(0, f"the row names no {k}, others do", column=k)
+
+
+def check_places(data: Observations, sockets: Collection[str]) -> None:
+    """Refuse places that some rows leave open, and sockets of one configuration.
+
+    The places of one station are the same for all chains and tools.
+    """
+    for model, station in dict.fromkeys((key.model, key.station) for key in data.keys):
+        own = [b for b in data.blocks if (b.model, b.station) == (model, station)]
+        rows, naming = Observations(tuple(own)), declared(model).naming
+        places = rows.target.map(place_of)
+        nameless = places.where("")
+        row, reason, allowed = None, "", None
+        if naming.required == "all or none" and nameless.any() and not nameless.all():
+            row = int(np.argmax(nameless))
+            reason = f"the row names no {naming.noun}, others do"
+        elif naming.configurations > 1:
+            seen = np.stack([places.codes, rows.groups()])
+            count = np.bincount(np.unique(seen, axis=1)[0])
+            known = np.isin(places.names, list(sockets))
+            lonely = ((count == 1) & ~known)[places.codes]
+            if lonely.any():
+                row = int(np.argmax(lonely))
+                reason = f"the {naming.noun} '{places[row]}' has one configuration only"
+                allowed = f"two configurations or more in every {naming.noun}"
+        if row is not None:
+            raise InputError(
+                reason,
+                file=rows.files[row],
+                line=int(rows.lines[row]),
+                column="target",
+                value=rows.target[row],
+                allowed=allowed,
+            )
+
+
+def _check_models(table: Table, models: Labels) -> None:
+    for name in models.distinct:
+        if name not in MEASUREMENT_MODELS:
+            raise table.cell_error(
+                f"unknown measurement model{nearest(name, MEASUREMENT_MODELS)}"
+                if name
+                else "the row names no measurement model",
+                "model",
+                int(np.argmax(models.where(name))),
+                ", ".join(MEASUREMENT_MODELS),
+            )
+
+
+def _named_chains(table: Table, chains: Chains, chain_of: Labels) -> Chains:
+    """The chains that a file measures."""
+    for name in chain_of.names if "chain" in table else ():
+        try:
+            chains.named((name,))
+        except RobotError as error:
+            row = int(np.argmax(chain_of.where(name)))
+            raise table.cell_error(error.reason, "chain", row, error.allowed) from None
+    return chains.named(chain_of.distinct)
+
+
+def _split(names: Mapping[str, Labels]) -> dict[BlockKey, Indices | slice]:
+    """The rows of each block, in the order in which these begin."""
+    columns = [names[field] for field in BlockKey._fields]
+    code = np.zeros(len(columns[0]), np.int64)
+    for column in columns:
+        code = code * len(column.names) + column.codes
+    if not (code != code[0]).any():
+        return {BlockKey(*(column[0] for column in columns)): slice(None)}
+    _, first, block = np.unique(code, return_index=True, return_inverse=True)
+    ends = np.cumsum(np.bincount(block))[:-1]
+    rows = np.split(np.argsort(block, kind="stable"), ends)
+    return {
+        BlockKey(*(column[int(first[k])] for column in columns)): rows[k]
+        for k in np.argsort(first).tolist()
+    }
+
+
+def _read_block(
+    table: Table,
+    chains: Chains,
+    key: BlockKey,
+    q: Floats,
+    texts: Mapping[str, Labels],
+    spare: Sequence[str],
+) -> tuple[Measurements, set[str]]:
+    """Measurements of one block, and the columns that hold them."""
+    value_columns, values = read_values(table, key.model, spare)
+    check_targets(table, key, texts["target"])
+    # How far apart points stand that stand still has nothing to do with the robot.
+    if "x" in value_columns and key.chain != WORLD:
+        check_spread(table, chains[key.chain], values[:, :3])
+    start = np.zeros((0, 0))
+    if declared(key.model).relative:
+        row_of = find_starts(table, texts["target"], texts["payload"], values[:, 0], q)
+        rows = np.flatnonzero(row_of != np.arange(len(row_of)))
+        table, start = table.rows(rows, table.columns), q[row_of[rows]]
+        q, values = q[rows], values[rows]
+        texts = {name: labels[rows] for name, labels in texts.items()}
+    sigma_columns, sigma = read_sigma(table, key.model)
+    part = Measurements(
+        joints=chains.joints,
+        q=q,
+        values=values,
+        sigma=sigma,
+        target=texts["target"],
+        payload=texts["payload"],
+        start=start,
+        validate=_read_set(table, texts["set"]),
+        lines=table.lines,
+        files=Labels.all(table.file, len(q)),
+        **key._asdict(),
+    )
+    return part, {*value_columns, *sigma_columns.values()}
+
+
+def _read_set(table: Table, names: Labels) -> Booleans:
+    """True for the measurements of the validation set, shape (N,)."""
+    validate = names.where("validate")
+    other = ~(validate | names.where("train"))
+    if "set" in table and other.any():
+        row = int(np.argmax(other))
+        raise table.cell_error("unknown set", "set", row, "train, validate")
+    return validate
+
+
+def _read_by(name: str) -> frozenset[str]:
+    """Columns that a model reads where it finds them, beside those that all do."""
+    oriented = ORIENTED if declared(name).oriented else frozenset[str]()
+    return oriented | {*needed(name), *(f"sigma_{c}" for c in components(name))}
+
+
+def _without_blank(table: Table, keep: Set[str]) -> Table:
+    """A table without the measured columns and sigmas that are blank throughout."""
+    optional = (measured() | sigmas()) - keep
+    columns = {
+        name: column
+        for name, column in table.columns.items()
+        if name not in optional or not column.blank().all()
+    }
+    return replace(table, columns=columns)
+
+
+def _check_blank(table: Table, model: str, names: frozenset[str]) -> None:
+    """Refuse values that the model of these rows does not read."""
+    for name in table.columns:
+        if name not in names:
+            continue
+        blank = table.columns[name].blank()
+        if not blank.all():
+            raise table.cell_error(
+                f"the row measures '{model}', which has no {name}",
+                name,
+                int(np.argmin(blank)),
+                "a blank cell; what else was measured stands in a row of its own",
+            )

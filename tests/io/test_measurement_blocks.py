@@ -1,0 +1,230 @@
+"""Files of several chains, stations and tools: blocks, their joints, and refusals."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import InputError, RobotError
+from calib_pin.io.measurements import (
+    read_configurations,
+    read_measurements,
+    write_measurements,
+)
+from calib_pin.observations import BlockKey
+
+ARMS = "torso,left,right,slide,chain,station,tool,x,y,z,target,set,payload\n"
+"""Header of a file of both arms; the finger follows the right one."""
+
+BOTH = f"""{ARMS}0.1,0.2,,,left_hand,day 1,probe,1,2,3,,train,
+0.1,,0.4,0.3,,day 1,ball,1,2,3,,train,p
+0.2,0.3,0.5,0.1,left_hand,day 2,probe,1,2,3,,validate,
+,,,,world,day 1,,9,9,9,post,train,
+0.2,,0.6,0.3,,day 1,ball,1,2,3,,train,
+,0.5,0.6,0.3,touch,,ball,1,2,3,,train,
+"""
+
+
+def test_blocks_of_a_file(write, tree):
+    file = write(BOTH)
+    data = read_measurements(file, tree, notice=pytest.fail)
+    assert data.keys == (
+        BlockKey("position", "left_hand", "day 1", "probe"),
+        BlockKey("position", "", "day 1", "ball"),
+        BlockKey("position", "left_hand", "day 2", "probe"),
+        BlockKey("position", "world", "day 1", ""),
+        BlockKey("position", "touch", "", "ball"),
+    )
+    assert data.lines.tolist() == [2, 3, 6, 4, 5, 7]
+    assert data.joints == ("torso", "left", "right", "finger", "slide")
+    # What a chain does not need may be left out and is zero; the finger follows.
+    np.testing.assert_allclose(
+        data.q,
+        [
+            [0.1, 0.2, 0.0, 0.1, 0.0],
+            [0.1, 0.0, 0.4, -0.1, 0.3],
+            [0.2, 0.0, 0.6, -0.2, 0.3],
+            [0.2, 0.3, 0.5, -0.15, 0.1],
+            [0.0, 0.0, 0.0, 0.1, 0.0],
+            [0.0, 0.5, 0.6, -0.2, 0.3],
+        ],
+        atol=1e-15,
+    )
+    assert data.payload == ("", "p", "", "", "", "")
+    assert data.target == ("", "", "", "", "post", "")
+    assert data.validate.tolist() == [False, False, False, True, False, False]
+
+
+def test_what_is_written_of_blocks(write, tree, tmp_path):
+    file = tmp_path / "out.csv"
+    write_measurements(file, read_measurements(write(BOTH), tree))
+    header, *lines = file.read_text().splitlines()
+    columns = "chain,station,tool,x,y,z,target,payload,set"
+    assert header == f"torso,left,right,finger,slide,{columns}"
+    assert lines[0] == ("0.1,0.2,0.0,0.1,0.0,left_hand,day 1,probe,1.0,2.0,3.0,,,train")
+    assert lines[3].partition("world")[2] == ",day 1,,9.0,9.0,9.0,post,,train"
+    # The only name is written as well, so that it reads back.
+    write_measurements(file, read_measurements(file, tree).blocks[4], force=True)
+    assert read_measurements(file, tree).keys == (
+        BlockKey("position", "touch", "", "ball"),
+    )
+
+
+def test_files_of_different_chains_have_the_joints_of_all(write, tree):
+    left = write("torso,left,x,y,z,chain\n0.1,0.2,1,2,3,left_hand\n", "l.csv")
+    plain = write("torso,right,slide,left,x,y,z\n0.1,0.2,0.3,0.4,1,2,3\n", "r.csv")
+    start = "torso,left,distance,chain\n0.1,0.2,0,left_hand\n0.1,0.3,1,left_hand\n"
+    starts = write(start, "s.csv")
+    data = read_measurements([left, plain], tree)
+    assert data.joints == ("torso", "left", "right", "finger", "slide")
+    # The own file of the right hand has no need for the left one.
+    np.testing.assert_allclose(
+        data.q, [[0.1, 0.2, 0, 0.1, 0], [0.1, 0, 0.2, 0, 0.3]], atol=1e-15
+    )
+    alone = read_measurements(left, tree)
+    assert (alone.joints, alone.keys[0].chain) == (("torso", "left"), "left_hand")
+    # Measurements that are to be compared have the same joints.
+    chains = tree.named(("left_hand", "touch"))
+    assert read_measurements(left, chains).joints == data.joints
+    # A single chain is that of files that name none.
+    chains = tree.named(("left_hand",))
+    assert read_measurements(plain, chains).keys[0].chain == "left_hand"
+    model = "relative-distance+position"
+    data = read_measurements([starts, plain], tree, model=model)
+    np.testing.assert_allclose(data.blocks[0].start, [[0.1, 0.2, 0, 0.1, 0]])
+
+
+def test_what_stands_still_needs_no_joints(write, tree):
+    file = write("station,x,y,z,target,chain\na,0,0,0,p,world\nb,40,0,0,p,world\n")
+    data = read_measurements(file, tree)
+    assert (data.q.shape, data.joints) == ((2, 0), ())
+    assert [key.station for key in data.keys] == ["a", "b"]
+
+
+def test_every_file_is_a_station(write, tree, refused):
+    text = "torso,left,x,y,z,chain\n0.1,0.2,1,2,3,left_hand\n"
+    names = ("m.csv", "a/m.csv", "b/m.csv", "m-2.csv")
+    files = [write(text, name) for name in names]
+    data = read_measurements(files, tree, station_per_file=True)
+    assert [key.station for key in data.keys] == ["m", "m-2", "m-3", "m-2-2"]
+    assert data.files == tuple(map(str, files))
+    file = write("torso,left,x,y,z,station\n0.1,0.2,1,2,3,a\n")
+    with refused(InputError, file=str(file), column="station", reason="itself"):
+        read_measurements(file, tree.named(("left_hand",)), station_per_file=True)
+
+
+def test_blocks_state_their_own_sigmas_and_starts(write, tree):
+    text = """torso,left,station,model,distance,sigma,target
+0.1,0,a,relative-distance,0,,t
+0.2,0,b,relative-distance,0,1,t
+0.3,0,a,relative-distance,0.1,,t
+0.4,0,b,relative-distance,0.2,0.5,t
+"""
+    data = read_measurements(write(text), tree.named(("left_hand",)))
+    a, b = data.blocks
+    assert (a.sigma, b.sigma.tolist()) == (None, [[0.5]])
+    assert (a.start.tolist(), b.start.tolist()) == ([[0.1, 0]], [[0.2, 0]])
+    assert (a.values.tolist(), b.values.tolist()) == ([[0.1]], [[0.2]])
+
+
+def test_sockets_of_a_station_are_those_of_all_tools_and_chains(write, tree, refused):
+    text = "torso,left,right,slide,chain,station,tool,target\n"
+    text += "0,0,,,left_hand,a,t,s\n0,,0.5,0,,a,u,s\n"
+    assert len(read_measurements(write(text), tree, model="fixed-point").blocks) == 2
+    with refused(InputError, line=2, value="s", reason="one configuration only"):
+        read_measurements(
+            write(text.replace(",a,u", ",b,u")), tree, model="fixed-point"
+        )
+
+
+def test_a_mimic_joint_follows_its_leader(write, tree, refused):
+    header = "torso,right,slide,finger [deg],distance\n"
+    file = write(f"{header}0,0.2,0,0.05,1\n0,-0.2,0,{np.rad2deg(0.2):.3f},2\n")
+    q = read_measurements(file, tree).q
+    assert q[:, tree.joints.index("finger")].tolist() == [0.0, 0.2]
+    assert read_configurations(file, tree).tobytes() == q.tobytes()
+    file = write(f"{header}0,0.2,0,,1\n0,-0.2,0,10,2\n")
+    with refused(
+        InputError,
+        line=3,
+        column="finger",
+        value="10",
+        reason="'finger' mimics 'right', which puts it at 0.2 rad",
+        allowed="left out",
+    ):
+        read_measurements(file, tree)
+
+
+@pytest.mark.parametrize(
+    ("text", "fields"),
+    [
+        (
+            f"{ARMS}0,0,,,left_hand,a,,1,2,3,,train,\n0,,0,0,left_hand,a,,1,2,3,,train,",
+            dict(line=3, column="left", value="", reason="the cell is empty"),
+        ),
+        (
+            f"{ARMS}0,,far,0,,a,,1,2,3,,train,\n",
+            dict(line=2, column="right", value="far", reason="not a number"),
+        ),
+        # Another joint may be left out, but what stands there is read.
+        (
+            f"{ARMS}0,0,far,,left_hand,a,,1,2,3,,train,\n0,,0,0,,a,,1,2,3,,train,\n",
+            dict(line=2, column="right", value="far", reason="not a number"),
+        ),
+        (
+            f"{ARMS}0,0,,,left_hand,a,,1,2,3,,train,\n0,0,0,9,,a,,1,2,3,,train,\n",
+            dict(line=3, column="slide", value="9", reason="'slide [mm]'"),
+        ),
+        (
+            "torso,right,slide,x,y,z,chain\n0,0,0,1,2,3,left_hand\n",
+            dict(line=1, column="left", reason="joint 'left' of the chain 'left_hand'"),
+        ),
+        (
+            "torso,left,x,y,z,chain\n0,0,1,2,3,left_hand\n0,0,1,2,3,left_hnad\n",
+            dict(line=3, column="chain", value="left_hnad", reason="mean 'left_hand'"),
+        ),
+        (
+            "torso,left,x,y,z,chain\n0,0,1,2,3,base\n",
+            dict(line=2, column="chain", value="base", reason="nothing moves"),
+        ),
+        (
+            f"{ARMS},,,,world,a,,1,2,3,p,train,\n,,,,world,a,,1,2,3,b@,train,\n",
+            dict(
+                line=3,
+                column="target",
+                value="b@",
+                reason="names no point that stands still",
+            ),
+        ),
+        (
+            "x,y,z,chain\n1,2,3,world\n",
+            dict(line=1, column="target", reason="chain 'world' needs a column"),
+        ),
+        (
+            f"{ARMS}0,0,,,left_hand,a,t,1,2,3,,train,\n0,0,,,left_hand,,t,1,2,3,,train,",
+            dict(line=3, column="station", reason="names no station, others do"),
+        ),
+        (
+            f"{ARMS}0,0,,,left_hand,a,t,1,2,3,,train,\n0,0,,,left_hand,a,,1,2,3,,train,",
+            dict(line=3, column="tool", reason="names no tool, others do"),
+        ),
+        (
+            "torso,left,x,y,z,chain,station [m]\n0,0,1,2,3,left_hand,1\n",
+            dict(line=1, column="station", reason="takes no unit"),
+        ),
+    ],
+)
+def test_what_is_refused(write, tree, refused, text, fields):
+    file = write(text)
+    with refused(InputError, file=str(file), **fields):
+        read_measurements(file, tree)
+
+
+def test_a_chain_that_the_robot_leaves_open(write, tree, refused):
+    """Cells that are blank mean the default chain, which has to be one."""
+    chains = type(tree)(tree.robot, names=("left_hand", "right_hand"))
+    file = write("torso,left,x,y,z,chain\n0,0,1,2,3,left_hand\n0,0,1,2,3,\n")
+    with refused(InputError, line=3, column="chain", value="", reason="2 possible"):
+        read_measurements(file, chains)
+    with pytest.raises(RobotError, match="2 possible tips"):
+        read_measurements(write("torso,left,x,y,z\n0,0,1,2,3\n"), chains)

@@ -2,10 +2,12 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.problem import Problem
@@ -62,6 +64,7 @@ def make_parts(
     Raises:
         OptionError: If a name in the setup does not exist.
     """
+    _require_own_loads(chains, setup)
     named = scopes(chains, tuple(targets), setup)
     models = {
         key: measurement_model(key.model, setup, names)
@@ -86,10 +89,46 @@ def make_parts(
             )
         except OptionError as mistake:
             raise mistake.within(setup.file) from None
-        error = error.with_tool_on(scope.offset)
+        error = _on_tool(error, scope.offset)
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         parts.append(Part(error, models[key], key, scope, columns, index))
     return assembled(prefixed(parts))
+
+
+def _on_tool(error: ErrorModel, offset: pin.SE3) -> ErrorModel:
+    """The model of a tool that is known on another one, whose errors it shares.
+
+    `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
+
+    Args:
+        error: The model of the other tool.
+        offset: Pose K of the tool in that one.
+    """
+    carried, last = offset.toActionMatrixInverse(), len(error.chain.joints) + 2
+    screws = [
+        replace(screw, twist=carried @ screw.twist) if screw.frame == last else screw
+        for screw in error.screws
+    ]
+    return replace(error, screws=tuple(screws))
+
+
+def _require_own_loads(chains: Chains, setup: Setup) -> None:
+    """Refuse compliance of joints that carry more than the chain that is measured.
+
+    Raises:
+        OptionError: If there is such.
+    """
+    moving = [chains[name].joints for name in chains.names if chains[name].joints]
+    counts = Counter(joint for joints in moving for joint in joints)
+    shared = [joint for joint, count in counts.items() if count > 1]
+    if shared and "compliance" in setup.parameters:
+        raise OptionError(
+            f"joint '{shared[0]}' is part of several chains: its torque depends on all "
+            "of them",
+            file=setup.file or None,
+            value="compliance",
+            allowed="other parameters, or one chain",
+        )
 
 
 def nominal_problem(

@@ -139,8 +139,10 @@ def _on_tool(
 ) -> Scope:
     """The scope with a tool, which may be known on another one."""
     offset = pin.SE3.Identity()
-    while isinstance(stated, ToolSetup) and stated.on is not None:
+    for _ in tools:
+        if not isinstance(stated, ToolSetup) or stated.on is None:
+            break
         offset = frame_pose(stated) * offset
-        owner, stated = stated.on, tools[stated.on]
+        owner, stated = stated.on, tools.get(stated.on, FrameSetup())
     name = f"{owner}.tool" if owner else TOOL
     return replace(scope, tool=name, end=stated, offset=offset)

@@ -150,28 +150,6 @@ class ErrorModel:
         """The model rebased at other reference poses of base and tool."""
         return replace(self, base=base, tool=tool)
 
-    def with_tool_on(self, offset: pin.SE3) -> ErrorModel:
-        """The model of a tool that is known on another one, whose errors it shares.
-
-        `X Exp(S_1 t_1) ... K = X K Exp(Ad S_1 t_1) ...` with the adjoint of K^-1.
-
-        Args:
-            offset: Pose K of the tool in the other one.
-        """
-        if offset == pin.SE3.Identity():
-            return self
-        carried = offset.toActionMatrixInverse()
-        last = len(self.chain.joints) + 2
-        return replace(
-            self,
-            screws=tuple(
-                replace(screw, twist=carried @ screw.twist)
-                if screw.frame == last
-                else screw
-                for screw in self.screws
-            ),
-        )
-
     def carrying(self, payload: str) -> ErrorModel:
         """The model with a payload where measurements name none."""
         return replace(self, payload=payload)

@@ -21,9 +21,10 @@ from calib_pin.io.setup import setup_document
 from calib_pin.measurement_models.mount import Frame
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.result import CalibrationResult, QuantityErrors, UrdfResult
+from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.summaries import ModelSelection, Provenance, ToolAccuracy
 
 SAMPLES = ("configurations", "points", "position", "orientation")

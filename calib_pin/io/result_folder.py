@@ -20,7 +20,7 @@ from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import inside, settled, sha256
 from calib_pin.io.json_text import Json, decode, encode, require_format, typed
 from calib_pin.units import DISPLAY
-from calib_pin.validation.result import Accuracy, QuantityErrors
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 
 FORMAT, VERSION = "calib-pin/calibration", 1
 """The format that is read, and its newest version."""

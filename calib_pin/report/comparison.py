@@ -20,6 +20,7 @@ from calib_pin.report.tables import (
     uncertain,
 )
 from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
@@ -28,7 +29,7 @@ from calib_pin.validation.comparison import (
     robot_parameters,
     stated_noise,
 )
-from calib_pin.validation.result import Accuracy, CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 
 def comparison_report(found: Comparison) -> Iterator[Block]:

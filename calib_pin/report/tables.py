@@ -8,13 +8,12 @@ from collections.abc import Callable, Iterator, Sequence
 from calib_pin.estimation.evidence import Outlier
 from calib_pin.report.blocks import Cell, Column, Kind, Names, Table, columns
 from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.result import (
-    Accuracy,
     CalibrationResult,
     CoupledGroup,
     FoundDistance,
     ParameterEstimate,
-    QuantityErrors,
 )
 from calib_pin.validation.summaries import Candidate, ModelSelection
 

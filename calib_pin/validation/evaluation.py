@@ -17,10 +17,11 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.side_by_side import among
 from calib_pin.observations import Measurements
 from calib_pin.setup import Setup
+from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.model_errors import registered
-from calib_pin.validation.result import Accuracy, Evaluation
+from calib_pin.validation.result import Evaluation
 
 
 @serial_blas

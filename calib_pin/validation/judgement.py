@@ -19,10 +19,10 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.progress import Progress
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.plausibility import plausibility
-from calib_pin.validation.result import Accuracy, QuantityErrors
 from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
 
 MEASURED, SAMPLES = 100, 300

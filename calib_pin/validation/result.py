@@ -11,9 +11,10 @@ import numpy as np
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.evidence import Finding
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.plugins import upper
 from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.summaries import (
@@ -22,53 +23,8 @@ from calib_pin.validation.summaries import (
     Provenance,
     SolverSummary,
     Statistics,
-    ToolAccuracy,
     Validation,
 )
-
-
-@dataclass(frozen=True)
-class Accuracy:
-    """Size of the errors of one quantity over measurements, in the quantity's unit.
-
-    Attributes:
-        mean: Mean size.
-        rms: Root-mean-square.
-        p95: 95th percentile of the sizes.
-        max: Largest size.
-    """
-
-    mean: float
-    rms: float
-    p95: float
-    max: float
-
-    @staticmethod
-    def of(sizes: Floats) -> Accuracy:
-        """Accuracy of the error sizes of measurements, shape (N,)."""
-        return Accuracy(
-            float(sizes.mean()),
-            float(np.sqrt(np.mean(sizes**2))),
-            # No interpolation: where a row cannot be predicted its size is infinite.
-            float(np.quantile(sizes, 0.95, method="inverted_cdf")),
-            float(sizes.max()),
-        )
-
-
-@dataclass(frozen=True)
-class QuantityErrors:
-    """Errors of one quantity before and after, on fitted and on held-out ones.
-
-    *Before* is registration only: base, tool and instrument fitted to the training
-    measurements, the robot nominal.
-    """
-
-    name: str
-    unit: str
-    before: Accuracy
-    after: Accuracy
-    validation_before: Accuracy | None
-    validation_after: Accuracy | None
 
 
 @dataclass(frozen=True)
@@ -241,15 +197,16 @@ class Tables:
         It is taken at the calibrated robot, about its own frames and instrument. A row
         for each component of a measurement; zero for a component that it does not have.
         """
-        rows, instrument = self.fitted.rows, self.model.measurement.parameters
+        rows, components = self.fitted.rows, self.fitted.components
         problem = self.model.problem(rows)
-        theta = np.append(self.model.theta, np.zeros(len(instrument)))
-        _, J = problem.linearize_rows(theta)
-        sigma = problem.sigma.reshape(-1, 1)
-        J = J[: len(sigma)] * np.where(np.isfinite(sigma), sigma, 0.0)
-        components = self.fitted.components
+        layout, sigma = problem.layout, problem.sigma
+        _, J = problem.linearize_rows(self.model.theta)
+        found = np.zeros((len(rows) * layout.width, J.shape[1]))
+        used = np.isfinite(sigma)
+        place = (layout.row * layout.width + layout.column)[used]
+        found[place] = J[: len(sigma)][used] * sigma[used, None]
         names = [f"{rows.source(k)} {c}" for k in range(len(rows)) for c in components]
-        return NamedArray.of(J, names, [p.name for p in self.parameters])
+        return NamedArray.of(found, names, [p.name for p in self.parameters])
 
     def to_frame(self) -> Any:
         """The measurements as a pandas data frame, with the columns of the file.
@@ -293,7 +250,7 @@ class Tables:
 
 
 @dataclass(frozen=True)
-class CalibrationResult(Tables, Identification):
+class CalibrationResult(Tables, Identification, Breakdown):
     """Everything a calibration found, made by a fit or read from a file.
 
     Attributes:
@@ -306,7 +263,6 @@ class CalibrationResult(Tables, Identification):
         validation: How the fit was checked.
         solver: How the solver ended.
         statistics: The statistics of the residuals.
-        accuracy: The expected errors of the tool.
         covariance: Of the parameters, shape (P, P), with their names.
         fitted: Errors of the fitted measurements.
         held_out: Errors of the validation measurements; None without a validation.
@@ -327,7 +283,6 @@ class CalibrationResult(Tables, Identification):
     validation: Validation
     solver: SolverSummary
     statistics: Statistics
-    accuracy: ToolAccuracy
     covariance: NamedArray = field(repr=False)
     fitted: MeasurementErrors = field(repr=False)
     held_out: MeasurementErrors | None = field(repr=False)

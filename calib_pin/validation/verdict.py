@@ -20,8 +20,8 @@ from calib_pin.estimation.problem import distinct_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.gains import PRESS
-from calib_pin.validation.result import QuantityErrors
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "

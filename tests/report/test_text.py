@@ -24,9 +24,10 @@ from calib_pin.report.terminal import laid_out, plain_text
 from calib_pin.report.text import format_report, report
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import identify
 from calib_pin.validation.evaluation import evaluate
-from calib_pin.validation.result import Accuracy, CalibrationResult
+from calib_pin.validation.result import CalibrationResult
 
 ARM = """<robot name="arm">
   <link name="base"/><link name="a"/><link name="b"/><link name="c"/>

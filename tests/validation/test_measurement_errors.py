@@ -14,7 +14,8 @@ from calib_pin.measurement_models.side_by_side import concatenate
 from calib_pin.observations import Measurements
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
-from calib_pin.validation.result import Accuracy, CalibrationResult
+from calib_pin.validation.accuracy import Accuracy
+from calib_pin.validation.result import CalibrationResult
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
 BASE = FrameSetup((1.0, -2.0, 0.3), (0.4, -0.3, 2.0))

@@ -1,0 +1,137 @@
+"""A calibration by its stations, tools, chains and blocks of measurements."""
+
+from __future__ import annotations
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.validation.accuracy import QuantityErrors
+from calib_pin.validation.summaries import ToolAccuracy
+
+
+@dataclass(frozen=True)
+class FrameSummary:
+    """A station or a tool, and where the calibration puts it.
+
+    Attributes:
+        name: Its name among the parameters; `base` or `tool` for the only one.
+        link: The link that a station stands before, or that a tool is mounted on.
+        measurements: Number of fitted measurements.
+        errors: Accuracy of these by quantity.
+        noise: Their variance components.
+        xyz: Of a station where the link is in its measurement frame, of a tool where it
+            is in the link [m].
+        rpy: The orientation that belongs to it [rad].
+        sigma: Standard deviations of the position along, and of the orientation about,
+            the axes of the frame that `xyz` is in, shape (6,) [m, rad]: zero for what
+            is known. Empty where nobody knows.
+        estimated: Whether anything of it was estimated.
+    """
+
+    name: str
+    link: str
+    measurements: int
+    errors: tuple[QuantityErrors, ...]
+    noise: tuple[VarianceComponent, ...]
+    xyz: tuple[float, float, float]
+    rpy: tuple[float, float, float]
+    sigma: tuple[float, ...]
+    estimated: bool
+
+
+@dataclass(frozen=True)
+class ChainSummary:
+    """A chain, and what was measured of it.
+
+    Attributes:
+        name: Its name in the measurements; empty for the only one.
+        base: The link that it starts at.
+        tip: The link that it ends at.
+        joints: Names of its moving joints.
+        measurements: Number of fitted measurements.
+        errors: Accuracy of these by quantity.
+        still: Those of its joints that no measurement moves; they stay at nominal.
+    """
+
+    name: str
+    base: str
+    tip: str
+    joints: tuple[str, ...]
+    measurements: int
+    errors: tuple[QuantityErrors, ...]
+    still: tuple[str, ...] = ()
+
+
+@dataclass(frozen=True)
+class BlockSummary:
+    """A block of measurements, and what it tells.
+
+    Attributes:
+        model: Name of the measurement model.
+        chain: Name of the chain; empty for the only one.
+        station: Name of the station among the parameters, see `FrameSummary.name`.
+        tool: Name of the tool.
+        measurements: Number of fitted measurements.
+        targets: Names of what was measured.
+        errors: Accuracy by quantity.
+        noise: Variance components.
+        rank: Errors of the robot that these measurements alone tell.
+        added: Errors of the robot that the others do not tell without these.
+        ties: Frames that hang together through these measurements alone: without
+            them the frames fall apart into these groups. Empty where they do not.
+    """
+
+    model: str
+    chain: str
+    station: str
+    tool: str
+    measurements: int
+    targets: tuple[str, ...]
+    errors: tuple[QuantityErrors, ...]
+    noise: tuple[VarianceComponent, ...]
+    rank: int
+    added: int
+    ties: tuple[tuple[str, ...], ...] = ()
+
+
+@dataclass(frozen=True)
+class CoupledFrames:
+    """Frames that measurements cannot tell apart, even if the robot were known.
+
+    Attributes:
+        frames: Their names, see `FrameSummary.name`.
+        expression: The linear combination of their parameters that is known.
+        sentence: The same in words.
+    """
+
+    frames: tuple[str, ...]
+    expression: str
+    sentence: str
+
+
+@dataclass(frozen=True, kw_only=True)
+class Breakdown:
+    """What a calibration found, part by part.
+
+    Attributes:
+        accuracies: The expected errors of the tool by the name of the chain; the first
+            chain that moves is the first.
+        stations: The stations.
+        tools: The tools.
+        chains: The chains that were measured.
+        blocks: The blocks of measurements.
+        coupled_frames: Frames that cannot be told apart.
+    """
+
+    accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
+    stations: tuple[FrameSummary, ...] = ()
+    tools: tuple[FrameSummary, ...] = ()
+    chains: tuple[ChainSummary, ...] = ()
+    blocks: tuple[BlockSummary, ...] = ()
+    coupled_frames: tuple[CoupledFrames, ...] = ()
+
+    @property
+    def accuracy(self) -> ToolAccuracy:
+        """The expected errors of the tool of the first chain that moves."""
+        return next(iter(self.accuracies.values()), ToolAccuracy())

@@ -209,9 +209,12 @@ def observability(s: Floats, count: int) -> dict[str, float]:
     }
 
 
-def everett_count(revolute: NDArray[np.bool_]) -> int:
-    """Everett's count 4 R + 2 P + 6 of a complete model measured by full poses."""
-    return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6)
+def everett_count(revolute: NDArray[np.bool_], frames: int = 2) -> int:
+    """Everett's count 4 R + 2 P + 6 of a complete model measured by full poses.
+
+    Each of its frames beyond a base and a tool has six more.
+    """
+    return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6 * (frames - 1))
 
 
 def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combination:

@@ -129,8 +129,16 @@ class System:
     @property
     def moving(self) -> Part:
         """The first part whose chain has joints."""
-        moving = (part for part in self.parts.values() if part.error.chain.joints)
-        return next(moving, self.only)
+        return next(iter(self.by_chain.values()), self.only)
+
+    @property
+    def by_chain(self) -> Mapping[str, Part]:
+        """The first part of each chain that has joints, by the chain's name."""
+        found: dict[str, Part] = {}
+        for key, part in self.parts.items():
+            if part.error.chain.joints:
+                found.setdefault(key.chain, part)
+        return found
 
     def with_parts(self, parts: Mapping[BlockKey, Part]) -> Self:
         """The same with parts about other references, and of the same parameters."""

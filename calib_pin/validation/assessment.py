@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import replace
 from typing import Protocol
 
@@ -16,7 +16,9 @@ from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
@@ -37,13 +39,17 @@ WEAK_PART = 0.1
 
 
 def identify(
-    chain: Chain, model: str, setup: Setup | None = None, *, seed: int = 0
+    chains: Chain | Chains,
+    measured: str | Sequence[BlockKey],
+    setup: Setup | None = None,
+    *,
+    seed: int = 0,
 ) -> Identification:
-    """The identifiability of a robot measured in one way, without measurements.
+    """The identifiability of a robot by how it is measured, without measurements.
 
     Args:
-        chain: The nominal chain.
-        model: Name of the measurement model.
+        chains: The nominal chains.
+        measured: Name of the measurement model, or the blocks that could be measured.
         setup: Estimated and known quantities.
         seed: Seed of the random configurations.
 
@@ -56,12 +62,12 @@ def identify(
         >>> found.identifiability.rank, found.identifiability.everett
         (34, 34)
     """
-    problem = nominal_problem(chain, model, setup or Setup())
+    problem = nominal_problem(chains, measured, setup or Setup())
     theta = np.zeros(len(problem.parameters))
     found, _ = analyze_structure(problem, theta, np.random.default_rng(seed))
     parameters, groups = estimates(problem.parameters, found)
     values, count = found.robot, found.configurations
-    ranks = _ranks(problem.parameters, found, chain, values, count)
+    ranks = _ranks(problem, found, values, count)
     return Identification(parameters, groups, ranks)
 
 
@@ -173,9 +179,8 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
     problem = fitted.problem
     return replace(
         _ranks(
-            problem.parameters,
+            problem,
             fitted.structure,
-            problem.error.chain,
             s[s > 1e-12 * s.max(initial=0.0)],
             len(problem.data),
         ),
@@ -187,20 +192,18 @@ def fitted_ranks(fitted: Fit) -> Identifiability:
 
 
 def _ranks(
-    parameters: ParameterSet,
-    structure: Structure,
-    chain: Chain,
-    s: Floats,
-    configurations: int,
+    problem: Problem, structure: Structure, s: Floats, configurations: int
 ) -> Identifiability:
     """Ranks of a structure, with the singular values s of some configurations."""
+    scopes = [part.scope for part in problem.parts.values()]
+    frames = {scope.station for scope in scopes} | {scope.tool for scope in scopes}
     return Identifiability(
-        parameters=int(parameters.free.sum()),
+        parameters=int(problem.parameters.free.sum()),
         rank=structure.rank,
         structural_rank=structure.rank,
         robot_rank=len(structure.robot),
         gap=structure.gap,
-        everett=everett_count(chain.revolute),
+        everett=everett_count(problem.chains.revolute, len(frames)),
         condition=float(s[0] / s[-1]) if len(s) else 0.0,
         singular_values=tuple(float(value) for value in s),
         structural_values=tuple(float(value) for value in structure.singular_values),
@@ -247,11 +250,12 @@ def leverages(fitted: Fit) -> Floats:
     """The leverage of every measurement in a fit, of very many their mean, (N,)."""
     problem, jac = fitted.problem, fitted.result.jac
     half = half_covariance(jac, fitted.directions.basis, problem.parameters)
-    count, components = len(problem.data), problem.components
+    count = len(problem.data)
     if problem.many:
         return np.full(count, half.shape[1] / max(count, 1))
-    found = (jac[: count * components] @ half) ** 2
-    return np.asarray(found.reshape(count, -1).sum(axis=1))
+    row = problem.layout.row
+    found = np.sum((jac[: len(row)] @ half) ** 2, axis=1)
+    return np.asarray(np.bincount(row, found, count), float)
 
 
 def chi2_interval(dof: int) -> tuple[float, float]:

@@ -13,7 +13,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import Setup
@@ -122,13 +122,16 @@ class CalibratedModel(System):
             moved.chains, moved.parts, moved.given, values, moved.setup
         )
 
-    def of(self, chain: str | None = None) -> CalibratedChain:
-        """A chain before its first station, with its first tool.
+    def of(self, chain: str | BlockKey | None = None) -> CalibratedChain:
+        """A chain before its first station, with its first tool; or that of a block.
 
         Args:
-            chain: Name of the chain; default the first that moves.
+            chain: Name of the chain, or a block; default the first that moves.
         """
-        part = self.moving if chain is None else self.of_chain(chain)
+        if isinstance(chain, BlockKey):
+            part = self.parts[chain]
+        else:
+            part = self.moving if chain is None else self.of_chain(chain)
         theta = self.theta[part.index[: len(part.error.screws)]]
         return CalibratedChain(part.error, theta, self.setup)
 
@@ -140,11 +143,7 @@ class CalibratedModel(System):
     @property
     def measured_chains(self) -> tuple[str, ...]:
         """Names of the chains with joints, each once."""
-        return tuple(
-            dict.fromkeys(
-                key.chain for key, part in self.parts.items() if part.error.chain.joints
-            )
-        )
+        return tuple(self.by_chain)
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""

@@ -3,21 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
+from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
-import pinocchio as pin
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.estimation.system import FRAME
+from calib_pin.validation.counterparts import (
+    Displacement,
+    displacements,
+    partners,
+    require_comparable,
+    same_nominal,
+)
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
     ParameterEstimate,
     Term,
 )
+from calib_pin.validation.summaries import ToolAccuracy
 from calib_pin.validation.tip_drift import TipDrift, tip_drift
 
 _Estimate = ParameterEstimate | CoupledGroup
@@ -59,7 +65,7 @@ class Difference:
 
 def robot_parameters(result: CalibrationResult) -> frozenset[str]:
     """Names of the parameters that belong to the robot, not to a measurement."""
-    return frozenset(p.name for p in result.model.error.parameters if not p.nuisance)
+    return frozenset(p.name for p in result.model.given if not p.nuisance)
 
 
 def robot_groups(result: CalibrationResult) -> tuple[CoupledGroup, ...]:
@@ -137,29 +143,11 @@ one, one comparison in 20 would lie beyond by chance; with ten alike it is one i
 NEGLIGIBLE = 1e-6
 """Drift that is none, whatever explains it [m, rad]."""
 
-SAME = 1e-9
-"""Largest difference between places of one nominal robot, or of a frame [m, rad]."""
-
 DESCRIBED = 1.2
 """Errors left of a fit, in stated standard deviations, up to which they are noise."""
 
 ORIENTED = ("orientation", "pixel")
 """Quantities that depend on how the tool is turned, whatever point of it is seen."""
-
-
-@dataclass(frozen=True)
-class Displacement:
-    """How far a frame stands from where it stood.
-
-    Attributes:
-        frame: `base`, seen from the measurement frame, or `tool`, seen from the tip.
-        shift: Distance between both origins [m].
-        turn: Angle between both orientations [rad]; None where rows do not tell.
-    """
-
-    frame: str
-    shift: float
-    turn: float | None
 
 
 @dataclass(frozen=True)
@@ -179,7 +167,7 @@ class Comparison:
             only the second, knows.
         displacements: How far base and tool stand from where they stood, where they
             are not the same.
-        drift: How far the tips are apart.
+        drifts: How far the tips are apart, by the name of the chain in the first.
     """
 
     first: CalibrationResult
@@ -189,7 +177,7 @@ class Comparison:
     alone: tuple[tuple[str, ...], tuple[str, ...]]
     sums_alone: tuple[int, int]
     displacements: tuple[Displacement, ...]
-    drift: TipDrift
+    drifts: Mapping[str, TipDrift]
 
     @property
     def moved(self) -> tuple[Difference, ...]:
@@ -239,29 +227,56 @@ class Comparison:
         return _oriented(self.first) and _oriented(self.second)
 
     @property
+    def chain(self) -> str:
+        """Name of the chain whose tip has drifted most, by what noise explains."""
+        return max(self.drifts, key=self._size)
+
+    @property
+    def drift(self) -> TipDrift:
+        """How far the tips of this chain are apart."""
+        return self.drifts[self.chain]
+
+    @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        alone = len(self.drift.absorbed) == 2
-        first, second = (_predicted(r, alone) for r in (self.first, self.second))
-        if first is None or second is None:
-            return None
-        return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])
+        return self._explained(self.chain)
 
     @property
     def identical(self) -> bool:
         """Whether the tips are at the same places, whatever noise explains."""
-        drift = self.drift
-        turned = self.oriented and drift.orientation.rms > NEGLIGIBLE
-        return not turned and drift.position.rms <= NEGLIGIBLE
+        return all(self._identical(drift) for drift in self.drifts.values())
 
     @property
     def drifted(self) -> bool | None:
         """Whether the drift is more than noise explains; None if that is unknown."""
         if self.explained is None:
             return None
-        position, orientation = (EXPLAINED * noise for noise in self.explained)
-        turned = self.oriented and self.drift.orientation.rms > orientation
-        return not self.identical and (turned or self.drift.position.rms > position)
+        return not self._identical(self.drift) and self._size(self.chain) > EXPLAINED
+
+    def _explained(self, chain: str) -> tuple[float, float] | None:
+        alone = len(self.drifts[chain].absorbed) == 2
+        other = partners(self.first.model, self.second.model)[chain]
+        pairs = (self.first, chain), (self.second, other)
+        first, second = (_predicted(record, name, alone) for record, name in pairs)
+        if first is None or second is None:
+            return None
+        return math.hypot(first[0], second[0]), math.hypot(first[1], second[1])
+
+    def _identical(self, drift: TipDrift) -> bool:
+        turned = self.oriented and drift.orientation.rms > NEGLIGIBLE
+        return not turned and drift.position.rms <= NEGLIGIBLE
+
+    def _size(self, chain: str) -> float:
+        """Size of a drift by what noise explains; in meters if that is unknown."""
+        drift, noise = self.drifts[chain], self._explained(chain)
+        if noise is None:
+            return drift.position.rms
+        sizes = drift.position.rms, self.oriented * drift.orientation.rms
+        return max(
+            # Exact measurements explain nothing.
+            size / max(least, 1e-300)
+            for size, least in zip(sizes, noise, strict=True)
+        )
 
 
 @serial_blas
@@ -278,10 +293,19 @@ def compare(
     Raises:
         InputError: If they are not of the same joints between the same links.
     """
-    _require_comparable(first, second)
-    same = _same_nominal(first.model, second.model)
-    ends = zip(unknown_ends(first), unknown_ends(second), strict=True)
-    base, tool = (any(pair) for pair in ends)
+    require_comparable(first, second)
+    same = same_nominal(first.model, second.model)
+    drifts = {}
+    for name, other in partners(first.model, second.model).items():
+        ends = zip(unknown_ends(first, name), unknown_ends(second, other), strict=True)
+        base, tool = (any(pair) for pair in ends)
+        drifts[name] = tip_drift(
+            first.model.of(name),
+            second.model.of(other),
+            base=base,
+            tool=tool,
+            seed=seed,
+        )
     nothing: tuple[tuple[str, ...], int] = (), 0
     here = _alone(first, second) if same else nothing
     there = _alone(second, first) if same else nothing
@@ -292,69 +316,13 @@ def compare(
         differences=differences(first, second) if same else (),
         alone=(here[0], there[0]),
         sums_alone=(here[1], there[1]),
-        displacements=tuple(_displacements(first, second)),
-        drift=tip_drift(first.model, second.model, base=base, tool=tool, seed=seed),
-    )
-
-
-def _require_comparable(first: CalibrationResult, second: CalibrationResult) -> None:
-    """Complain about robots whose tips have nothing in common."""
-    A, B = first.model.chain, second.model.chain
-    mine, other = (
-        ", ".join(
-            f"{joint} ({'turns' if revolute else 'slides'})"
-            for joint, revolute in zip(chain.joints, chain.revolute, strict=True)
-        )
-        for chain in (A, B)
-    )
-    known = first.provenance.file or "the first"
-    for what, a, b in (
-        ("chain starts at", A.base, B.base),
-        ("chain ends at", A.tip, B.tip),
-        ("joints are", mine, other),
-    ):
-        if a != b:
-            raise InputError(
-                f"cannot be compared with {known}: its {what} {b}, there {a}",
-                file=second.provenance.file or None,
+        displacements=tuple(
+            displacements(
+                first.model, second.model, _oriented(first) and _oriented(second)
             )
-
-
-def _same_nominal(first: CalibratedModel, second: CalibratedModel) -> bool:
-    """Whether the nominal robots are the same, whatever else their URDFs hold."""
-    A, B = first.chain, second.chain
-    if A.robot.source == B.robot.source:
-        return True
-    # Joint corrections depend on the masses as well.
-    if not (first.error.geometric and second.error.geometric):
-        return False
-    pairs = zip(
-        (*A.placements, A.tip_placement, *A.ends),
-        (*B.placements, B.tip_placement, *B.ends),
-        strict=True,
+        ),
+        drifts=drifts,
     )
-    return np.allclose(A.axes, B.axes, rtol=0.0, atol=SAME) and all(
-        _same(a, b) for a, b in pairs
-    )
-
-
-def _displacements(
-    first: CalibrationResult, second: CalibrationResult
-) -> Iterator[Displacement]:
-    A, B = first.model, second.model
-    told = _oriented(first) and _oriented(second)
-    for frame, a, b, turns in (
-        ("base", A.error.base, B.error.base, True),
-        ("tool", A.tool, B.tool, told),
-    ):
-        if not _same(a, b):
-            shift = float(np.linalg.norm(b.translation - a.translation))
-            turn = float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
-            yield Displacement(frame, shift, turn if turns else None)
-
-
-def _same(a: pin.SE3, b: pin.SE3) -> bool:
-    return np.allclose(a.homogeneous, b.homogeneous, rtol=0.0, atol=SAME)
 
 
 def _hashes(result: CalibrationResult) -> frozenset[str]:
@@ -379,22 +347,29 @@ def _oriented(result: CalibrationResult) -> bool:
     return any(error.name in ORIENTED for error in result.errors)
 
 
-def _predicted(result: CalibrationResult, alone: bool) -> tuple[float, float] | None:
+def _predicted(
+    result: CalibrationResult, chain: str, alone: bool
+) -> tuple[float, float] | None:
     """Predicted uncertainty of the tool point, rms [m] and [rad]; None if unknown.
 
     Alone is without a displacement of base and tool, which older files do not state.
     """
-    tip = result.accuracy.tip
+    tip = result.accuracies.get(chain, ToolAccuracy()).tip
     if tip is None:
         return None
     return tip.of_robot if alone and np.isfinite(tip.of_robot).all() else tip.rms
 
 
-def unknown_ends(result: CalibrationResult) -> tuple[bool, bool]:
-    """Whether something at the base, and at the tool, was estimated."""
+def unknown_ends(result: CalibrationResult, chain: str) -> tuple[bool, bool]:
+    """Whether something at the base, and at the tool, of a chain was estimated."""
     free = {p.name for p in result.parameters if p.status != "fixed"}
-    own = [p for p in result.model.measurement.parameters if p.name in free]
-    return (
-        any(n.startswith("base.frame.") for n in free) or any(p.outer for p in own),
-        any(n.startswith("tool.frame.") for n in free) or any(not p.outer for p in own),
-    )
+    base = tool = False
+    for part in result.model.parts.values():
+        if part.key.chain == chain:
+            count = len(part.error.screws)
+            own = [p for p in part.parameters[count:] if p.name in free]
+            ends = part.parameters[:FRAME], part.parameters[count - FRAME : count]
+            first, last = (any(p.name in free for p in end) for end in ends)
+            base |= first or any(p.outer for p in own)
+            tool |= last or any(not p.outer for p in own)
+    return base, tool

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping
 from dataclasses import dataclass
 from itertools import starmap
 from math import erf
@@ -13,16 +14,19 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.joint_conventions import suggest_conventions
-from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.tip_accuracy import without_frames
+from calib_pin.estimation.system import Part
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.declaration import Quantity
+from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.plausibility import plausibility
+from calib_pin.validation.summaries import ToolAccuracy
 from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
 
 MEASURED, SAMPLES = 100, 300
@@ -31,18 +35,20 @@ MEASURED, SAMPLES = 100, 300
 
 @dataclass(frozen=True)
 class Judgement:
-    """A verdict with what it is based on; see `CalibrationResult`."""
+    """A verdict with what it is based on; see `CalibrationResult`.
+
+    Accuracies are those to expect, without the predicted uncertainty of tips.
+    """
 
     status: str
     reason: str
     errors: tuple[QuantityErrors, ...]
     findings: tuple[Finding, ...]
-    measured: ExpectedAccuracy | None
-    workspace: ExpectedAccuracy | None
+    accuracies: Mapping[str, ToolAccuracy]
 
 
 def judge(
-    chain: Chain,
+    chains: Chain | Chains,
     model: FittedModel,
     fitted_errors: ModelErrors,
     held_out: HeldOut,
@@ -52,7 +58,7 @@ def judge(
     """Judge a fitted model.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         model: The model.
         fitted_errors: Errors of the measurements that were fitted.
         held_out: Its check on held-out measurements.
@@ -60,23 +66,22 @@ def judge(
         progress: Told how far the search for other joint conventions is.
     """
     fitted, data = model.fit, model.fit.problem.data
+    chains = Chains.of(chains)
     errors = _quantity_errors(model, fitted_errors, held_out)
     advice = CHECK
     if unexplained(fitted, errors):
         setup = fitted.problem.setup
-        if suggestion := suggest_conventions(chain, data, setup, progress):
-            advice = suggestion.text(chain.joints, setup.joints)
+        if suggestion := suggest_conventions(chains, data, setup, progress):
+            advice = suggestion.text(chains.joints, setup.joints)
     findings = held_out.findings + plausibility(fitted)
     counting = data.weight > 0.0
-    measured = workspace = None
+    accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
-        rng = np.random.default_rng(seed)
-        kept = data.rows(counting).sample(MEASURED)
-        spread = chain.random_configurations(SAMPLES, rng)
-        measured, workspace = (
-            expected_accuracy(fitted, model.problem, model.theta, q, rng)
-            for q in (kept.q, spread)
-        )
+        kept = data.rows(counting)
+        accuracies = {
+            name: _expected(model, part, kept, np.random.default_rng(seed))
+            for name, part in model.problem.by_chain.items()
+        }
     groups = data.groups()
     aside = 1.0 - len(np.unique(groups[counting])) / max(groups.max() + 1, 1)
     status, reason = verdict(
@@ -85,12 +90,26 @@ def judge(
             errors,
             held_out.gains,
             findings,
-            workspace,
+            {name: a.workspace for name, a in accuracies.items() if a.workspace},
             max(aside, fitted.robust.disagreement),
             advice,
         )
     )
-    return Judgement(status, reason, errors, findings, measured, workspace)
+    return Judgement(status, reason, errors, findings, accuracies)
+
+
+def _expected(
+    model: FittedModel, part: Part, data: Observations, rng: np.random.Generator
+) -> ToolAccuracy:
+    """The accuracy to expect of a chain where it was measured and elsewhere."""
+    blocks = tuple(b for b in data.blocks if b.chain == part.key.chain)
+    kept = Observations(blocks).sample(MEASURED).q[:, part.columns] if blocks else None
+    spread = part.error.chain.random_configurations(SAMPLES, rng)
+    measured, workspace = (
+        None if q is None else expected_accuracy(model.fit, part, model.theta, q, rng)
+        for q in (kept, spread)
+    )
+    return ToolAccuracy(None, measured, workspace)
 
 
 def _quantity_errors(
@@ -101,7 +120,7 @@ def _quantity_errors(
     parts = held_out.counted
     checked = ModelErrors.joined(parts) if parts else None
     found = []
-    for quantity in model.problem.measurement.quantities:
+    for quantity in model.problem.layout.quantities:
         before, after = _accuracies(quantity, known)
         assert before is not None and after is not None
         validation = (None, None) if checked is None else _accuracies(quantity, checked)
@@ -132,12 +151,12 @@ DRAWS = 400
 
 def expected_accuracy(
     fitted: Fit,
-    problem: Problem,
+    part: Part,
     theta: Floats,
     q: Floats,
     rng: np.random.Generator,
 ) -> ExpectedAccuracy:
-    """Accuracy of the nominal and the corrected robot at some configurations.
+    """Accuracy of a chain of the nominal and the corrected robot.
 
     With the mean mu and the covariance C of the errors, and G the mean of `J^T J`, the
     nominal robot's expected square is `mu^T G mu + tr(G C)` and that of the corrected
@@ -147,27 +166,27 @@ def expected_accuracy(
 
     Args:
         fitted: The fit.
-        problem: The problem about its solution.
+        part: A part of its problem about the solution, of the chain.
         theta: Parameter values about that, shape (P,).
-        q: Configurations, shape (N, n) [rad, m].
+        q: Configurations of the chain, shape (N, n) [rad, m].
         rng: Draws the errors by which the bound is found.
     """
     parameters = fitted.problem.parameters
-    count = len(problem.error.screws)
-    scales = parameters.scales[:count]
-    robot = (parameters.free & ~parameters.nuisance)[:count]
-    _, J = problem.error.jacobian(q, theta[:count])
+    index = part.index[: len(part.error.screws)]
+    scales, nuisance = parameters.scales[index], parameters.nuisance[index]
+    robot = parameters.free[index] & ~nuisance
+    _, J = part.error.jacobian(q, theta[index])
     own = without_frames(J * scales, J)[:, :, robot]
     effects = np.zeros((*J.shape[:2], 0))
     if fitted.effects is not None:
-        absorbed = fitted.posterior.by_effects[:count]
-        absorbed = np.where(parameters.nuisance[:count, None], 0.0, absorbed)
-        there = fitted.effects.twists(problem.error, q)
+        absorbed = fitted.posterior.by_effects[index]
+        absorbed = np.where(nuisance[:, None], 0.0, absorbed)
+        there = fitted.effects.twists(part, q)
         effects = without_frames(J @ absorbed - there, J)
-    mean, C = (theta[:count] / scales)[robot], _covariances(fitted, robot)
+    mean, C = (theta[index] / scales)[robot], _covariances(fitted, index[robot])
     sizes = zip(
         *(
-            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, unit), C, rng)
+            _sizes(mean, own[:, k], effects[:, k], _scatter(fitted, part, unit), C, rng)
             for k, unit in ((slice(0, 3), "m"), (slice(3, 6), "rad"))
         ),
         strict=True,
@@ -232,14 +251,20 @@ def _better(mean: Floats, J: Floats, effects: Floats, C: Floats) -> tuple[float,
     return float(chances[0]), float(np.mean(_chance(gain, along, beside, C) >= SURE))
 
 
-def _scatter(fitted: Fit, unit: str) -> float:
+def _scatter(fitted: Fit, part: Part, unit: str) -> float:
     """Variance of a component that neither noise nor the known effects explain.
 
-    Of the first quantity in a unit; zero where noise is neither stated nor repeated,
-    so that nothing tells both apart.
+    Of the first quantity in a unit that the chain of a part is measured by; zero where
+    noise is neither stated nor repeated, so that nothing tells both apart.
     """
+    components = {
+        k
+        for key, of_key in fitted.problem.layout.of_keys.items()
+        if key.chain == part.key.chain
+        for k in of_key.tolist()
+    }
     for k, noise in enumerate(fitted.noise):
-        if noise.unit == unit:
+        if k in components and noise.unit == unit:
             found = (noise.unmodeled or 0.0) ** 2
             if fitted.effects is not None:
                 explained = max(1.0 - float(fitted.effects.noise[k]), 0.0)
@@ -261,11 +286,10 @@ def _chance(gain: Floats, along: Floats, beside: Floats, C: Floats) -> Floats:
     return np.asarray(chances.mean(axis=0))
 
 
-def _covariances(fitted: Fit, robot: NDArray[np.bool_]) -> Floats:
-    """Of the robot's scaled errors by noise, for each likely size, (S, p, p)."""
-    scales = fitted.problem.parameters.scales[: len(robot)][robot]
+def _covariances(fitted: Fit, index: NDArray[np.intp]) -> Floats:
+    """Of scaled errors by their positions, for each likely size, (S, p, p)."""
+    scales = fitted.problem.parameters.scales[index]
     halves = [
-        found.by_noise[: len(robot)][robot] / scales[:, None]
-        for found in likely_posteriors(fitted)
+        found.by_noise[index] / scales[:, None] for found in likely_posteriors(fitted)
     ]
     return np.array([half @ half.T for half in halves])

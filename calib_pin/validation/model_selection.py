@@ -21,8 +21,9 @@ from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import parameter_names, with_parameters
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import beyond_geometry
 from calib_pin.parameterizations.placement import JointOffset
 from calib_pin.parameters import matching
@@ -70,8 +71,8 @@ class _Judged:
 
 @serial_blas
 def select_model(
-    chain: Chain,
-    measurements: Measurements,
+    chains: Chain | Chains,
+    measurements: Observations,
     setup: Setup,
     seed: int,
     progress: Stages | None = None,
@@ -79,7 +80,7 @@ def select_model(
     """Judge every candidate, and choose the simplest of the best.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         measurements: The measurements to fit.
         setup: Known quantities; its geometric parameterizations make the second
             candidate.
@@ -93,10 +94,10 @@ def select_model(
     beyond = beyond_geometry()
     geometric = tuple(p for p in setup.parameters if p not in (OFFSETS, *beyond))
     geometric = geometric or Setup.parameters
-    _require_patterns(chain, measurements, setup, (OFFSETS, *geometric, *beyond))
+    _require_patterns(chains, measurements, setup, (OFFSETS, *geometric, *beyond))
     learned = tuple(RESIDUAL_MODELS) if setup.learned is None else (setup.learned,)
     work = 3.0 + len(beyond) + LEARNING * len(learned)
-    candidates = _Candidates(chain, measurements, setup, seed, progress, work)
+    candidates = _Candidates(chains, measurements, setup, seed, progress, work)
 
     offset = candidates.add("joint offset", (OFFSETS,))
     if offset.sizes is None:
@@ -127,8 +128,8 @@ class _Candidates:
     The work, all and done, counts in candidates without a learned correction.
     """
 
-    chain: Chain
-    measurements: Measurements
+    chains: Chain | Chains
+    measurements: Observations
     setup: Setup
     seed: int
     progress: Stages | None
@@ -161,12 +162,12 @@ class _Candidates:
 
     def _judge(self, candidate: Candidate, progress: Progress | None) -> _Judged:
         """Fit a candidate to all measurements once, and then without each fold."""
-        chain, measurements, seed = self.chain, self.measurements, self.seed
+        chains, measurements, seed = self.chains, self.measurements, self.seed
         setup = replace(self.setup, learned=candidate.learned)
-        setup = with_parameters(chain, measurements, setup, candidate.parameters)
+        setup = with_parameters(chains, measurements, setup, candidate.parameters)
         share = 1.0 / (1 + FOLDS)
         tell = portion(progress, 0.0, share)
-        model = fit_model(chain, measurements, setup, seed, tell)
+        model = fit_model(chains, measurements, setup, seed, tell)
         measurements = model.weighted(measurements)
         grouping = Grouping.of(measurements, setup)
         masks = folds(grouping, model.fit, seed)
@@ -176,7 +177,7 @@ class _Candidates:
         rest = portion(progress, share, 1.0 - share)
         stages = None if rest is None else (lambda stage, part: rest(part))
         parts = tuple(
-            cross_validate(chain, measurements, setup, masks, seed, model.fit, stages)
+            cross_validate(chains, measurements, setup, masks, seed, model.fit, stages)
         )
         sizes = _sizes(grouping, model.problem, ModelErrors.joined(parts))
         weight = measurements.weight
@@ -186,7 +187,7 @@ class _Candidates:
             rank=model.fit.rank,
             errors=tuple(
                 (q.name, q.unit, float(q.errors(counted.after).mean()))
-                for q in model.problem.measurement.quantities
+                for q in model.problem.layout.quantities
             ),
             score=float(np.nanmean(sizes)),
             deviation=_standard_error(sizes),
@@ -230,7 +231,8 @@ def _sizes(grouping: Grouping, problem: Problem, errors: ModelErrors) -> Floats:
     """
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
     measurements, positions = grouping.measurements, errors.positions
-    sigma = replace(problem, data=measurements).given_sigma[positions]
+    there = replace(problem, data=measurements)
+    sigma = there.layout.table(there.given_sigma, len(measurements))[positions]
     size = np.sqrt(np.nanmean((errors.after / sigma) ** 2, axis=1))
     labels = grouping.clusters[positions]
     kept = measurements.weight[positions] > 0.0
@@ -240,8 +242,8 @@ def _sizes(grouping: Grouping, problem: Problem, errors: ModelErrors) -> Floats:
 
 
 def _require_patterns(
-    chain: Chain,
-    measurements: Measurements,
+    chains: Chain | Chains,
+    measurements: Observations,
     setup: Setup,
     parameterizations: Sequence[str],
 ) -> None:
@@ -249,7 +251,7 @@ def _require_patterns(
     names: list[str] = []
     for name in parameterizations:
         try:
-            names += parameter_names(chain, measurements, setup, (name,))
+            names += parameter_names(chains, measurements, setup, (name,))
         except OptionError:
             continue  # The candidate will say so.
     for pattern in (*setup.fixed, *setup.bounds, *setup.prior):

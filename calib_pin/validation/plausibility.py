@@ -137,7 +137,7 @@ class _Linear:
         robot = parameters.free & ~parameters.nuisance
         r, J = problem.linearize_rows(fitted.theta)
         g = np.zeros(len(r))
-        g[: problem.sigma.size] = growth(problem, fitted.theta)
+        g[: len(problem.sigma)] = growth(problem, fitted.theta)
         scaled = J * parameters.scales
         columns = np.column_stack([scaled[:, robot], g, r])
         columns = projected(columns, scaled, parameters)
@@ -224,7 +224,7 @@ def _yardstick(fitted: Fit) -> str:
         ends = " - ".join(known.stated[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
-    stated = dict.fromkeys(declared(part).yardstick for part in problem.data.parts)
+    stated = dict.fromkeys(declared(model).yardstick for model in problem.data.models)
     # The setup states the others, and can be checked first.
     lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
     return ", ".join([*lengths, "the unit of the lengths in the URDF"])
@@ -232,7 +232,9 @@ def _yardstick(fitted: Fit) -> str:
 
 def _known(fitted: Fit) -> KnownDistances:
     problem = fitted.problem
-    return KnownDistances.of(problem.setup.distances, problem.measurement.references)
+    return KnownDistances.of(
+        problem.setup.distances, problem.references, problem.given.names
+    )
 
 
 def _distances(fitted: Fit) -> Iterator[Finding]:
@@ -246,11 +248,8 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     known = _known(fitted)
     if not len(known):
         return
-    instrument = fitted.problem.split(fitted.theta)[1]
-    v, left = (
-        known.residual(instrument),
-        _decided_by_others(fitted, known.jacobian(instrument)),
-    )
+    v = known.residual(fitted.theta)
+    left = _decided_by_others(fitted, known.jacobian(fitted.theta))
     if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
         yield from _distances(fitted.robust.squared)
@@ -281,17 +280,15 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     )
 
 
-def _decided_by_others(fitted: Fit, J_instrument: Floats) -> Floats:
+def _decided_by_others(fitted: Fit, J: Floats) -> Floats:
     """Part 1 - h of each known distance that is not decided by itself, shape (D,).
 
-    `J_instrument` is that of the whitened distances, shape (D, K).
+    J is that of the whitened distances, shape (D, P).
     """
-    D = np.zeros((len(J_instrument), len(fitted.theta)))
-    D[:, len(fitted.theta) - J_instrument.shape[1] :] = J_instrument
     # By noise alone, or what a distance decides would be more than all.
     _, result, moved = fitted.held
     half = half_covariance(result.jac, moved, fitted.problem.parameters)
-    h = np.sum((D @ half) ** 2, axis=1)
+    h = np.sum((J @ half) ** 2, axis=1)
     return np.asarray(np.maximum(1.0 - h, ROUNDING))
 
 
@@ -331,8 +328,9 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
             break
     place = int(np.argmax(sizes.max(axis=1)))
     move, turn = sizes[place] * (LENGTH_SCALE, ANGLE_SCALE)
-    chain = fitted.problem.error.chain
-    name = (*chain.joints, chain.tip_joint or chain.tip)[place]
+    chains = [part.error.chain for part in fitted.problem.by_chain.values()]
+    names = [(*c.joints, c.tip_joint or c.tip) for c in chains]
+    name = [name for of_chain in names for name in of_chain][place]
     said = (
         f"the origin of {name} came out moved by {1e3 * move:.1f} mm and "
         f"{np.degrees(turn):.2f} deg"
@@ -362,16 +360,17 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
 def _sizes(fitted: Fit, x: Floats) -> Floats:
     """Moves and turns of every joint's origin and the tip's, shape (n + 1, 2).
 
-    In expected sizes, for scaled parameters x of shape (P,).
+    In expected sizes, for scaled parameters x of shape (P,); chain by chain.
     """
     problem = fitted.problem
-    theta, _ = problem.split(x * problem.parameters.scales)
+    theta = x * problem.parameters.scales
     return np.array(
         [
             (
                 np.linalg.norm(M.translation) / LENGTH_SCALE,
                 np.linalg.norm(pin.log3(M.rotation)) / ANGLE_SCALE,
             )
-            for M in problem.error.corrections(theta)[1:-1]
+            for part in problem.by_chain.values()
+            for M in part.error.corrections(part.split(theta[part.index])[0])[1:-1]
         ]
     )

@@ -1,4 +1,4 @@
-"""How far the tips of two calibrated robots are apart, over the workspace."""
+"""How far the tips of two calibrated chains are apart, over the workspace."""
 
 from __future__ import annotations
 
@@ -11,7 +11,7 @@ from calib_pin.estimation.tip_accuracy import LEVER
 from calib_pin.kinematics.spatial import Floats, invert, se3_exp, skew, so3_log
 from calib_pin.parameterizations import NOTHING
 from calib_pin.validation.accuracy import Accuracy
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain
 
 SAMPLES = 1000
 """Configurations of the workspace."""
@@ -22,7 +22,7 @@ STEPS = 50
 
 @dataclass(frozen=True)
 class TipDrift:
-    """Differences of the tool between two calibrated robots.
+    """Differences of the tool between two calibrated chains.
 
     Attributes:
         q: Random configurations within the joint limits, shape (N, n) [rad, m].
@@ -56,8 +56,8 @@ class TipDrift:
 
 @serial_blas
 def tip_drift(
-    first: CalibratedModel,
-    second: CalibratedModel,
+    first: CalibratedChain,
+    second: CalibratedChain,
     *,
     base: bool,
     tool: bool,
@@ -69,7 +69,7 @@ def tip_drift(
     absorb that one of the calibrations did not know.
 
     Args:
-        first: The first calibrated robot.
+        first: The first calibrated chain.
         second: The second, of the same joints.
         base: Whether a displacement of the base is fitted away.
         tool: Whether a displacement of the tool is fitted away.
@@ -124,7 +124,7 @@ def absorbed(A: Floats, B: Floats, *, left: bool, right: bool) -> Floats:
 
 
 def _tools(
-    model: CalibratedModel, carrier: CalibratedModel, q: Floats, payload: str
+    model: CalibratedChain, carrier: CalibratedChain, q: Floats, payload: str
 ) -> Floats:
     """Tool poses in the base link with the tool of another robot, (N, 4, 4)."""
     loaded = replace(model, error=model.error.carrying(payload))

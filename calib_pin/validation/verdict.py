@@ -5,7 +5,7 @@ It reads what the other modules have found and finds nothing by itself.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -101,7 +101,8 @@ class Grounds:
         errors: Accuracy by quantity.
         gains: Paired tests on held-out configurations, the first of all quantities.
         findings: Defects of the data or the result.
-        workspace: Accuracy to expect over the workspace; None where nothing is known.
+        workspaces: Accuracy to expect over the workspace of each chain; empty where
+            nothing is known.
         aside: Part of the configurations that was set aside, or would have to be.
         advice: Advice on measurements that nothing explains.
     """
@@ -110,9 +111,23 @@ class Grounds:
     errors: Sequence[QuantityErrors]
     gains: Sequence[Gain]
     findings: Sequence[Finding]
-    workspace: ExpectedAccuracy | None
+    workspaces: Mapping[str, ExpectedAccuracy]
     aside: float = 0.0
     advice: str = CHECK
+
+    @property
+    def worst(self) -> tuple[str, ExpectedAccuracy | None]:
+        """The chain that is the least sure to be better, and its accuracy.
+
+        Of several chains one that nothing has corrected is as good as it was.
+        """
+        found = {n: w for n, w in self.workspaces.items() if w.nominal != w.calibrated}
+        found = found or dict(self.workspaces)
+        if not found:
+            return "", None
+        name = min(found, key=lambda name: found[name].better)
+        told = f" of the chain '{name}'" if name and len(self.workspaces) > 1 else ""
+        return told, found[name]
 
 
 def verdict(grounds: Grounds) -> tuple[str, str]:
@@ -238,7 +253,7 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
 
     Shown is by held-out measurements; nothing, that the errors may be chance.
     """
-    gain, workspace = grounds.gains[0], grounds.workspace
+    gain, (chain, workspace) = grounds.gains[0], grounds.worst
     name, before, after = _errors(grounds)
     held = f"{gain.configurations} independent held-out configurations"
     found = f"{name} error {after} rms instead of {before}"
@@ -259,8 +274,8 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     sure = workspace.better >= OPTIONS.sure
     if shown and sure:
         return "good", (
-            f"{found} on {held}; over the workspace {calibrated} instead of {nominal} "
-            "are expected"
+            f"{found} on {held}; over the workspace{chain} {calibrated} instead of "
+            f"{nominal} are expected"
         )
     halved = workspace.calibrated[0] < 0.5 * workspace.nominal[0]
     if not shown and sure and halved:
@@ -271,8 +286,8 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
     if nothing or not shown:
         return "no-gain", _nothing(grounds)
     return "untrusted", (
-        "the corrected robot is better where it was measured, but over the workspace "
-        f"{calibrated} instead of {nominal} are expected, better with a probability of "
+        "the corrected robot is better where it was measured, but over the workspace"
+        f"{chain} {calibrated} instead of {nominal} are expected, better with a probability of "
         f"only {100.0 * workspace.better:.0f} %; measure configurations that differ "
         "more"
     )

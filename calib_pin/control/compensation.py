@@ -24,7 +24,7 @@ from calib_pin.kinematics.spatial import (
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.progress import Progress
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain
 
 JUMP = 0.1
 """Change of the corrections between neighboring configurations that no smooth
@@ -94,7 +94,7 @@ class Compensation(Stacked):
 
 
 def kinematics(
-    model: CalibratedModel,
+    model: CalibratedChain,
     *,
     frame: Frame = "measuring",
     point: Point = "tool",
@@ -103,7 +103,7 @@ def kinematics(
     """Kinematics of a calibrated robot, with all its corrections.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         frame: Frame of the poses: `measuring`, or `base`, the base link.
         point: The placed point: `tool`, or `tip`, the tip link.
         nominal: Whether the robot is taken without its errors; the frames stay.
@@ -143,7 +143,7 @@ def _ends(error: ErrorModel, q: Floats) -> tuple[Floats, Floats]:
 
 
 def commands(
-    model: CalibratedModel,
+    model: CalibratedChain,
     targets: Floats,
     start: Floats | None = None,
     *,
@@ -157,7 +157,7 @@ def commands(
     to that.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
         frame: Frame of the targets, see `kinematics`.
@@ -171,7 +171,7 @@ def commands(
         >>> rows = calib_pin.read_measurements(
         ...     calib_pin.robot_file("space6", "measurements.csv"), chain
         ... )
-        >>> model = calib_pin.calibrate(chain, rows, setup).model
+        >>> model = calib_pin.calibrate(chain, rows, setup).model.of()
         >>> found = commands(model, model.poses(rows.q), rows.q)
         >>> bool(found.reached.all())
         True
@@ -187,12 +187,12 @@ def commands(
 
 
 def with_payload(
-    model: CalibratedModel, payload: str | None, file: str | Path | None = None
-) -> CalibratedModel:
+    model: CalibratedChain, payload: str | None, file: str | Path | None = None
+) -> CalibratedChain:
     """The calibrated robot with a payload that its setup knows.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         payload: Name of the payload, `none` for nothing; may be left out where the
             calibration needs none or knows only one.
         file: File of the calibration, for messages.
@@ -214,11 +214,11 @@ def with_payload(
     return model
 
 
-def ends_estimated(model: CalibratedModel, *, base: bool, tip: bool) -> bool:
+def ends_estimated(model: CalibratedChain, *, base: bool, tip: bool) -> bool:
     """Whether the base or the tool frame was estimated along with the robot.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         base: Whether the base frame matters.
         tip: Whether the tool frame matters.
     """
@@ -228,7 +228,7 @@ def ends_estimated(model: CalibratedModel, *, base: bool, tip: bool) -> bool:
 
 @serial_blas
 def compensate(
-    model: CalibratedModel,
+    model: CalibratedChain,
     targets: Floats,
     start: Floats | None = None,
     *,
@@ -240,7 +240,7 @@ def compensate(
     """Commands that bring the real robot to targets.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that commands shall be close to, shape (N, n) [rad, m].
         frame: Frame of the targets, see `kinematics`.
@@ -255,7 +255,7 @@ def compensate(
         >>> rows = calib_pin.read_measurements(
         ...     calib_pin.robot_file("space6", "measurements.csv"), chain
         ... )
-        >>> model = calib_pin.calibrate(chain, rows, setup).model
+        >>> model = calib_pin.calibrate(chain, rows, setup).model.of()
         >>> found = compensate(model, model.poses(rows.q), rows.q)
         >>> bool(found.position.max() < 1e-9)
         True
@@ -278,7 +278,7 @@ def compensate(
 
 @serial_blas
 def follow(
-    model: CalibratedModel,
+    model: CalibratedChain,
     q: Floats,
     *,
     orientation: bool = True,
@@ -290,7 +290,7 @@ def follow(
     motion is not torn.
 
     Args:
-        model: The calibrated robot.
+        model: The calibrated chain.
         q: Commands meant for the nominal robot, shape (N, n) [rad, m].
         orientation: Whether orientations count; else only positions do.
         progress: Told the part that is done, 0 to 1.
@@ -320,7 +320,7 @@ def _in_parts(
 
 
 def _compensation(
-    model: CalibratedModel,
+    model: CalibratedChain,
     real: Kinematics,
     targets: Floats,
     found: Solutions,

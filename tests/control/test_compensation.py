@@ -15,11 +15,11 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 
 @pytest.fixture(scope="module")
-def model() -> CalibratedModel:
+def model() -> CalibratedChain:
     """An UR10 with errors of millimeters, about known frames."""
     setup = Setup(
         base_frame=FrameSetup((0.1, -0.2, 0.05), (0.3, -0.2, 0.4)),
@@ -29,7 +29,7 @@ def model() -> CalibratedModel:
     problem = nominal_problem(chain, "pose", setup)
     theta = 1e-3 * np.random.default_rng(0).normal(size=len(problem.parameters))
     theta[problem.parameters.nuisance] = 0.0
-    return CalibratedModel.create(problem, theta)
+    return CalibratedModel.create(problem, theta).of()
 
 
 @pytest.fixture

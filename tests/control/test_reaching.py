@@ -26,7 +26,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, so3_log
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 ROBOTS = {
     "ur10": ("example:ur10_robot", None, "tool0"),
@@ -53,13 +53,13 @@ def robot(name: str) -> Chain:
     return load_chain(file, base=base, tip=tip)
 
 
-def calibrated(chain: Chain, size: float = 1e-3, **settings: Any) -> CalibratedModel:
+def calibrated(chain: Chain, size: float = 1e-3, **settings: Any) -> CalibratedChain:
     """A robot with errors of geometry, and of gears where there are any."""
     setup = replace(FRAMES, **settings)
     problem = nominal_problem(chain, "pose", setup)
     theta = np.random.default_rng(0).normal(size=len(problem.parameters))
     theta[problem.parameters.nuisance] = 0.0
-    return CalibratedModel.create(problem, size * theta)
+    return CalibratedModel.create(problem, size * theta).of()
 
 
 def configurations(chain: Chain, count: int, seed: int = 1) -> Floats:
@@ -80,7 +80,7 @@ def errors(T: Floats, targets: Floats) -> tuple[Floats, Floats]:
     return np.linalg.norm(way, axis=1), np.linalg.norm(so3_log(turned), axis=1)
 
 
-def check(model: CalibratedModel, found: Solutions, targets: Floats) -> None:
+def check(model: CalibratedChain, found: Solutions, targets: Floats) -> None:
     """Reached, exactly, within the limits."""
     assert found.reached.all()
     distances, angles = errors(model.poses(found.q), targets)

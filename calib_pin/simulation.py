@@ -6,19 +6,29 @@ from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError
+from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.configurations import (
     asked,
     brought_to_contact,
+    named_targets,
     observable_configurations,
     payloads_in_turn,
 )
+from calib_pin.estimation.measured import assumed_sigma
+from calib_pin.estimation.model import Configurations
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.mixed import absent, assumed_sigma, contact_rows
-from calib_pin.observations import AT, Measurements
+from calib_pin.observations import (
+    AT,
+    BlockKey,
+    Labels,
+    Measurements,
+    Observations,
+    Targets,
+)
 from calib_pin.parameters import ParameterSet
 
 LEG = 10
@@ -47,38 +57,48 @@ def simulate(
     theta: Floats,
     rng: np.random.Generator,
     *,
+    key: BlockKey | None = None,
     q: Floats | None = None,
-    target: Sequence[str] = (),
-    payload: Sequence[str] = (),
+    target: Targets = (),
+    payload: Targets = (),
     count: int | None = None,
+    per_configuration: bool = False,
     noise: float | None = None,
     repeats: int = 1,
     average: bool = False,
-) -> Measurements:
+) -> Observations:
     """Measure a robot with known errors.
 
     Args:
-        problem: Chain, frames and instrument; its rows only name the targets.
+        problem: Chains, frames and instruments; its data only name the targets.
         theta: True parameter values, shape (P,).
         rng: Random generator.
+        key: The block that is measured; default all blocks of the problem.
         q: Configurations, shape (K, n) [rad, m], from which a tool that must touch
-            something is brought there; or else
-        target: The target of each of them; default all targets in turn. Relative
-            distances of one name start at its first configuration, which is no row.
+            something is brought there. Of several blocks each measures those that its
+            instrument can measure. Or else
+        target: The target of each of them, for a single block; default all targets in
+            turn. Relative distances of one name start at its first configuration, which
+            is no measurement.
         payload: Payload of each of them; default all payloads in turn.
-        count: Number K of random configurations at which the instrument can measure.
-        noise: Standard deviation of every component [m, rad]; default that of the
+        count: Number K of random configurations at which an instrument can measure,
+            shared out among the blocks.
+        per_configuration: Whether everything that an instrument sees at a configuration
+            is measured there: an image is many corners. Contacts and relative distances
+            have one target all the same.
+        noise: Standard deviation of every component [m, rad, px]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
         repeats: Readings per configuration.
-        average: Whether the readings of a configuration become one row.
+        average: Whether the readings of a configuration become one measurement.
 
     Returns:
-        The measurements, with the standard deviations of their rows.
+        The measurements, with their standard deviations.
 
     Raises:
-        OptionError: If a number is out of range, or the problem mixes relative
-            distances with others.
-        InputError: If the instrument cannot measure at a configuration.
+        OptionError: If a number is out of range, there is no such block, or targets are
+            given for several.
+        InputError: If the only instrument cannot measure at a configuration, or one of
+            several at none.
 
     Example:
         >>> import numpy as np, calib_pin
@@ -87,78 +107,55 @@ def simulate(
         >>> problem = nominal_problem(chain, "position", calib_pin.Setup())
         >>> rng = np.random.default_rng(1)
         >>> theta = calib_pin.draw_errors(problem.parameters, rng)
-        >>> rows = calib_pin.simulate(problem, theta, rng, count=20, noise=1e-5)
-        >>> rows.values.shape
+        >>> found = calib_pin.simulate(problem, theta, rng, count=20, noise=1e-5)
+        >>> found.only.values.shape
         (20, 3)
     """
-    for name, number, least in (("count", count, 1), ("repeats", repeats, 1)):
+    keys = problem.data.keys
+    if key is not None:
+        require_known("block", str(key), map(str, keys))
+        keys = (key,)
+    for name, number, least in (("count", count, len(keys)), ("repeats", repeats, 1)):
         if number is not None and number < least:
-            raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
+            allowed = f"{least} or more"
+            raise OptionError(f"{name} is too small", value=number, allowed=allowed)
     if noise is not None and not 0.0 <= noise < np.inf:
         raise OptionError("noise is out of range", value=noise, allowed="0 or more")
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
-    relative = problem.measurement.declaration.relative
-    if relative and len(problem.data.parts) > 1:
-        raise OptionError(
-            "relative distances are simulated by themselves",
-            value=problem.measurement.name,
-            allowed=", ".join(problem.data.parts),
-        )
-    if q is None:
-        assert count is not None
-        starts = -(-count // LEG) if relative else 0
-        q, target = observable_configurations(problem, theta, count + starts, rng)
-        target = _legs(target, LEG + 1) if relative else target
-    else:
-        names = tuple(dict.fromkeys(problem.data.target)) or ("",)
-        target = tuple(target) or tuple(names[i % len(names)] for i in range(len(q)))
-        payload = payload or payloads_in_turn(problem.data, len(q))
-        q = _require_observable(problem, theta, q, target, payload)
-    payload = tuple(payload) or payloads_in_turn(problem.data, len(q))
-    start = None
-    if relative:
-        q, target, payload, start = _relative(q, target, payload)
-
-    exact = exact_problem(problem, theta, q, target, start, payload).data
-    sigma = assumed_sigma(problem.measurement, problem.setup.noise)
-    if noise is not None:
-        sigma = np.full_like(sigma, noise)
-    if average:
-        # The mean of K independent readings, drawn at once.
-        sigma, repeats = sigma / np.sqrt(repeats), 1
-    rows = exact.rows(np.repeat(np.arange(len(exact)), repeats))
-    if not sigma.any():
-        return rows
-    # Mixed rows lack the components of the other models.
-    lacking = (
-        np.zeros((len(rows), 1), bool) if rows.sigma is None else (np.isinf(rows.sigma))
-    )
-    draws = np.where(lacking, 0.0, rng.normal(size=(len(rows), len(sigma))) * sigma)
-    rows = replace(
-        rows,
-        values=problem.measurement.disturb(rows.values, draws),
-        sigma=np.where(lacking, np.inf, sigma),
-    )
-    touching = contact_rows(problem.measurement, rows.target)
-    if not touching.any():
-        return rows
-    # Contacts have no values: that they are not exact is that the robot stands so.
-    moved, _ = brought_to_contact(
-        problem, theta, rows.q, rows.target, touching, draws, rows.payload
-    )
-    return replace(rows, q=moved)
+    if len(keys) > 1 and len(target):
+        raise OptionError("targets are those of a single block; say which one")
+    found = []
+    for number, one in enumerate(keys):
+        declared = problem.parts[one].measurement.declaration
+        every = per_configuration and declared.plannable
+        if q is None:
+            assert count is not None
+            share = len(range(number, count, len(keys)))
+            at = _drawn(problem, theta, one, share, every, rng)
+        else:
+            looked = Labels.of(target if len(target) else _in_turn(problem, one, q))
+            carried = payload if len(payload) else _carried(problem, one, len(q), every)
+            at = asked(problem, one, q, looked, carried)
+            if not every:
+                at = _measurable(problem, theta, at, strict=len(keys) == 1)
+        if every:
+            at = _everything_seen(problem, theta, at, strict=len(keys) == 1)
+        if declared.relative:
+            at = _relative(at)
+        found.append(_measured(problem, theta, at, rng, noise, repeats, average))
+    return Observations.of(*found)
 
 
 def exact_problem(
     problem: Problem,
     theta: Floats,
     q: Floats,
-    target: Sequence[str],
+    target: Targets,
     start: Floats | None = None,
-    payload: Sequence[str] = (),
+    payload: Targets = (),
 ) -> Problem:
-    """The problem with noise-free measurements at other configurations.
+    """The problem with noise-free measurements of its first block elsewhere.
 
     Args:
         problem: The problem.
@@ -169,18 +166,107 @@ def exact_problem(
             configuration before each.
         payload: Payload of each; default `payloads_in_turn`.
     """
-    at = asked(problem, q, target, payload, start)
-    data = Measurements(
-        joints=problem.error.chain.joints,
-        q=q,
-        model=problem.measurement.name,
+    at = asked(problem, problem.only.key, q, target, payload, start)
+    return exact_at(problem, theta, at)
+
+
+def exact_at(problem: Problem, theta: Floats, *at: Configurations) -> Problem:
+    """The problem with noise-free measurements at configurations of its blocks.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        at: Configurations of each block.
+    """
+    exact = [_exact(problem, theta, one) for one in at]
+    return replace(problem, data=Observations.of(*exact))
+
+
+def _exact(problem: Problem, theta: Floats, at: Configurations) -> Measurements:
+    """Noise-free measurements at configurations of a block."""
+    return Measurements(
+        joints=problem.chains.joints,
+        q=at.q,
         values=problem.predict(theta, at),
-        sigma=absent(problem.measurement, target),
         target=at.target,
         payload=at.payload,
         start=at.start,
+        **at.key._asdict(),
     )
-    return replace(problem, data=data)
+
+
+def _measured(
+    problem: Problem,
+    theta: Floats,
+    at: Configurations,
+    rng: np.random.Generator,
+    noise: float | None,
+    repeats: int,
+    average: bool,
+) -> Measurements:
+    """Measurements at configurations of a block; the rest as for `simulate`."""
+    part = problem.parts[at.key]
+    exact = _exact(problem, theta, at)
+    sigma = assumed_sigma(part, problem.setup)
+    if noise is not None:
+        sigma = np.full_like(sigma, noise)
+    if average:
+        # The mean of K independent readings, drawn at once.
+        sigma, repeats = sigma / np.sqrt(repeats), 1
+    rows = exact.rows(np.repeat(np.arange(len(exact)), repeats))
+    if not sigma.any():
+        return rows
+    draws = rng.normal(size=(len(rows), len(sigma))) * sigma
+    sigmas = np.tile(sigma, (len(rows), 1))
+    if part.measurement.declaration.contact:
+        # Contacts have no values: that they are not exact is that the robot stands so.
+        stood = asked(problem, at.key, rows.q, rows.target, rows.payload)
+        moved, _ = brought_to_contact(problem, theta, stood, draws)
+        return replace(rows, q=moved, sigma=sigmas)
+    values = part.measurement.disturb(rows.values, draws)
+    return replace(rows, values=values, sigma=sigmas)
+
+
+def _drawn(
+    problem: Problem,
+    theta: Floats,
+    key: BlockKey,
+    count: int,
+    every: bool,
+    rng: np.random.Generator,
+) -> Configurations:
+    """Random configurations of a block, those of starts of relative distances added.
+
+    Args:
+        problem: The problem.
+        theta: Parameter values, shape (P,).
+        key: The block.
+        count: Number of configurations that count.
+        every: Whether all targets are measured at each.
+        rng: Random generator.
+    """
+    if not problem.parts[key].measurement.declaration.relative:
+        carried = _carried(problem, key, count, every)
+        return observable_configurations(problem, key, theta, count, rng, carried)
+    more = count + -(-count // LEG)
+    at = observable_configurations(problem, key, theta, more, rng)
+    return replace(at, target=Labels.of(_legs(at.target, LEG + 1)))
+
+
+def _in_turn(problem: Problem, key: BlockKey, q: Floats) -> tuple[str, ...]:
+    """The targets of a block in turn, one for each configuration."""
+    names = named_targets(problem, key)
+    return tuple(names[k % len(names)] for k in range(len(q)))
+
+
+def _carried(
+    problem: Problem, key: BlockKey, count: int, every: bool
+) -> tuple[str, ...]:
+    """The payloads in turn, so that each meets every target, length `count`."""
+    if not every:
+        return payloads_in_turn(problem, key, count)
+    names = problem.data.payload.distinct or ("",)
+    return tuple(names[k % len(names)] for k in range(count))
 
 
 def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
@@ -192,55 +278,76 @@ def _legs(target: Sequence[str], size: int) -> tuple[str, ...]:
     )
 
 
-def _relative(
-    q: Floats, target: Sequence[str], payload: Sequence[str]
-) -> tuple[Floats, tuple[str, ...], tuple[str, ...], Floats]:
-    """Rows without those that others start from, which are the first of each name.
+def _relative(at: Configurations) -> Configurations:
+    """Configurations without those that others start from, the first of each name.
 
     The payload at the start stays to the end.
 
     Raises:
         InputError: If a name has nothing but its start.
     """
-    first: dict[str, int] = {}
-    for k, name in enumerate(target):
-        first.setdefault(name, k)
-    rows = [k for k, name in enumerate(target) if first[name] != k]
-    several = {target[k] for k in rows}
-    alone = [name for name in first if name not in several]
-    if alone:
-        raise InputError(
-            f"the relative distances of '{alone[0]}' have a start and no end",
-            column="target",
-        )
-    names = tuple(target[k] for k in rows)
-    starts = [first[name] for name in names]
-    return q[rows], names, tuple(payload[k] for k in starts), q[starts]
+    _, first, name = np.unique(at.target.codes, return_index=True, return_inverse=True)
+    starts = first[name]
+    rows = np.flatnonzero(starts != np.arange(len(starts)))
+    several = at.target[rows].distinct
+    for alone in at.target.distinct:
+        if alone not in several:
+            raise InputError(
+                f"the relative distances of '{alone}' have a start and no end",
+                column="target",
+            )
+    begun = at.rows(starts[rows])
+    return replace(at.rows(rows), payload=begun.payload, start=begun.q)
 
 
-def _require_observable(
-    problem: Problem,
-    theta: Floats,
-    q: Floats,
-    target: Sequence[str],
-    payload: Sequence[str],
-) -> Floats:
+def _measurable(
+    problem: Problem, theta: Floats, at: Configurations, strict: bool
+) -> Configurations:
     """Configurations that can be measured; those of a contact where the tool touches.
 
     Raises:
-        InputError: If the instrument cannot measure at a configuration.
+        InputError: If the instrument cannot measure at a configuration; where others
+            may be left out, at none.
     """
-    measurement = problem.measurement
-    touching = contact_rows(measurement, target)
-    seen = np.ones(len(q), bool)
-    if touching.any():
-        q, seen = brought_to_contact(
-            problem, theta, q, target, touching, payload=payload
-        )
-    seen &= problem.observable(theta, asked(problem, q, target, payload))
-    if not seen.all():
-        raise InputError(
-            f"configuration {int(np.argmin(seen)) + 1} cannot be measured "
-            f"({measurement.name}): {measurement.declaration.unmeasurable}"
-        )
-    return q
+    seen = np.ones(len(at.q), bool)
+    if problem.parts[at.key].measurement.declaration.contact:
+        q, seen = brought_to_contact(problem, theta, at)
+        at = replace(at, q=q)
+    seen &= problem.observable(theta, at)
+    _require_seen(problem, at.key, seen, strict)
+    return at if seen.all() else at.rows(seen)
+
+
+def _everything_seen(
+    problem: Problem, theta: Floats, at: Configurations, strict: bool
+) -> Configurations:
+    """All targets that an instrument sees at each configuration, in their order.
+
+    Raises:
+        InputError: As for `_measurable`.
+    """
+    names = named_targets(problem, at.key)
+    each = at.rows(np.repeat(np.arange(len(at.q)), len(names)))
+    codes = np.tile(np.arange(len(names)), len(at.q))
+    each = replace(each, target=Labels(names, codes))
+    seen = problem.observable(theta, each)
+    some = np.asarray(seen.reshape(-1, len(names)).any(axis=1))
+    _require_seen(problem, at.key, some, strict)
+    return each.rows(seen)
+
+
+def _require_seen(
+    problem: Problem, key: BlockKey, seen: NDArray[np.bool_], strict: bool
+) -> None:
+    """Check that an instrument can measure, at every configuration if that is strict.
+
+    Raises:
+        InputError: If it cannot.
+    """
+    if seen.all() or (seen.any() and not strict):
+        return
+    which = f"configuration {int(np.argmin(seen)) + 1} cannot"
+    if not strict:
+        which = f"none of {len(seen)} configurations can"
+    why = problem.parts[key].measurement.declaration.unmeasurable
+    raise InputError(f"{which} be measured ({key}): {why}")

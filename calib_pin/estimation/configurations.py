@@ -90,6 +90,7 @@ def observable_configurations(
     theta: Floats,
     count: int,
     rng: np.random.Generator,
+    payload: Targets = (),
 ) -> Configurations:
     """Random configurations within the limits at which an instrument can measure.
 
@@ -101,13 +102,14 @@ def observable_configurations(
         theta: Parameter values, shape (P,).
         count: Number K of configurations.
         rng: Random generator.
+        payload: Payload of each; default `payloads_in_turn`.
 
     Raises:
         InputError: If too few configurations can be measured.
     """
     names = named_targets(problem, key)
     target = [names[i % len(names)] for i in range(count)]
-    loads = payloads_in_turn(problem, key, count)
+    loads = tuple(payload) or payloads_in_turn(problem, key, count)
     declared = problem.parts[key].measurement.declaration
     q_found: Floats = np.empty((count, len(problem.chains.joints)))
     left, tries, drawn = np.arange(count), 0, 0

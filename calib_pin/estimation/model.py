@@ -4,7 +4,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Self, TypeAlias
+from typing import Any, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
@@ -34,6 +34,16 @@ class Configurations:
     target: Labels
     payload: Labels
     start: Floats
+
+    def rows(self, index: NDArray[Any]) -> Configurations:
+        """The configurations that a mask or an index array picks, in its order."""
+        return replace(
+            self,
+            q=self.q[index],
+            target=self.target[index],
+            payload=self.payload[index],
+            start=self.start[index] if self.start.size else self.start,
+        )
 
 
 Configured: TypeAlias = Configurations | Measurements

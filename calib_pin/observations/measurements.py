@@ -33,6 +33,11 @@ class BlockKey(NamedTuple):
     station: str = ""
     tool: str = ""
 
+    def __str__(self) -> str:
+        """The model, and the names that are not defaults."""
+        pairs = zip(self._fields[1:], self[1:], strict=True)
+        return ", ".join([self.model, *(f"{k} {name}" for k, name in pairs if name)])
+
 
 @dataclass(frozen=True)
 class Measurements:

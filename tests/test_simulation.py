@@ -12,6 +12,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import (
     FrameSetup,
@@ -42,6 +43,15 @@ def make(model: str, **changes: object) -> Problem:
 @pytest.fixture(params=SETUPS)
 def problem(request: pytest.FixtureRequest) -> Problem:
     return make(request.param)
+
+
+def simulated(*args: object, **options: object) -> Measurements:
+    return simulate(*args, **options).only
+
+
+def residuals(problem: Problem, rows: Measurements, theta: np.ndarray) -> np.ndarray:
+    measured = replace(problem, data=Observations.of(rows))
+    return measured.blocks[0].table(measured.errors(theta))
 
 
 def errors(problem: Problem, seed: int = 0) -> np.ndarray:
@@ -84,21 +94,20 @@ def errors_of(parameters: tuple) -> np.ndarray:
 
 def test_without_noise_the_values_are_exact(problem):
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=30, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=30, noise=0.0)
     assert rows.sigma is None
     assert len(rows) == 30
-    measured = replace(problem, data=rows)
-    assert np.abs(measured.errors(theta)).max() < 1e-12
-    assert np.abs(measured.errors(0.0 * theta)).max() > 1e-4
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
+    assert np.abs(residuals(problem, rows, 0.0 * theta)).max() > 1e-4
 
 
 @pytest.mark.parametrize("noise", [None, 3e-4])
 def test_noise_has_the_stated_size(problem, noise):
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=2000, noise=noise)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=2000, noise=noise)
     assert rows.sigma is not None
     assert (rows.sigma == (1e-4 if noise is None else noise)).all()
-    found = replace(problem, data=rows).errors(theta) / rows.sigma
+    found = residuals(problem, rows, theta) / rows.sigma
     # 2000 draws: the deviation of a standard deviation is 1.6 %.
     np.testing.assert_allclose(found.std(axis=0), 1.0, atol=0.07)
     np.testing.assert_allclose(found.mean(axis=0), 0.0, atol=0.1)
@@ -107,7 +116,7 @@ def test_noise_has_the_stated_size(problem, noise):
 def test_the_setup_states_the_noise():
     problem = make("pose", noise={"position": 1e-5, "orientation": 2e-3})
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=3)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=3)
     assert rows.sigma is not None
     assert rows.sigma[0].tolist() == [1e-5] * 3 + [2e-3] * 3
 
@@ -115,9 +124,9 @@ def test_the_setup_states_the_noise():
 def test_orientations_turn_in_the_tool_frame():
     problem = make("pose")
     theta = errors(problem)
-    q = problem.error.chain.random_configurations(500, np.random.default_rng(5))
-    exact = simulate(problem, theta, np.random.default_rng(1), q=q, noise=0.0)
-    rows = simulate(problem, theta, np.random.default_rng(1), q=q, noise=1e-3)
+    q = problem.only.error.chain.random_configurations(500, np.random.default_rng(5))
+    exact = simulated(problem, theta, np.random.default_rng(1), q=q, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), q=q, noise=1e-3)
     R_exact = from_quaternion(exact.values[:, 3:])
     turn = so3_log(np.swapaxes(R_exact, 1, 2) @ from_quaternion(rows.values[:, 3:]))
     np.testing.assert_allclose(turn.std(axis=0), 1e-3, rtol=0.15)
@@ -129,7 +138,7 @@ def test_orientations_turn_in_the_tool_frame():
 
 def test_repeats_stay_together(problem):
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=4, repeats=3)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=4, repeats=3)
     assert len(rows) == 12
     groups = rows.groups().reshape(4, 3)
     assert (groups == groups[:, :1]).all()
@@ -139,7 +148,7 @@ def test_repeats_stay_together(problem):
 
 def test_averages_are_better_by_the_root_of_their_number(problem):
     theta = errors(problem)
-    rows = simulate(
+    rows = simulated(
         problem,
         theta,
         np.random.default_rng(1),
@@ -150,7 +159,7 @@ def test_averages_are_better_by_the_root_of_their_number(problem):
     )
     assert len(rows) == 1500
     np.testing.assert_allclose(rows.sigma, 2e-4)
-    found = replace(problem, data=rows).errors(theta) / 2e-4
+    found = residuals(problem, rows, theta) / 2e-4
     np.testing.assert_allclose(found.std(axis=0), 1.0, atol=0.08)
 
 
@@ -158,8 +167,8 @@ def test_averages_are_better_by_the_root_of_their_number(problem):
 
 
 def test_configurations_lie_within_the_limits(problem):
-    rows = simulate(problem, errors(problem), np.random.default_rng(1), count=200)
-    chain = problem.error.chain
+    rows = simulated(problem, errors(problem), np.random.default_rng(1), count=200)
+    chain = problem.only.error.chain
     assert (rows.q >= chain.lower).all()
     assert (rows.q <= chain.upper).all()
     assert rows.joints == chain.joints
@@ -167,15 +176,15 @@ def test_configurations_lie_within_the_limits(problem):
 
 def test_given_configurations_are_kept(problem):
     theta = errors(problem)
-    q = simulate(problem, theta, np.random.default_rng(1), count=7).q
-    rows = simulate(problem, theta, np.random.default_rng(2), q=q)
+    q = simulated(problem, theta, np.random.default_rng(1), count=7).q
+    rows = simulated(problem, theta, np.random.default_rng(2), q=q)
     np.testing.assert_array_equal(rows.q, q)
 
 
 def test_planes_take_turns_and_are_hit_from_the_front():
     problem = make("plane-distance")
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=100)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=100)
     assert set(rows.target) == {"wall", "floor"}
     assert 20 < rows.target.count("wall") < 80
     assert (rows.values > 0.0).all()
@@ -185,17 +194,17 @@ def test_planes_take_turns_and_are_hit_from_the_front():
 def test_a_configuration_that_misses_the_plane_is_named():
     problem = make("plane-distance", planes={"floor": PLANES["floor"]})
     theta = errors(problem)
-    q = simulate(problem, theta, np.random.default_rng(1), count=3).q
+    q = simulated(problem, theta, np.random.default_rng(1), count=3).q
     q[1] = [0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0]  # Straight up.
     with pytest.raises(InputError, match="configuration 2 cannot be measured"):
-        simulate(problem, theta, np.random.default_rng(1), q=q)
+        simulated(problem, theta, np.random.default_rng(1), q=q)
 
 
 def test_a_plane_out_of_reach():
     planes = {"sky": PlaneSetup((0, 0, 1), -90.0)}
     problem = make("plane-distance", planes=planes)
     with pytest.raises(InputError, match="only 0 of"):
-        simulate(problem, errors(problem), np.random.default_rng(1), count=1)
+        simulated(problem, errors(problem), np.random.default_rng(1), count=1)
 
 
 # --- contacts ----------------------------------------------------------------------
@@ -209,21 +218,21 @@ TOUCHED = Setup(
 CONTACTS = ("fixed-point", "plane-contact", "sphere-contact")
 
 
-def touched(model: str, **changes: object) -> Problem:
+def touched(measured: str | tuple[str, ...], **changes: object) -> Problem:
     chain = calib_pin.load_chain("space6")
-    return nominal_problem(chain, model, replace(TOUCHED, **changes))
+    keys = measured if isinstance(measured, str) else [*map(BlockKey, measured)]
+    return nominal_problem(chain, keys, replace(TOUCHED, **changes))
 
 
 @pytest.mark.parametrize("model", CONTACTS)
 def test_contacts_without_noise_are_closed(model):
     problem = touched(model)
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
     assert rows.sigma is None and rows.values.shape == (20, 0)
-    measured = replace(problem, data=rows)
-    assert np.abs(measured.errors(theta)).max() < 1e-12
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
     # The robot stands there with its errors: the nominal one would not touch.
-    assert np.abs(measured.errors(0.0 * theta)).max() > 1e-4
+    assert np.abs(residuals(problem, rows, 0.0 * theta)).max() > 1e-4
 
 
 @pytest.mark.parametrize("model", CONTACTS)
@@ -231,10 +240,10 @@ def test_contacts_without_noise_are_closed(model):
 def test_noise_of_a_contact_is_a_gap_of_the_stated_size(model, noise):
     problem = touched(model, noise={"position": 5e-4, "contact": 5e-4})
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=300, noise=noise)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=300, noise=noise)
     sigma = 5e-4 if noise is None else noise
     assert (rows.sigma == sigma).all()
-    gap = replace(problem, data=rows).errors(theta)
+    gap = residuals(problem, rows, theta)
     # 300 draws and more: the deviation of a standard deviation is 4 %.
     assert gap.std() == pytest.approx(sigma, rel=0.15)
     assert abs(gap.mean()) < 0.2 * sigma
@@ -247,7 +256,7 @@ def test_repeated_contacts_are_one_configuration_each_time():
     """Every touch finds another gap, and the joints stand elsewhere."""
     problem = touched("fixed-point")
     theta = errors(problem)
-    rows = simulate(
+    rows = simulated(
         problem, theta, np.random.default_rng(1), count=3, repeats=4, noise=1e-4
     )
     assert len(rows) == 12 and rows.target == ("s/0",) * 4 + ("s/1",) * 4 + ("s/0",) * 4
@@ -259,19 +268,21 @@ def test_repeated_contacts_are_one_configuration_each_time():
 def test_given_configurations_are_brought_into_contact():
     problem = touched("plane-contact")
     theta, rng = errors(problem), np.random.default_rng(1)
-    there = simulate(problem, theta, rng, count=4, noise=0.0)
+    there = simulated(problem, theta, rng, count=4, noise=0.0)
     near = there.q + 0.01 * rng.normal(size=there.q.shape)
-    rows = simulate(problem, theta, rng, q=near, target=there.target, noise=0.0)
+    rows = simulated(problem, theta, rng, q=near, target=there.target, noise=0.0)
     assert rows.target == there.target and (rows.q != near).any(axis=1).all()
     assert np.abs(rows.q - near).max() < 0.1
-    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-12
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
 
 
 def test_a_configuration_from_which_nothing_is_touched_is_named():
     far = {"s": PointSetup((5.0, 0.0, 0.0))}
     problem = touched("fixed-point", sockets=far)
     with pytest.raises(InputError, match=r"configuration 1 .* not come into contact"):
-        simulate(problem, errors(problem), np.random.default_rng(1), q=np.zeros((1, 6)))
+        simulated(
+            problem, errors(problem), np.random.default_rng(1), q=np.zeros((1, 6))
+        )
 
 
 # --- relative distances ------------------------------------------------------------
@@ -281,7 +292,7 @@ def test_ways_share_their_starts():
     """Ten rows from each start, which is no row itself."""
     problem = touched("relative-distance")
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=25, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=25, noise=0.0)
     assert rows.target == ("1",) * 10 + ("2",) * 10 + ("3",) * 5
     assert rows.start.shape == rows.q.shape
     assert len(np.unique(rows.start, axis=0)) == 3
@@ -290,8 +301,10 @@ def test_ways_share_their_starts():
         assert (rows.start[leg] == rows.start[leg][0]).all()
         # Not one of the rows.
         assert (rows.q[leg] != rows.start[leg]).any(axis=1).all()
-    of_robot = problem.split(theta)[0]
-    ends = (problem.error.poses(q, of_robot)[:, :3, 3] for q in (rows.q, rows.start))
+    of_robot = problem.only.split(theta)[0]
+    ends = (
+        problem.only.error.poses(q, of_robot)[:, :3, 3] for q in (rows.q, rows.start)
+    )
     expected = np.linalg.norm(np.subtract(*ends), axis=1)
     np.testing.assert_allclose(rows.values[:, 0], expected, rtol=1e-13)
 
@@ -299,8 +312,8 @@ def test_ways_share_their_starts():
 def test_noise_of_ways():
     problem = touched("relative-distance")
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=800, noise=3e-4)
-    found = replace(problem, data=rows).errors(theta) / 3e-4
+    rows = simulated(problem, theta, np.random.default_rng(1), count=800, noise=3e-4)
+    found = residuals(problem, rows, theta) / 3e-4
     assert (rows.sigma == 3e-4).all()
     assert found.std() == pytest.approx(1.0, abs=0.08)
     assert found.mean() == pytest.approx(0.0, abs=0.12)
@@ -310,7 +323,7 @@ def test_ways_of_named_points():
     points = {"a": PointSetup((0.05, 0.0, 0.1)), "b": PointSetup((0.0, 0.04, 0.2))}
     problem = touched("relative-distance", targets=points)
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=20, noise=0.0)
     assert {name.partition("@")[0] for name in rows.target} == {"a", "b"}
     # Rows of one name share a start.
     starts = {
@@ -320,40 +333,40 @@ def test_ways_of_named_points():
         for name in rows.target
     }
     assert all(len(found) == 1 for found in starts.values())
-    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-13
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-13
 
 
 def test_starts_among_given_configurations():
     """The first configuration of each name is its start."""
     problem = touched("relative-distance")
     theta, rng = errors(problem), np.random.default_rng(1)
-    q = problem.error.chain.random_configurations(6, rng)
+    q = problem.only.error.chain.random_configurations(6, rng)
     names = ("x", "y", "x", "x", "y", "y")
-    rows = simulate(problem, theta, rng, q=q, target=names, noise=0.0)
+    rows = simulated(problem, theta, rng, q=q, target=names, noise=0.0)
     assert rows.target == ("x", "x", "y", "y")
     np.testing.assert_array_equal(rows.q, q[[2, 3, 4, 5]])
     np.testing.assert_array_equal(rows.start, q[[0, 0, 1, 1]])
     with pytest.raises(InputError, match="'z' have a start and no end"):
-        simulate(problem, theta, rng, q=q, target=(*names[:-1], "z"))
+        simulated(problem, theta, rng, q=q, target=(*names[:-1], "z"))
 
 
 # --- several models, and what is carried -------------------------------------------
 
 
-def test_mixed_rows_have_their_own_noise():
+def test_blocks_have_their_own_noise():
     problem = touched(
-        "position+fixed-point", noise={"position": 5e-4}, sockets=TOUCHED.sockets
+        ("position", "plane-contact"), noise={"position": 5e-4, "contact": 2e-4}
     )
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=90)
-    of_position = np.array([name.startswith("position:") for name in rows.target])
-    assert of_position.sum() == 30
-    assert np.isinf(rows.sigma[of_position, 3:]).all()
-    assert np.isinf(rows.sigma[~of_position, :3]).all()
-    found = replace(problem, data=rows).masked_errors(theta)
-    assert (np.isfinite(found) == np.isfinite(rows.sigma)).all()
-    assert np.nanstd(found) == pytest.approx(5e-4, rel=0.15)
-    assert not rows.values[~of_position].any()
+    found = simulate(problem, theta, np.random.default_rng(1), count=91)
+    assert [len(block) for block in found.blocks] == [46, 45]
+    for block, sigma in zip(found.blocks, (5e-4, 2e-4), strict=True):
+        assert (block.sigma == sigma).all()
+    measured = replace(problem, data=found)
+    gaps = measured.errors(theta) / measured.sigma
+    # 46 and 45 draws: the deviation of a standard deviation is at most 11 %.
+    for block in measured.blocks:
+        assert block.table(gaps).std() == pytest.approx(1.0, rel=0.4)
 
 
 def test_what_is_carried_takes_turns():
@@ -361,13 +374,13 @@ def test_what_is_carried_takes_turns():
     loads = {"light": Payload(1.0, (0.1, 0, 0)), "heavy": Payload(5.0, (0.1, 0, 0))}
     problem = touched("fixed-point", parameters=("compliance",), payloads=loads)
     theta = errors(problem)
-    rows = simulate(problem, theta, np.random.default_rng(1), count=8, noise=0.0)
+    rows = simulated(problem, theta, np.random.default_rng(1), count=8, noise=0.0)
     pairs = set(zip(rows.target, rows.payload, strict=True))
     assert len(pairs) == 4
-    assert np.abs(replace(problem, data=rows).errors(theta)).max() < 1e-12
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-12
     # Brought into contact as the robot bends under that load.
     other = replace(rows, payload=("light",) * 8)
-    assert np.abs(replace(problem, data=other).errors(theta)).max() > 1e-5
+    assert np.abs(residuals(problem, other, theta)).max() > 1e-5
 
 
 # --- repeatability and mistakes ----------------------------------------------------
@@ -376,7 +389,7 @@ def test_what_is_carried_takes_turns():
 def test_the_generator_decides_everything(problem):
     theta = errors(problem)
     rows = [
-        simulate(problem, theta, np.random.default_rng(seed), count=5)
+        simulated(problem, theta, np.random.default_rng(seed), count=5)
         for seed in (1, 1, 2)
     ]
     np.testing.assert_array_equal(rows[0].values, rows[1].values)
@@ -399,4 +412,4 @@ def test_the_generator_decides_everything(problem):
 def test_numbers_out_of_range(options, part):
     problem = make("pose")
     with pytest.raises(OptionError, match=part):
-        simulate(problem, errors(problem), np.random.default_rng(1), **options)
+        simulated(problem, errors(problem), np.random.default_rng(1), **options)

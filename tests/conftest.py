@@ -26,17 +26,18 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.calibration import calibrate
 from calib_pin.errors import InputError
-from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.configurations import (
+    named_targets,
+    observable_configurations,
+)
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.mixed import contact_rows
-from calib_pin.measurement_models.mount import Frame
+from calib_pin.observations import BlockKey, Observations, Targets
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     AnchorSetup,
@@ -48,10 +49,9 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
     SphereSetup,
+    ToolSetup,
 )
 from calib_pin.simulation import draw_errors, exact_problem, simulate
-from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
 
 
 def example_robots() -> list[Path]:
@@ -177,51 +177,50 @@ def equipped(framed: Setup) -> Setup:
 FAR = FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True)
 """Base in the frame of a camera that stands still and sees all of a robot."""
 
-NEAR = FrameSetup((0.02, 0.05, -0.03), (0.1, 0.3, -0.2))
-"""Tool frame of a camera among other instruments."""
+NEAR = ToolSetup((0.02, 0.05, -0.03), (0.1, 0.3, -0.2))
+"""What a camera among other instruments looks at."""
 
 
 @pytest.fixture(scope="session")
 def equipped_problem(equipped: Setup) -> Callable[..., Problem]:
-    """Problem with all that rows can name: `equipped_problem(chain, model, ...)`.
+    """Problem with all that measurements name: `equipped_problem(chain, model, ...)`.
 
-    A camera stands far enough away. Settings of the setup may follow by name.
+    Several blocks may stand for the model. A camera stands far enough away. Settings of
+    the setup may follow by name.
     """
 
-    def make(chain: Chain, model: str, **settings: Any) -> Problem:
-        setup = replace(equipped, **settings)
+    def make(chain: Chain, model: str | Sequence[BlockKey], **settings: Any) -> Problem:
+        frames = {"stations": {"camera": FAR}, "tools": {"camera": NEAR}}
+        setup = replace(equipped, **frames | settings)
         if model == "camera":
             setup = replace(setup, base_frame=FAR)
-        problem = nominal_problem(chain, model, setup)
-        ends = {"base": frame_pose(FAR), "tool": frame_pose(NEAR)}
-        references = [
-            replace(reference, pose=ends[reference.kind])
-            if isinstance(reference, Frame)
-            else reference
-            for reference in problem.measurement.references
-        ]
-        return replace(
-            problem, measurement=problem.measurement.with_references(references)
-        )
+        return nominal_problem(chain, model, setup)
 
     return make
 
 
 @pytest.fixture(scope="session")
-def visited() -> Callable[..., tuple[Floats, tuple[str, ...]]]:
-    """Configurations and targets of rows: `visited(problem, theta, count, rng)`.
+def visited() -> Callable[..., tuple[Floats, Targets]]:
+    """Configurations and targets of a block: `visited(problem, theta, count, rng)`.
 
-    The instrument can measure there. Where some of it must touch something they are
-    random: away from contact there is a residual, as in any fit that begins.
+    The instrument of the first block, or of the one whose key follows, can measure
+    there. Where it must touch something they are random: away from contact there is a
+    residual, as in any fit that begins.
     """
 
     def draw(
-        problem: Problem, theta: Floats, count: int, rng: np.random.Generator
-    ) -> tuple[Floats, tuple[str, ...]]:
-        names = tuple(dict.fromkeys(problem.data.target))
-        if not contact_rows(problem.measurement, names).any():
-            return observable_configurations(problem, theta, count, rng)
-        q = problem.error.chain.random_configurations(count, rng)
+        problem: Problem,
+        theta: Floats,
+        count: int,
+        rng: np.random.Generator,
+        key: BlockKey | None = None,
+    ) -> tuple[Floats, Targets]:
+        key = key or problem.only.key
+        if not problem.parts[key].measurement.declaration.contact:
+            at = observable_configurations(problem, key, theta, count, rng)
+            return at.q, at.target
+        names = named_targets(problem, key)
+        q = problem.chains.random_configurations(count, rng)
         return q, tuple(names[k % len(names)] for k in range(count))
 
     return draw
@@ -316,7 +315,7 @@ def chain_of() -> Callable[..., Chain]:
 
 @pytest.fixture(scope="session")
 def measured(
-    visited: Callable[..., tuple[Floats, tuple[str, ...]]],
+    visited: Callable[..., tuple[Floats, Targets]],
 ) -> Callable[..., Problem]:
     """Problem of a chain: `measured(chain, model, parameterizations, rows, seed)`.
 
@@ -357,22 +356,23 @@ def measured(
         zero = np.zeros(len(problem.parameters))
         q, target = visited(problem, zero, rows, rng)
         start = None
-        if problem.measurement.declaration.relative:
+        measurement = problem.only.measurement
+        if measurement.declaration.relative:
             start = chain.random_configurations(rows, rng)
         exact = exact_problem(problem, zero, q, target, start)
-        noise = 0.05 * rng.normal(size=exact.sigma.shape)
+        noise = 0.05 * rng.normal(size=(rows, exact.only.components))
         data = replace(
-            exact.data,
-            values=exact.measurement.disturb(exact.data.values, noise),
+            exact.data.only,
+            values=measurement.disturb(exact.data.only.values, noise),
             sigma=rng.uniform(0.005, 0.02, noise.shape),
         )
-        return replace(problem, data=data)
+        return replace(problem, data=Observations.of(data))
 
     return make
 
 
 @pytest.fixture(scope="session")
-def recorded() -> Callable[..., CalibrationResult]:
+def recorded() -> Callable[..., Any]:
     """Calibration of a simulated robot: `recorded(chain, model, seed, changes, ...)`.
 
     The robot is always the same, but for changes of its parameters by name. A true
@@ -389,7 +389,10 @@ def recorded() -> Callable[..., CalibrationResult]:
         truth: Setup | None = None,
         count: int = 60,
         noise: float = 1e-4,
-    ) -> CalibrationResult:
+    ) -> Any:
+        from calib_pin.calibration import calibrate
+        from calib_pin.validation.summaries import Provenance
+
         problem = nominal_problem(chain, model, truth or setup or Setup())
         drawn = draw_errors(problem.parameters, np.random.default_rng(0))
         theta = np.where(problem.parameters.nuisance, 0.0, drawn)

@@ -75,7 +75,9 @@ def read_blocks(
     texts, count = table.texts(NAMES), len(table.lines)
     if station is not None and "station" in texts:
         raise table.error(
-            "the file names its stations itself, so it cannot be a station", "station"
+            "the file names stations itself, so it cannot be one; leave out "
+            "--station-per-file",
+            "station",
         )
     default = chains.names[0] if len(chains.names) == 1 else ""
     absent = {"chain": default, "station": station or ""}

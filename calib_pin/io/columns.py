@@ -4,9 +4,10 @@ from __future__ import annotations
 
 import re
 from array import array
+from collections import defaultdict
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
-from itertools import compress
+from itertools import compress, count
 
 import numpy as np
 from numpy.typing import NDArray
@@ -65,6 +66,9 @@ def what_is_wrong(cell: str, value: float) -> str:
 
 
 def _number(cell: str) -> float:
+    # Most of the cells without numbers are names, and an error takes time.
+    if cell[:1].isalpha() and cell.strip().lower() not in ("inf", "infinity"):
+        return float("nan")
     # Python reads 1_000 as a number; in a CSV file it is a slip.
     try:
         return float("nan") if "_" in cell else float(cell)
@@ -148,15 +152,15 @@ class GrowingColumn:
     def __init__(self) -> None:
         """A column without rows."""
         self.numbers = array("d")
-        self._codes, self._known = array("q"), dict[str, int]()
+        self._codes, self._words = array("q"), Numbering()
 
     def extend(self, cells: Sequence[str]) -> None:
         """Add rows."""
         numbers = read_numbers(cells)
         without = ~np.isfinite(numbers)
-        if self._known or without.any():
+        if self._words.known or without.any():
             codes = np.full(len(cells), -1)
-            codes[without] = numbered(list(compress(cells, without)), self._known)
+            codes[without] = self._words.of(list(compress(cells, without)))
             missing = len(self.numbers) - len(self._codes)
             self._codes.extend(array("q", [-1]) * missing)
             self._codes.frombytes(codes.tobytes())
@@ -167,19 +171,23 @@ class GrowingColumn:
         numbers = np.frombuffer(self.numbers)
         numbers.setflags(write=False)
         codes = np.frombuffer(self._codes, np.int64)
-        return Column(header, unit, place, numbers, tuple(self._known), codes)
+        return Column(header, unit, place, numbers, tuple(self._words.known), codes)
 
 
-def numbered(cells: Sequence[str], known: dict[str, int]) -> NDArray[np.int64]:
-    """The number of each text, shape (N,); texts that are new get the next ones.
+class Numbering:
+    """Numbers of texts in the order in which they come.
 
-    Args:
-        cells: The texts, N strings.
-        known: Number by text; new ones are added.
+    Attributes:
+        known: Number of each text; asked for a new one, it gets the next number.
     """
-    for cell in dict.fromkeys(cells):
-        known.setdefault(cell, len(known))
-    return np.fromiter(map(known.__getitem__, cells), np.int64, len(cells))
+
+    def __init__(self) -> None:
+        """No texts yet."""
+        self.known = defaultdict[str, int](count().__next__)
+
+    def of(self, cells: Sequence[str]) -> NDArray[np.int64]:
+        """The number of each of some texts, shape (N,)."""
+        return np.fromiter(map(self.known.__getitem__, cells), np.int64, len(cells))
 
 
 def closest(name: str, candidates: Collection[str]) -> str:

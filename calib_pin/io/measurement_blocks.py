@@ -75,7 +75,9 @@ def read_blocks(
     texts, count = table.texts(NAMES), len(table.lines)
     if station is not None and "station" in texts:
         raise table.error(
-            "the file names its stations itself, so it cannot be a station", "station"
+            "the file names stations itself, so it cannot be one; leave out "
+            "--station-per-file",
+            "station",
         )
     default = chains.names[0] if len(chains.names) == 1 else ""
     absent = {"chain": default, "station": station or ""}
@@ -97,12 +99,12 @@ def read_blocks(
     spare, used = spare_columns(table, chains, joints), set(NAMES)
     parts = []
     for key, rows in blocks.items():
-        own = table
+        own, texts = table, names
         if len(blocks) > 1:
             own = table.rows(rows, reserved())
             _check_blank(own, key.model, anybody - read[key.model])
             own = _without_blank(own, set(needed(key.model)))
-        texts = {name: labels[rows].map(str) for name, labels in names.items()}
+            texts = {name: labels[rows].map(str) for name, labels in names.items()}
         part, columns = _read_block(own, chains, key, q[rows], texts, spare)
         parts.append(part)
         used |= columns
@@ -136,8 +138,8 @@ def check_places(data: Observations, sockets: Collection[str]) -> None:
             row = int(np.argmax(nameless))
             reason = f"the row names no {naming.noun}, others do"
         elif naming.configurations > 1:
-            seen = np.stack([places.codes, rows.groups()])
-            count = np.bincount(np.unique(seen, axis=1)[0])
+            seen = np.unique(rows.groups() * len(places.names) + places.codes)
+            count = np.bincount(seen % len(places.names))
             known = np.isin(places.names, list(sockets))
             lonely = ((count == 1) & ~known)[places.codes]
             if lonely.any():

@@ -80,9 +80,9 @@ def read_measurements(
 
     Returns:
         All measurements, in SI units; `files` holds the paths as they were given.
-        Joints are those of all chains that files name or that were given with a name;
-        those that a measurement does not state are zero. Blocks are in the order in
-        which they begin, first those of the first in `model`.
+        Joints are those of all chains that files name, and of `chain` where it holds
+        named ones; those that a measurement does not state are zero. Blocks are in the
+        order in which they begin, first those of the first in `model`.
 
     Raises:
         InputError: If a file does not hold measurements of this chain; names the file
@@ -112,7 +112,8 @@ def read_measurements(
         table = read_table(file, portion(tell, 0.0, CUT))
         parts += read_blocks(table, chains, joints, asked, station, notice, tell)
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
-    names = dict.fromkeys([*filter(None, chains.names), *(p.chain for p in parts)])
+    given = () if chains.names == ("",) else chains.names
+    names = dict.fromkeys([*given, *(part.chain for part in parts)])
     data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
     check_names(data)
     check_places(data, sockets)

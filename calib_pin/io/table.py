@@ -22,7 +22,7 @@ from calib_pin.io.columns import (
     Floats,
     GrowingColumn,
     Kind,
-    numbered,
+    Numbering,
     read_numbers,
     split_header,
     what_is_wrong,
@@ -99,7 +99,7 @@ class Table:
         """Trimmed text of one cell."""
         column = self.columns[name]
         if column.words and column.codes[row] >= 0:
-            return column.words[column.codes[row]].strip()
+            return column.words[int(column.codes[row])].strip()
         return self.text.cells(int(self.lines[row]))[column.place].strip()
 
     def cells(self, names: Collection[str]) -> dict[str, Labels]:
@@ -210,18 +210,18 @@ class Table:
         if len(header) <= max(places):
             raise self.text.changed()
         lines = array("q")
-        known = [dict[str, int]() for _ in places]
+        known = [Numbering() for _ in places]
         found: list[list[NDArray[np.int64]]] = [[] for _ in places]
         for stretch in stretches:
             lines.extend(stretch.numbers)
             columns = stretch.columns(header)
             for codes, place, number in zip(found, places, known, strict=True):
-                codes.append(numbered(columns[place], number))
+                codes.append(number.of(columns[place]))
         rows = np.searchsorted(lines, self.lines)
         if not np.array_equal(np.take(lines, rows, mode="clip"), self.lines):
             raise self.text.changed()
         return {
-            name: Labels(tuple(number), np.concatenate(codes)[rows])
+            name: Labels(tuple(number.known), np.concatenate(codes)[rows])
             for name, codes, number in zip(names, found, known, strict=True)
         }
 

@@ -66,9 +66,11 @@ class Labels(Sequence[str]):
 
     def map(self, change: Callable[[str], str]) -> Labels:
         """The labels of changed names; a name that does not occur is left out."""
-        used, codes = np.unique(self.codes, return_inverse=True)
+        used = np.flatnonzero(np.bincount(self.codes))
         changed = Labels.of([change(self.names[k]) for k in used.tolist()])
-        return Labels(changed.names, changed.codes[codes])
+        codes = np.zeros(len(self.names), np.int64)
+        codes[used] = changed.codes
+        return Labels(changed.names, codes[self.codes])
 
     def where(self, name: str) -> Booleans:
         """Mask of the measurements of a name, shape (N,)."""

@@ -84,8 +84,8 @@ def test_files_of_different_chains_have_the_joints_of_all(write, tree):
     alone = read_measurements(left, tree)
     assert (alone.joints, alone.keys[0].chain) == (("torso", "left"), "left_hand")
     # Measurements that are to be compared have the same joints.
-    chains = tree.named(("left_hand", "touch"))
-    assert read_measurements(left, chains).joints == data.joints
+    for names in (("left_hand", "touch"), ("", "left_hand")):
+        assert read_measurements(left, tree.named(names)).joints == data.joints
     # A single chain is that of files that name none.
     chains = tree.named(("left_hand",))
     assert read_measurements(plain, chains).keys[0].chain == "left_hand"
@@ -95,9 +95,10 @@ def test_files_of_different_chains_have_the_joints_of_all(write, tree):
 
 
 def test_what_stands_still_needs_no_joints(write, tree):
-    file = write("station,x,y,z,target,chain\na,0,0,0,p,world\nb,40,0,0,p,world\n")
-    data = read_measurements(file, tree)
-    assert (data.q.shape, data.joints) == ((2, 0), ())
+    # Nor does the reach of the robot say how far apart posts can stand.
+    rows = "a,0,0,0,p,world\nb,40,0,0,p,world\na,40,0,0,q,world\n"
+    data = read_measurements(write(f"station,x,y,z,target,chain\n{rows}"), tree)
+    assert (data.q.shape, data.joints) == ((3, 0), ())
     assert [key.station for key in data.keys] == ["a", "b"]
 
 

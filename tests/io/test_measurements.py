@@ -1325,6 +1325,15 @@ def test_starts_are_written_before_their_rows(tmp_path):
     )
 
 
+def test_starts_are_written_before_the_first_in_the_file(tmp_path):
+    file = tmp_path / "out.csv"
+    lines = np.array([7, 3, 5])
+    write_measurements(file, relative(lines=lines, files=["m.csv"] * 3))
+    assert [row.split(",")[0] for row in file.read_text().splitlines()] == [
+        *("lift", "0.0", "0.2", "0.3", "0.1")
+    ]
+
+
 @pytest.mark.parametrize(
     ("target", "names"),
     [

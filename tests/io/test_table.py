@@ -120,6 +120,8 @@ def test_text_of_numbers_stands_in_the_file(table):
 def test_repeated_names_are_kept_once(table):
     found = table("x,name\n" + "1,ball\n2,wall\n" * 50)
     assert found.columns["name"].words == ("ball", "wall")
+    found = table("x,name\n1, wall\n2,ball\n3,wall \n").texts(["name"])["name"]
+    assert (found.names, found.codes.tolist()) == (("wall", "ball"), [0, 1, 0])
 
 
 def test_numbers_of_a_table_cannot_be_changed(table):

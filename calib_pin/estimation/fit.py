@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from dataclasses import dataclass, replace
 from functools import partial
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,7 +23,7 @@ from calib_pin.estimation.robust.weights import robustly
 from calib_pin.estimation.solve import Solver, refine
 from calib_pin.estimation.stages import without_prior
 from calib_pin.estimation.statistics.systematic import systematic
-from calib_pin.estimation.system import Part
+from calib_pin.estimation.system import Part, System
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -38,6 +39,8 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
+
+_System = TypeVar("_System", bound=System)
 
 FIT_PART = 0.2
 """Part of the time that the parameters take where a correction is learned as well."""
@@ -233,8 +236,8 @@ def require_learnable(name: str, setup: Setup, measurements: Observations) -> No
         )
 
 
-def with_learned(problem: Problem, learned: LearnedCorrection) -> Problem:
-    """A problem about its solution, with a learned correction.
+def with_learned(problem: _System, learned: LearnedCorrection) -> _System:
+    """A problem or a model about its solution, with a learned correction.
 
     Args:
         problem: The problem.
@@ -246,10 +249,10 @@ def with_learned(problem: Problem, learned: LearnedCorrection) -> Problem:
         shift = learned.shift[part.index[: len(part.error.screws)]]
         own = replace(learned, shift=shift, carried=_carried(problem, part))
         parts[key] = replace(part, error=replace(part.error, learned=own))
-    return replace(problem, parts=parts)
+    return problem.with_parts(parts)
 
 
-def _carried(problem: Problem, part: Part) -> Floats | None:
+def _carried(problem: System, part: Part) -> Floats | None:
     """Adjoint from the first tool to that of a part; None where it is the same."""
     first, tool = problem.only.error.tool, part.error.tool
     if tool == first:

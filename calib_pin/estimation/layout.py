@@ -64,15 +64,7 @@ class Layout:
             measured: The quantities of each block, also of those without measurements.
         """
         models = {key.model: quantities for key, quantities in measured.items()}
-        names = Counter(q.name for found in models.values() for q in found)
-        shown: list[Quantity] = []
-        first: dict[str, int] = {}
-        for model, quantities in models.items():
-            first[model] = at = shown[-1].columns.stop if shown else 0
-            for q in quantities:
-                name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
-                columns = slice(at + q.columns.start, at + q.columns.stop)
-                shown.append(replace(q, name=name, columns=columns))
+        shown, first = side_by_side(models)
         components = _components(measured)
         position = {(c.model, c.station, c.quantity.name): k for k, c in components}
         of_keys = {
@@ -99,7 +91,7 @@ class Layout:
             np.concatenate(component),
             np.concatenate(column),
             tuple(c for _, c in components),
-            tuple(shown),
+            shown,
             of_keys,
         )
 
@@ -113,6 +105,29 @@ class Layout:
         result = np.full((count, self.width), absent)
         result[self.row, self.column] = flat
         return result
+
+
+def side_by_side(
+    models: Mapping[str, Sequence[Quantity]],
+) -> tuple[tuple[Quantity, ...], Mapping[str, int]]:
+    """Columns of a table that is shown, which has those of all models.
+
+    Args:
+        models: The quantities of each model.
+
+    Returns:
+        The quantities of all with these columns, and the first column of each model.
+    """
+    names = Counter(q.name for found in models.values() for q in found)
+    shown: list[Quantity] = []
+    first: dict[str, int] = {}
+    for model, quantities in models.items():
+        first[model] = at = shown[-1].columns.stop if shown else 0
+        for q in quantities:
+            name = f"{q.name} ({model})" if names[q.name] > 1 else q.name
+            columns = slice(at + q.columns.start, at + q.columns.stop)
+            shown.append(replace(q, name=name, columns=columns))
+    return tuple(shown), first
 
 
 def _components(

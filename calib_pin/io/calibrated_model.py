@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import fields, replace
 from itertools import permutations, product
 from typing import Any, TypeVar
@@ -11,16 +11,17 @@ from typing import Any, TypeVar
 import numpy as np
 import pinocchio as pin
 
+from calib_pin.estimation.formulation import make_parts
+from calib_pin.estimation.scopes import BASE, TOOL
+from calib_pin.estimation.system import FRAME, Part, System, assembled
 from calib_pin.io.json_text import Json, typed
 from calib_pin.io.result_folder import numbers, text
 from calib_pin.io.setup import setup_of
-from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models import MeasurementModel, Mixed, measurement_model
-from calib_pin.measurement_models.mixed import qualified
-from calib_pin.measurement_models.mount import Frame
-from calib_pin.observations import AT, PART, PLUS
+from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models import measurement_model
+from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import PARAMETERIZATIONS, frame_setup
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameters import ParameterSet
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -34,9 +35,6 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 
 _T = TypeVar("_T")
 
-ENDS = ("base", "tool")
-"""The frames at the two ends of a chain."""
-
 SECTIONS: Mapping[str, type] = {
     "planes": PlaneSetup,
     "targets": PointSetup,
@@ -46,31 +44,74 @@ SECTIONS: Mapping[str, type] = {
 }
 """Sections of what measurements can refer to by name."""
 
+CAMERA, CAMERAS = "camera", "cameras"
+"""The section of the camera, and that of the cameras where stations have their own."""
 
-def model_of(document: Json, chain: Chain) -> CalibratedModel:
+References = Mapping[str, Mapping[str, Any]]
+"""What measurements refer to, by section and by name among all."""
+
+Blocks = Mapping[BlockKey, Sequence[str]]
+"""The targets of each block of measurements."""
+
+
+def frame_key(place: str) -> str:
+    """Key under `frames` of a frame, by the owner and the kind of its parameters.
+
+    Example:
+        >>> frame_key("base.frame"), frame_key("day1.station")
+        ('base', 'day1.station')
+    """
+    return {BASE: "base", TOOL: "tool"}.get(place, place)
+
+
+def count_without_instruments(system: System) -> int:
+    """Number of parameters of stations, robot and tools; those come first."""
+    return 1 + max(
+        int(part.index[: len(part.error.screws)].max())
+        for part in system.parts.values()
+    )
+
+
+def tip_correction(part: Part, theta: np.ndarray[Any, Any]) -> pin.SE3:
+    """The error of the tip that the tool carries, since a URDF has no place for it.
+
+    Args:
+        part: The part of a block.
+        theta: Values of all parameters, shape (P,).
+    """
+    if part.error.chain.tip_joint is not None:
+        return pin.SE3.Identity()
+    return part.error.corrections(part.split(theta[part.index])[0])[-2]
+
+
+def model_of(document: Json, chains: Chains) -> CalibratedModel:
     """The calibrated robot of a document.
 
     Args:
         document: Frames, what the measurements refer to, parameters and setup.
-        chain: The nominal chain.
+        chains: The nominal chains.
 
     Raises:
         CalibPinError, KeyError, TypeError, ValueError, AttributeError: If a part is
             missing or is not what it should be, see `result_folder.reading`.
     """
-    frames = document["frames"]
-    (base, free_base), (tool, free_tool) = (_read_frame(frames[k]) for k in ENDS)
-    fitted = _instrument(document)
-    if "setup" in document:
+    references, about = _references(document), document["measurements"]
+    sections: dict[str, Any] = {name: references[name] for name in SECTIONS}
+    sections[CAMERA] = next(iter(references[CAMERA].values()), None)
+    stated = "setup" in document
+    if stated:
         setup = setup_of(document["setup"])
     else:  # It is no part of the contract; what is known follows from the rest.
-        known = [
+        ends = (document["frames"][frame_key(place)] for place in (BASE, TOOL))
+        base, tool = (
             FrameSetup(estimate=True) if estimated else frame_setup(pose, known=True)
-            for pose, estimated in ((base, free_base), (tool, free_tool))
-        ]
-        setup = replace(fitted, base_frame=known[0], tool_frame=known[1])
-    fitted = replace(fitted, ranger=setup.ranger)
-    measurement = _measurement(document["measurements"], fitted, frames)
+            for pose, estimated in map(_read_frame, ends)
+        )
+        setup = Setup(**sections, base_frame=base, tool_frame=tool)
+    # Earlier files name no targets; they have neither several blocks nor points.
+    named = "blocks" in about or "targets" in about or bool(references["targets"])
+    blocks = _blocks(about) if named else {BlockKey(text(about["model"])): ()}
+    shape = setup if stated and named else replace(setup, **sections)
     values = _values(document["parameters"])
     kinds = {_kind(name) for name in values}
     for member in PARAMETERIZATIONS.values():
@@ -79,17 +120,17 @@ def model_of(document: Json, chain: Chain) -> CalibratedModel:
                 raise ValueError(
                     f"'setup.{key}' is missing, which '{member.kind}' needs"
                 )
-    own = {parameter.name for parameter in measurement.parameters}
-    names = [name for name in values if name not in own]
-    error = _error_model(chain, names, setup, free_base, free_tool)
-    stated = {name: values[name] for name in error.parameters.names}
-    theta = error.parameters.vector(stated)
-    theta[error.parameters.nuisance] = 0.0  # The frames hold these.
-    if chain.tip_joint is None:
-        tool = error.corrections(theta)[-2].actInv(tool)
+    parts, given = _parts(chains, blocks, shape, references, values, stated)
+    if named:
+        for part in parts.values():
+            if list(part.measurement.targets) != list(blocks[part.key]):
+                raise ValueError("'measurements' have other targets than their model")
+    theta = given.vector({name: values.get(name, 0.0) for name in given.names})
+    theta[given.nuisance] = 0.0  # The frames hold these.
     return CalibratedModel(
-        error=error.with_frames(base, tool),
-        measurement=measurement,
+        chains=chains,
+        parts=_placed(parts, given, document["frames"], theta),
+        given=given,
         theta=theta,
         setup=setup,
     )
@@ -111,16 +152,17 @@ def reference_of(document: Json, model: CalibratedModel) -> CalibratedModel:
             k: {**entry, **entry.get("reference", {})} for k, entry in entries.items()
         }
 
-    sections = {key: at_start(document.get(key, {})) for key in ("frames", *SECTIONS)}
-    if document.get("camera") is not None:
-        sections |= at_start({"camera": document["camera"]})
+    keys = ("frames", *SECTIONS, CAMERAS)
+    sections = {key: at_start(document.get(key, {})) for key in keys}
+    if document.get(CAMERA) is not None:
+        sections |= at_start({CAMERA: document[CAMERA]})
     zero = [{**entry, "value": 0.0} for entry in document["parameters"]]
-    return model_of({**document, **sections, "parameters": zero}, model.chain)
+    return model_of({**document, **sections, "parameters": zero}, model.chains)
 
 
-def _instrument(document: Json) -> Setup:
+def _references(document: Json) -> References:
     """The references of the measurements as they were fitted."""
-    sections: dict[str, Any] = {
+    sections: dict[str, dict[str, Any]] = {
         # Files may lack what came later.
         section: {
             name: _reference(kind, entry)
@@ -133,10 +175,11 @@ def _instrument(document: Json) -> Setup:
             raise ValueError("the normal of a plane is not of unit length")
     if any(sphere.radius <= 0.0 for sphere in sections["spheres"].values()):
         raise ValueError("the radius of a sphere is not positive")
-    camera = document.get("camera")
-    if camera is not None:
-        camera = _reference(CameraSetup, camera)
-    return Setup(**sections, camera=camera)
+    cameras = dict(document.get(CAMERAS, {}))
+    if document.get(CAMERA) is not None:
+        cameras[CAMERA] = document[CAMERA]
+    sections[CAMERA] = {k: _reference(CameraSetup, v) for k, v in cameras.items()}
+    return sections
 
 
 def _reference(kind: type[_T], entry: Json) -> _T:
@@ -149,57 +192,109 @@ def _reference(kind: type[_T], entry: Json) -> _T:
     return typed(kind, stated)
 
 
-def _measurement(about: Json, fitted: Setup, frames: Json) -> MeasurementModel:
-    """The measurement model as it was fitted.
+def _blocks(about: Json) -> Blocks:
+    """The blocks of measurements; a document of only one need not list it."""
+    found: dict[BlockKey, list[str]] = {}
+    for block in about.get("blocks") or [about]:
+        names = (block.get(key, "") for key in BlockKey._fields[1:])
+        key = BlockKey(text(block["model"]), *(n and text(n) for n in names))
+        if key in found:
+            raise ValueError("a block of the measurements is here twice")
+        found[key] = ["" if t == "" else text(t) for t in block["targets"]]
+    return found
+
+
+def _parts(
+    chains: Chains,
+    blocks: Blocks,
+    shape: Setup,
+    references: References,
+    values: Mapping[str, float],
+    stated: bool,
+) -> tuple[dict[BlockKey, Part], ParameterSet]:
+    """The parts of all blocks with their instruments, and all parameters.
 
     Args:
-        about: The document's part about the measurements.
-        fitted: The references of the measurements.
-        frames: The frames by name.
+        chains: The nominal chains.
+        blocks: The blocks.
+        shape: The setup, whose references have the names that measurements give.
+        references: What these refer to, as it was fitted.
+        values: Value of every parameter; those of the robot must be these.
+        stated: Whether the setup names the parameterizations.
     """
-    name = text(about["model"])
-    parts = name.split(PLUS)
-    mixed = len(parts) > 1
-    # Earlier files name no targets; they have neither mixed models nor points.
-    known = "targets" in about or mixed or bool(fitted.targets)
-    targets = ["" if t == "" else text(t) for t in about["targets"]] if known else []
-    if mixed and not {target.partition(PART)[0] for target in targets} <= set(parts):
-        raise ValueError("'measurements.targets' are not those of 'measurements.model'")
-    named = qualified(parts, targets) if mixed else {name: targets}
-    made = {part: _part(part, fitted, seen) for part, seen in named.items()}
-    model: MeasurementModel = Mixed.create(made) if mixed else made[name]
-    references = list(model.references)
-    for k, frame in enumerate(references):
-        if isinstance(frame, Frame):  # Of an instrument that is one among others.
-            pose, estimated = _read_frame(frames[f"{frame.name}.{frame.kind}"])
-            references[k] = replace(frame, pose=pose, estimate=estimated)
-    model = model.with_references(references)
-    for part in references:
-        if not part.located:
-            raise ValueError(f"'{part.name}' is missing under '{part.section}'")
-    used = {(part.section, part.name) for part in references}
-    for section in SECTIONS:
-        for member in getattr(fitted, section):
-            if (section, member) not in used:
+    for order in [shape.parameters] if stated else _orders(values):
+        bare, _ = make_parts(chains, blocks, replace(shape, parameters=order))
+        used: set[tuple[str, str]] = set()
+        own = [
+            _measured(p, shape, references, blocks[p.key], used) for p in bare.values()
+        ]
+        for section, members in references.items():
+            for name in members:
+                if (section, name) not in used:
+                    raise ValueError(
+                        f"no measurement refers to '{name}' under '{section}'"
+                    )
+        parts, given = assembled(own)
+        count = count_without_instruments(System(chains, parts, given))
+        instrument = given.names[count:]
+        names = [name for name in values if name not in instrument]
+        if names == list(given.names[:count]):
+            return parts, given
+    raise ValueError("the parameters are not those of this chain, in their order")
+
+
+def _measured(
+    part: Part,
+    shape: Setup,
+    references: References,
+    targets: Sequence[str],
+    used: set[tuple[str, str]],
+) -> Part:
+    """A part with its instrument as it was fitted.
+
+    Args:
+        part: The part.
+        shape: The setup.
+        references: What measurements refer to.
+        targets: Targets of the block.
+        used: Section and name of what any part refers to; these are added.
+    """
+    sections: dict[str, dict[str, Any]] = {name: {} for name in (*SECTIONS, CAMERA)}
+    for reference in part.measurement.references:
+        section, name = reference.section, part.scope.reference(reference)
+        if name not in references[section]:
+            place = "" if section == CAMERA else f" under '{section}'"
+            raise ValueError(f"'{name}' is missing{place}")
+        sections[section][reference.name] = references[section][name]
+        used.add((section, name))
+    camera = sections.pop(CAMERA).get(CAMERA)
+    own = replace(shape, **sections, camera=camera)  # type: ignore[arg-type]
+    measurement = measurement_model(part.key.model, own, targets)
+    return replace(part, measurement=measurement)
+
+
+def _placed(
+    parts: Mapping[BlockKey, Part],
+    given: ParameterSet,
+    frames: Json,
+    theta: np.ndarray[Any, Any],
+) -> dict[BlockKey, Part]:
+    """The parts about their stations and tools."""
+    result = {}
+    for key, part in parts.items():
+        poses = []
+        inner = len(part.error.screws) - FRAME
+        for place, start in ((part.scope.station, 0), (part.scope.tool, inner)):
+            pose, estimated = _read_frame(frames[frame_key(place)])
+            if estimated != given.free[part.index[start : start + FRAME]].any():
                 raise ValueError(
-                    f"no measurement refers to '{member}' under '{section}'"
+                    f"whether '{frame_key(place)}' is estimated is not as in the setup"
                 )
-    if model.name != name or (known and list(model.targets) != targets):
-        raise ValueError("'measurements.targets' are not those of 'measurements.model'")
-    return model
-
-
-def _part(name: str, fitted: Setup, targets: Sequence[str]) -> MeasurementModel:
-    """One of the models, which knows only what its targets can name."""
-    if name == "camera" and fitted.camera is None:
-        raise ValueError("'camera' is missing")
-    halves = {half for target in targets for half in (target, *target.rpartition(AT))}
-
-    def seen(members: Mapping[str, Any]) -> dict[str, Any]:
-        return {k: v for k, v in members.items() if not targets or k in halves}
-
-    named = replace(fitted, planes=seen(fitted.planes), targets=seen(fitted.targets))
-    return measurement_model(name, named, targets)
+            poses.append(pose)
+        base, tool = poses
+        tool = tip_correction(part, theta).actInv(tool) * part.scope.offset
+        result[key] = replace(part, error=part.error.with_frames(base, tool))
+    return result
 
 
 def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
@@ -213,14 +308,8 @@ def _values(entries: Sequence[Mapping[str, Any]]) -> dict[str, float]:
     return values
 
 
-def _error_model(
-    chain: Chain,
-    names: list[str],
-    setup: Setup,
-    free_base: bool,
-    free_tool: bool,
-) -> ErrorModel:
-    """The error model with parameters of these names in this order.
+def _orders(names: Iterable[str]) -> Iterator[tuple[str, ...]]:
+    """Parameterizations that parameters could be of.
 
     The order matters: it is that of the screws at a place, so also that in which the
     user named the parameterizations.
@@ -230,22 +319,8 @@ def _error_model(
         for kind in dict.fromkeys(map(_kind, names))
     ]
     # Several parameterizations may share a kind of parameters.
-    orders = [
-        order
-        for members in product(*filter(None, kinds))
-        for order in permutations(members)
-    ]
-    for order in orders:
-        error = ErrorModel.create(
-            chain,
-            order,
-            setup=setup,
-            estimate_base=free_base,
-            estimate_tool=free_tool,
-        )
-        if list(error.parameters.names) == names:
-            return error
-    raise ValueError("the parameters are not those of this chain, in their order")
+    for members in product(*filter(None, kinds)):
+        yield from permutations(members)
 
 
 def _kind(name: str) -> str:

@@ -13,12 +13,20 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import PoseErrors
-from calib_pin.io.documents import identification_parts, stated
+from calib_pin.estimation.system import FRAME, Part
+from calib_pin.io.calibrated_model import (
+    CAMERA,
+    CAMERAS,
+    count_without_instruments,
+    frame_key,
+    tip_correction,
+)
+from calib_pin.io.documents import identification_parts, model_name, stated
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.setup import setup_document
-from calib_pin.measurement_models.mount import Frame
+from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.accuracy import QuantityErrors
@@ -53,11 +61,12 @@ def calibration_document(
     Raises:
         InputError: If a measurement file cannot be read again for its hash.
     """
-    model, robot = result.model, result.model.chain.robot
+    model, robot = result.model, result.model.chains.robot
     statistics, made = result.statistics, provenance or result.provenance
     hashes = made.hashes or tuple(map(_sha256_of, result.files))
     dof, covariance = statistics.dof, result.covariance
     described = _model(model, result.reference)
+    chain = model.moving.error.chain
     return {
         **stated("calibration"),
         "verdict": {"status": result.verdict, "reason": result.reason},
@@ -66,9 +75,10 @@ def calibration_document(
             "name": robot.name,
             "file": robot.file,
             "sha256": sha256(robot.source),
-            "base": model.chain.base,
-            "tip": model.chain.tip,
-            "joints": list(model.chain.joints),
+            "base": chain.base,
+            "tip": chain.tip,
+            "joints": list(model.chains.joints),
+            **_chains(model.chains),
         },
         "measurements": {
             "files": [
@@ -126,45 +136,76 @@ def provenance(command: tuple[str, ...] = (), seconds: float = math.nan) -> Prov
     )
 
 
+def _chains(chains: Chains) -> Json:
+    """Both ends of all chains by name; none where there is only one, without a name."""
+    if chains.names == ("",):
+        return {}
+    ends = {name: chains[name] for name in chains.names}
+    found = {name: {"base": end.base, "tip": end.tip} for name, end in ends.items()}
+    return {"chains": found}
+
+
 def _model(model: CalibratedModel, reference: CalibratedModel) -> Json:
     """A calibrated robot: frames, what the measurements refer to, and its setup.
 
     Points of the tool and planes have a section in every document.
     """
-    free = model.error.parameters.free
-    frames: Json = {
-        "base": {
-            **_frame(model.error.base),
-            "estimated": bool(free[:6].any()),
-            "reference": _frame(reference.error.base),
-        },
-        "tool": {
-            **_frame(model.tool),
-            "estimated": bool(free[-6:].any()),
-            "reference": _frame(reference.error.tool),
-        },
-    }
     sections: Json = {"targets": {}, "planes": {}}
-    for found, start in zip(
-        model.measurement.references, reference.measurement.references, strict=True
-    ):
+    for (section, name), found in model.references.items():
         values, flags = _stated(found)
-        entry = {**values, **flags, "reference": _stated(start)[0]}
-        if isinstance(found, Frame):
-            frames[f"{found.name}.{found.kind}"] = entry
-        elif found.section == "camera":  # There is one at most.
-            sections[found.section] = entry
+        start = _stated(reference.references[section, name])[0]
+        entry = {**values, **flags, "reference": start}
+        if (section, name) == (CAMERA, CAMERA):
+            sections[CAMERA] = entry
         else:
-            sections.setdefault(found.section, {})[found.name] = entry
+            key = CAMERAS if section == CAMERA else section
+            sections.setdefault(key, {})[name] = entry
+    parts = model.parts.values()
+    targets = (target for part in parts for target in part.measurement.targets)
+    blocks = [
+        {**key._asdict(), "targets": list(part.measurement.targets)}
+        for key, part in model.parts.items()
+    ]
+    plain = len(blocks) == 1 and not any(model.only.key[1:])
     return {
         "measurements": {
-            "model": model.measurement.name,
-            "targets": list(model.measurement.targets),
+            "model": model_name(model),
+            "targets": list(dict.fromkeys(targets)),
+            **({} if plain else {"blocks": blocks}),
         },
-        "frames": frames,
+        "frames": _frames(model, reference),
         **sections,
         "setup": setup_document(model.setup),
     }
+
+
+def _frames(model: CalibratedModel, reference: CalibratedModel) -> Json:
+    """The frames of all stations, then of all tools, each once."""
+    stations: Json = {}
+    tools: Json = {}
+    for key, part in model.parts.items():
+        chain, start, scope = part.error.chain, reference.parts[key], part.scope
+        station, tool = frame_key(scope.station), frame_key(scope.tool)
+        free = model.given.free[part.index]
+        inner = len(part.error.screws) - FRAME
+        stations[station] = {
+            **_frame(part.error.base),
+            "estimated": bool(free[:FRAME].any()),
+            "reference": _frame(start.error.base),
+            **({} if station == "base" else {"link": chain.base}),
+        }
+        tools[tool] = {
+            **_frame(tip_correction(part, model.theta) * _carrier(part)),
+            "estimated": bool(free[inner : inner + FRAME].any()),
+            "reference": _frame(_carrier(start)),
+            **({} if tool == "tool" else {"link": chain.tip}),
+        }
+    return stations | tools
+
+
+def _carrier(part: Part) -> pin.SE3:
+    """The tool frame of a part, or that of the tool that its own is known on."""
+    return part.error.tool * part.scope.offset.inverse()
 
 
 def _stated(reference: ReferenceObject) -> tuple[Json, Json]:
@@ -216,14 +257,13 @@ def _predicted(accuracy: ToolAccuracy) -> Json | None:
 def _urdf(urdf: UrdfResult, method: str) -> Json:
     described = None
     if urdf.model is not None:
-        parameters = urdf.model.error.parameters
+        count = count_without_instruments(urdf.model)
+        values = urdf.model.theta[:count].tolist()
         described = {
             **_model(urdf.model, urdf.model),
             "parameters": [
                 {"name": name, "value": value}
-                for name, value in zip(
-                    parameters.names, urdf.model.theta.tolist(), strict=True
-                )
+                for name, value in zip(urdf.model.given.names, values, strict=False)
             ],
         }
     return {

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
+from calib_pin.estimation.system import System
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.targets import Targets
 from calib_pin.kinematics.chain import Chain
@@ -72,7 +73,7 @@ def _record(record: CalibrationResult) -> Json:
         "file": record.provenance.file,
         "created": record.provenance.created,
         "verdict": {"status": record.verdict, "reason": record.reason},
-        "model": record.model.measurement.name,
+        "model": model_name(record.model),
         "parameters": list(record.model.setup.parameters),
         "residual_model": record.model.setup.learned,
         "training": len(record.fitted),
@@ -117,6 +118,11 @@ def _difference(found: Difference) -> Json:
         "sigma": found.sigma,
         "significance": found.significance,
     }
+
+
+def model_name(system: System) -> str:
+    """Names of the measurement models, joined by plus signs."""
+    return "+".join(dict.fromkeys(key.model for key in system.parts))
 
 
 def stated(kind: str, version: int = 1) -> Json:
@@ -187,7 +193,7 @@ def plan_document(plan: Plan) -> Json:
     predicted = plan.predicted
     return {
         **stated("plan"),
-        "joints": list(plan.problem.error.chain.joints),
+        "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
         "target": list(plan.target),
         "criterion": {"name": plan.criterion, "value": plan.value},

@@ -17,7 +17,6 @@ from __future__ import annotations
 
 import json
 from collections.abc import Callable, Mapping
-from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -26,7 +25,9 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.io.calibrated_model import model_of
+from calib_pin.estimation.fit import with_learned
+from calib_pin.estimation.system import System
+from calib_pin.io.calibrated_model import count_without_instruments, model_of
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, require_format
@@ -42,10 +43,11 @@ from calib_pin.io.result_folder import (
     stated_errors,
     text,
 )
+from calib_pin.io.setup import setup_of
 from calib_pin.io.urdf import corrected_urdf, locate_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.kinematics.chains import Chains
 from calib_pin.residual_models import LearnedCorrection, restore
 from calib_pin.residual_models.documents import numbers
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -63,15 +65,20 @@ def encode_residual_model(
         model: The calibrated robot.
         run: Id of the run that learned it.
     """
-    learned = model.error.learned
-    if not isinstance(learned, LearnedCorrection):
+    learned, shift = None, np.zeros(count_without_instruments(model))
+    for part in model.parts.values():
+        own = part.error.learned
+        if isinstance(own, LearnedCorrection):
+            learned = learned or own
+            shift[part.index[: len(own.shift)]] = own.shift
+    if learned is None:
         return None
     document: Json = {
         "format": FORMAT,
         "version": VERSION,
         **({} if run is None else {"run": run}),
-        "robot": _robot(model.chain),
-        "shift": learned.shift.tolist(),
+        "robot": _robot(model.moving.error.chain),
+        "shift": shift.tolist(),
         "model": learned.model.document(),
     }
     document["sha256"] = _digest(document)
@@ -86,7 +93,7 @@ def reference(data: bytes) -> dict[str, str]:
 
 def read_residual_model(
     path: str | Path,
-    error: ErrorModel,
+    system: System,
     content: str | None = None,
     read: Callable[[str | Path], bytes] = read_bytes,
 ) -> LearnedCorrection:
@@ -94,9 +101,12 @@ def read_residual_model(
 
     Args:
         path: The file.
-        error: The error model that it corrects.
+        system: The robot that it corrects.
         content: SHA-256 that the file must have, as a calibration states it.
         read: Gives the bytes of the file.
+
+    Returns:
+        The correction, with a shift of all parameters.
 
     Raises:
         InputError: If it is no such file, of a later version, of another robot, or
@@ -111,20 +121,22 @@ def read_residual_model(
         reason = f"not a residual model, or truncated: {found}"
         raise InputError(reason, file=path) from mistake
     document = require_format(document, "residual model", FORMAT, VERSION, path)
-    stated = document.pop("sha256", None)
-    if stated != _digest(document):
+    if document.pop("sha256", None) != _digest(document):
         raise InputError("edited or damaged: its checksum does not match", file=path)
-    _require_same_robot(document.get("robot"), error.chain, path)
+    chain = system.moving.error.chain
+    _require_same_robot(document.get("robot"), chain, path)
     if content is not None and sha256(data) != content:
         raise InputError(
             "not the file that this calibration was written with", file=path
         )
     try:
-        shift = numbers(document, "shift", (len(error.screws),))
-        model = restore(document.get("model"), len(error.chain.joints))
+        stated = numbers(document, "shift", (count_without_instruments(system),))
+        model = restore(document.get("model"), len(chain.joints))
     except (TypeError, ValueError) as mistake:
         reason = f"damaged or edited residual model: {mistake}"
         raise InputError(reason, file=path) from mistake
+    shift = np.zeros(len(system.given))
+    shift[: len(stated)] = stated
     return LearnedCorrection(model, shift)
 
 
@@ -208,11 +220,7 @@ def read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
     robot = _find_robot(document, path, read)
     with reading(path):
         listed, run = members(document), str(document.get("run", ""))
-        about = document["robot"]
-        chain = Chain(robot, text(about["base"]), text(about["tip"]))
-        if list(chain.joints) != about["joints"]:
-            raise ValueError("the joints are not those from base to tip")
-        model = model_of(document, chain)
+        model = model_of(document, _chains(document, robot))
         learned = _learned(document.get("residual_model"))
         if (learned is None) != (model.setup.learned is None):
             raise ValueError("'residual_model' and 'setup.learned' need each other")
@@ -221,8 +229,25 @@ def read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
     if learned is None:
         return document, model
     name, content = learned
-    found = read_residual_model(path.parent / name, model.error, content, read)
-    return document, replace(model, error=replace(model.error, learned=found))
+    found = read_residual_model(path.parent / name, model, content, read)
+    return document, with_learned(model, found)
+
+
+def _chains(document: Json, robot: Robot) -> Chains:
+    """The chains that were measured."""
+    about = document["robot"]
+    ends = about.get("chains") or {"": about}
+    built = {
+        name: Chain(robot, text(end["base"]), text(end["tip"]))
+        for name, end in ends.items()
+    }
+    setup = setup_of(document.get("setup", {}))
+    default = built.get("", setup)
+    stated = default.base, default.tip, setup.chains
+    chains = Chains(robot, *stated, tuple(built), built)
+    if list(chains.joints) != about["joints"]:
+        raise ValueError("the joints are not those from base to tip")
+    return chains
 
 
 def read_accuracy(path: str | Path) -> dict[str, dict[str, Any]]:
@@ -283,26 +308,30 @@ def encode_urdf(model: CalibratedModel, path: str | Path) -> bytes:
             a URDF cannot hold.
         OutputError: If it does not agree with the model.
     """
-    chain = model.chain
     if not model.geometric:
         raise OptionError(
             "a URDF cannot hold corrections of the joints; write the geometry alone",
             file=path,
             allowed="CalibrationResult.geometry",
         )
-    q = chain.random_configurations(20, np.random.default_rng(0))
-    expected = model.error.base.inverse().homogeneous @ model.poses(q)
+    chains = model.chains
+    q = chains.random_configurations(20, np.random.default_rng(0))
 
     def check(robot: Robot) -> None:
-        written = Chain(robot, chain.base, chain.tip)
-        found = written.poses(q) @ model.tool.homogeneous
-        difference = float(np.abs(found - expected).max())
-        if not difference < AGREEMENT:
-            raise OutputError(
-                f"{path}: the written robot differs from the model by {difference:.2g}"
-            )
+        for name in model.measured_chains:
+            own, nominal = q[:, chains.columns(name)], chains[name]
+            fitted = model.of(name)
+            expected = fitted.error.base.inverse().homogeneous @ fitted.poses(own)
+            written = Chain(robot, nominal.base, nominal.tip)
+            found = written.poses(own) @ fitted.tool.homogeneous
+            difference = float(np.abs(found - expected).max())
+            if not difference < AGREEMENT:
+                raise OutputError(
+                    f"{path}: the written robot differs from the model by "
+                    f"{difference:.2g}"
+                )
 
-    return corrected_urdf(path, chain.robot, model.urdf_corrections(), check)
+    return corrected_urdf(path, chains.robot, model.urdf_corrections(), check)
 
 
 def _find_robot(document: Json, path: Path, read: Read) -> Robot:

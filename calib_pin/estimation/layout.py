@@ -130,6 +130,27 @@ def side_by_side(
     return tuple(shown), first
 
 
+def alike(layout: Layout, known: Layout) -> NDArray[np.intp]:
+    """Position of every component of a layout among those of a fit, shape (K,).
+
+    At a station that was not fitted an instrument measures as it does at the first one.
+
+    Args:
+        layout: The layout; each of its instruments was fitted somewhere.
+        known: The layout of the fit.
+    """
+    position: dict[tuple[str, ...], int] = {}
+    for k, c in enumerate(known.components):
+        instrument = c.model, c.quantity.name
+        position[*instrument, c.station] = k
+        position.setdefault(instrument, k)
+    found = []
+    for c in layout.components:
+        instrument = c.model, c.quantity.name
+        found.append(position.get((*instrument, c.station), position[instrument]))
+    return np.array(found, np.intp)
+
+
 def _components(
     measured: Mapping[BlockKey, Sequence[Quantity]],
 ) -> list[tuple[int, Component]]:

@@ -10,6 +10,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
+from calib_pin.estimation.layout import alike
 from calib_pin.estimation.measured import Block
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.estimation.system import (
@@ -27,7 +28,7 @@ from calib_pin.observations import (
     Observations,
     trusted,
 )
-from calib_pin.parameterizations import frame_pose
+from calib_pin.parameterizations import frame_pose, frame_screws
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import WORLD, FrameSetup, Setup
 
@@ -139,6 +140,24 @@ class Located:
         )
 
 
+def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
+    """A problem with the closed-form base frame of a station; tools and others stay.
+
+    Args:
+        problem: The problem of measurements from there, about its solution.
+        theta: Parameter values, shape (P,).
+        station: Owner and kind of the base frame, see `Scope`.
+    """
+    found, parts = Located(), dict(problem.parts)
+    for part in parts.values():
+        found.keep(part, theta)
+    del found.bases[station]
+    for block in _in_turn(problem.blocks, found):
+        few = block._replace(data=block.data.sample(SAMPLE))
+        parts[block.part.key] = found.register(few, theta)
+    return replace(problem, parts=found.placed(list(parts.values())))
+
+
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
     """Blocks in an order in which each can be located.
 
@@ -226,6 +245,9 @@ def extended(
         InputError: If measurements are of a model, a chain or a tool of which none was
             fitted.
     """
+    if new := [block for block in rows.blocks if block.key not in problem.parts]:
+        # Poses are passed on, not poses and what was found about them.
+        problem, theta = problem.rebased(theta)
     values = theta.copy()
     parts = {}
     for key, part in problem.parts.items():
@@ -233,7 +255,7 @@ def extended(
         measurement = part.measurement.rebased(theta[own])
         parts[key], values[own] = replace(part, measurement=measurement), 0.0
     known = problem
-    if new := [block for block in rows.blocks if block.key not in parts]:
+    if new:
         known, values = _with_stations(problem, parts, values, new)
         parts = dict(known.parts)
     there = replace(known, parts=parts, data=rows)
@@ -267,10 +289,15 @@ def _with_stations(
     found = Located()
     for key in parts:
         found.keep(there.parts[key], values)
-    for part in there.parts.values():
-        found.state(there.parameters, part)
+    for part, _, _, _ in there.blocks:
+        base = _given(there.parameters, part.scope.base, part.index[:FRAME])
+        if base is not None:
+            found.bases.setdefault(part.scope.station, base)
     own = [found.register(block, values) for block in _in_turn(there.blocks, found)]
     placed = found.placed(own)
+    if len(problem.units):
+        known = alike(there.layout, problem.layout)
+        there = replace(there, units=problem.units[known])
     return replace(there, parts={**there.parts, **placed}), values
 
 
@@ -279,26 +306,33 @@ def _elsewhere(
 ) -> Part:
     """The part of measurements from another station than any that was fitted."""
     key = block.key
-    alike = [
+    fitted = [
         part
         for other, part in parts.items()
         if other._replace(station="") == key._replace(station="")
     ]
-    if not alike:
+    if not fitted:
         named = zip(
             ("model", "chain", "tool"), (key.model, key.chain, key.tool), strict=True
         )
         told = ", ".join(f"{what} '{name}'" for what, name in named if name)
         raise block.error(0, f"nothing of this kind was fitted: {told}")
-    owner = key.station or "elsewhere"
+    part, owner = fitted[0], key.station or "elsewhere"
+    base = setup.stations.get(key.station, FrameSetup())
+    free = part.measurement.declaration.external
+    if base.estimate is not None:
+        free = base.estimate
+    screws = *frame_screws("base", 0, free=free), *part.error.screws[FRAME:]
     scope = replace(
-        alike[0].scope,
-        station=f"{owner}.station",
-        base=setup.stations.get(key.station, FrameSetup()),
-        outer=f"{owner}/",
+        part.scope, station=f"{owner}.station", base=base, outer=f"{owner}/"
     )
-    measurement = measurement_model(key.model, setup, block.target.distinct)
-    return replace(alike[0], key=key, scope=scope, measurement=measurement)
+    return replace(
+        part,
+        key=key,
+        scope=scope,
+        error=replace(part.error, screws=screws),
+        measurement=measurement_model(key.model, setup, block.target.distinct),
+    )
 
 
 def _of_parts(
@@ -313,6 +347,8 @@ def _of_parts(
     """
     found, given = assembled(list(parts.values()))
     position = {name: k for k, name in enumerate(given.names)}
+    moved = [position[name] for name in problem.given.names]
     values = np.zeros(len(given))
-    values[[position[name] for name in problem.given.names]] = theta
-    return replace(problem, parts=found, given=given), values
+    values[moved] = theta
+    held = {moved[k]: value for k, value in problem.held_at.items()}
+    return replace(problem, parts=found, given=given, held_at=held), values

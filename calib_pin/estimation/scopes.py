@@ -35,8 +35,8 @@ def scopes(
         keys: The blocks.
         setup: The frames that the user states.
     """
-    stations = {k: (_own(k, keys, k.station), chains[k.chain].base) for k in keys}
-    tools = {k: (_own(k, keys, k.tool), chains[k.chain].tip) for k in keys}
+    stations = {k: (own_name(k, keys, k.station), chains[k.chain].base) for k in keys}
+    tools = {k: (own_name(k, keys, k.tool), chains[k.chain].tip) for k in keys}
     default = chains[""] if "" in chains.names else None
     base = default.base if default else stations[keys[0]][1]
     bases = _owners(set(stations.values()), base)
@@ -89,7 +89,7 @@ def prefixed(parts: Iterable[Part]) -> list[Part]:
     ]
 
 
-def _own(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
+def own_name(key: BlockKey, keys: Sequence[BlockKey], stated: str) -> str:
     """Name of a station or a tool, that of the model where it follows nothing.
 
     A camera among others is at a place of its own and looks at something of its own.

@@ -8,7 +8,6 @@ standard error.
 from __future__ import annotations
 
 from collections.abc import Iterator, Sequence
-from dataclasses import replace
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,11 +16,10 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, visible_nuisances
 from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.robust.studentized import spectrum
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
 from calib_pin.validation.model_errors import ModelErrors
 
 ALL = "all"
@@ -37,7 +35,6 @@ UNDETERMINED = 1e-9
 def gains(
     method: str,
     problem: Problem,
-    rows: Measurements,
     checks: Sequence[ModelErrors],
     labels: NDArray[np.int64],
 ) -> tuple[Gain, ...]:
@@ -47,20 +44,21 @@ def gains(
 
     Args:
         method: How they were held out.
-        problem: The fit of all measurements, whose standard deviations whiten.
-        rows: Those that the positions of the parts belong to, with their weights.
+        problem: The problem of the N measurements that the positions belong to, in the
+            units of the fit; its standard deviations whiten.
         checks: Errors of held-out measurements, part by part.
         labels: Label of each in the test, shape (N,); those of one label are one
             observation.
     """
-    checks = [check.counted(rows.weight) for check in checks]
-    checks = [check for check in checks if (rows.weight[check.positions] > 0.0).all()]
+    weight, layout = problem.data.weight, problem.layout
+    checks = [check.counted(weight) for check in checks]
+    checks = [check for check in checks if (weight[check.positions] > 0.0).all()]
     if not checks:
         return ()
     joined = ModelErrors.joined(checks)
     positions, before, after = joined.positions, joined.before, joined.after
     variance = joined.variance
-    sigma = replace(problem, data=rows.rows(positions)).sigma
+    sigma = layout.table(problem.sigma, len(problem.data))[positions]
     label = np.unique(labels[positions], return_inverse=True)[1].reshape(-1)
     present = np.isfinite(sigma)
     unit = np.where(present, sigma, 1.0)
@@ -72,23 +70,22 @@ def gains(
     return tuple(_gains(method, problem, (before, after), whitened, present, label))
 
 
-def press_check(
-    fitted: Fit, rows: Measurements, labels: NDArray[np.int64]
-) -> ModelErrors:
+def press_check(fitted: Fit, labels: NDArray[np.int64]) -> ModelErrors:
     """Errors of every group of measurements by a fit of the others; see `press`.
 
     Args:
         fitted: The fit of all measurements.
-        rows: These.
         labels: Group of each, shape (N,).
     """
-    problem, positions = fitted.problem, np.arange(len(rows))
+    problem = fitted.problem
+    layout, count = problem.layout, len(problem.data)
     if problem.many:
         # Among so many, no group has a say.
         before, after = (
-            problem.masked_errors(at) for at in (fitted.before, fitted.theta)
+            error_table(problem, at) for at in (fitted.before, fitted.theta)
         )
-        return ModelErrors(positions, before, after, (fitted.unit * problem.sigma) ** 2)
+        variance = layout.table((fitted.unit * problem.sigma) ** 2, count)
+        return ModelErrors(np.arange(count), before, after, variance)
 
     def left_out(
         theta: Floats, linear: tuple[Floats, Floats], moved: Floats
@@ -101,7 +98,12 @@ def press_check(
     before, _ = left_out(fitted.before, nominal, frames)
     _, held, moved = fitted.held
     after, variance = left_out(fitted.theta, (held.fun, held.jac), moved)
-    return ModelErrors(positions, before, after, fitted.unit**2 * variance)
+    return ModelErrors(
+        np.arange(count),
+        layout.table(before, count),
+        layout.table(after, count),
+        layout.table(fitted.unit**2 * variance, count),
+    )
 
 
 @serial_blas
@@ -124,35 +126,36 @@ def press(
     Args:
         problem: The fitted problem.
         theta: Its solution, shape (P,).
-        linear: Whitened residual and Jacobian there, the N measurements first.
+        linear: Whitened residual and Jacobian there, the M components of the N
+            measurements first.
         factor: F of `N^-1 = F F^T`, shape (P, k).
-        labels: Group of each row, shape (N,).
+        labels: Group of each measurement, shape (N,).
 
     Returns:
-        Errors and, for noise of unit weight, their variances, shape (N, d) each; those
+        Errors and, for noise of unit weight, their variances, shape (M,) each; those
         that are set aside keep their error, with an infinite variance.
     """
-    sigma, size = problem.sigma, problem.components
-    whitened, variance = np.empty(sigma.shape), np.empty(sigma.shape)
-    fun, jac = (part[: sigma.size] for part in linear)
-    own, columns = fun.reshape(-1, size), (jac @ factor).reshape(*sigma.shape, -1)
-    order = np.argsort(labels, kind="stable")
-    counts = np.bincount(labels)
+    sigma, row = problem.sigma, problem.layout.row
+    whitened, variance = np.empty(len(row)), np.empty(len(row))
+    own, jac = (part[: len(row)] for part in linear)
+    columns, label = jac @ factor, labels[row]
+    order = np.argsort(label, kind="stable")
+    counts = np.bincount(label)
     for count in np.unique(counts[counts > 0]).tolist():
-        rows = order[counts[labels[order]] == count]
-        r = own[rows].reshape(-1, count * size)
-        U, squares = spectrum(columns[rows].reshape(*r.shape, -1))
+        at = order[counts[label[order]] == count].reshape(-1, count)
+        r = own[at]
+        U, squares = spectrum(columns[at])
         left = 1.0 - squares
         known = left > UNDETERMINED
         gain = np.where(known, 1.0 / np.where(known, left, 1.0), 0.0) - 1.0
         along = gain * np.einsum("gms,gm->gs", U, r)
-        whitened[rows] = (r + np.einsum("gms,gs->gm", U, along)).reshape(-1, size)
-        total = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
-        variance[rows] = total.reshape(-1, size)
+        whitened[at] = r + np.einsum("gms,gs->gm", U, along)
+        variance[at] = 1.0 + np.einsum("gms,gs->gm", U**2, gain)
     with np.errstate(invalid="ignore"):
         errors = whitened * sigma
     aside = ~np.isfinite(sigma)
-    errors[aside] = problem.masked_errors(theta)[aside]
+    lost = problem.errors(theta)[aside]
+    errors[aside] = np.where(np.isnan(lost), np.inf, lost)
     return errors, np.where(aside, np.inf, variance * np.where(aside, 1.0, sigma) ** 2)
 
 
@@ -165,7 +168,7 @@ def _gains(
     label: NDArray[np.int64],
 ) -> Iterator[Gain]:
     """The test of all quantities, then of each that any measurement has."""
-    every = slice(0, problem.components)
+    every = slice(None)
     # Root mean square over the components of each: one for noise alone.
     count = np.maximum(present.sum(axis=1), 1)
     before, after = (
@@ -173,7 +176,7 @@ def _gains(
     )
     ratio = _ratio(whitened[1], whitened[2], present)
     yield _gain(method, ALL, before, after, label, ratio)
-    for quantity in problem.measurement.quantities:
+    for quantity in problem.layout.quantities:
         columns = quantity.columns
         here = present[:, columns]
         rows = here.any(axis=1)

@@ -1,9 +1,9 @@
 """Validation of a fitted model on held-out measurements, with its significance.
 
 Only measurements that the fit has not used count: those that repeat a fitted
-configuration are left out, an instrument that was moved is registered anew, and
-rejected measurements count for neither the nominal nor the calibrated robot. If too
-few are left there is no check.
+configuration are left out, an instrument that was moved or stands at a new station is
+registered anew, and rejected measurements count for neither the nominal nor the
+calibrated robot. If too few are left there is no check.
 """
 
 from __future__ import annotations
@@ -18,11 +18,15 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import SAMPLE, Problem, distinct_values
+from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.registration import extended, relocated
+from calib_pin.estimation.scopes import BASE
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.gains import PRESS, gains, press_check
@@ -49,7 +53,7 @@ class HeldOut:
         skipped: Reason for each skipped fold of a cross-validation.
     """
 
-    measurements: Measurements
+    measurements: Observations
     parts: tuple[ModelErrors, ...] = ()
     method: str = "none"
     gains: tuple[Gain, ...] = ()
@@ -63,13 +67,13 @@ class HeldOut:
 
 
 def check(
-    chain: Chain,
-    training: Measurements,
+    chains: Chain | Chains,
+    training: Observations,
     setup: Setup,
     model: FittedModel,
     seed: int,
     *,
-    validation: Measurements | None = None,
+    validation: Observations | None = None,
     method: str = "set",
     validate: bool = True,
     parts: Sequence[ModelErrors] | None = None,
@@ -78,7 +82,7 @@ def check(
     """Check a model on validation measurements, or by cross-validation without any.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         training: The measurements that were fitted.
         setup: Setup of the fit.
         model: The model that was fitted to all of them.
@@ -92,10 +96,11 @@ def check(
     fitted = model.fit
     training = model.weighted(training)
     grouping = Grouping.of(training, setup)
+    problem = replace(fitted.problem, data=training)
     pressed: tuple[Gain, ...] = ()
     if fitted.dof > 0:  # Without redundancy the hat matrix says nothing.
-        press = press_check(fitted, training, grouping.groups)
-        pressed = gains(PRESS, fitted.problem, training, [press], grouping.clusters)
+        press = press_check(fitted, grouping.groups)
+        pressed = gains(PRESS, problem, [press], grouping.clusters)
     if not validate:
         return HeldOut(training, gains=pressed)
     if validation is not None:
@@ -104,7 +109,7 @@ def check(
     masks = folds(grouping, fitted, seed)
     if parts is None:
         parts = tuple(
-            cross_validate(chain, training, setup, masks, seed, fitted, progress)
+            cross_validate(chains, training, setup, masks, seed, fitted, progress)
         )
     # A fit that fails without its fold says nothing about the robot.
     kept = tuple(part for part in parts if not part.reason)
@@ -115,14 +120,14 @@ def check(
         training,
         kept,
         name,
-        gains(name, fitted.problem, training, kept, grouping.clusters) + pressed,
+        gains(name, problem, kept, grouping.clusters) + pressed,
         skipped=tuple(part.reason for part in parts if part.reason),
     )
 
 
 def cross_validate(
-    chain: Chain,
-    measurements: Measurements,
+    chains: Chain | Chains,
+    measurements: Observations,
     setup: Setup,
     masks: Sequence[NDArray[np.bool_]],
     seed: int,
@@ -132,7 +137,7 @@ def cross_validate(
     """Errors of each part of the measurements by a model fitted to the others.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chains.
         measurements: The N measurements.
         setup: As for `fit_model`.
         masks: The parts, each of shape (N,).
@@ -146,17 +151,20 @@ def cross_validate(
         # Measurements that the fit of all has rejected stay rejected.
         kept = ~mask & (measurements.weight > 0.0)
         some = measurements.rows(kept)
-        model = fit_model(chain, some, setup, seed, tell, part_of=(whole, kept))
+        model = fit_model(chains, some, setup, seed, tell, part_of=(whole, kept))
         reason = ""
         if not model.fit.structure.scaled:
             reason = "the absolute scale is unobservable"
         elif not model.fit.result.status.success:
             reason = "it did not converge"
+        shown = whole.problem.layout.quantities
         try:
+            if model.problem.layout.quantities != shown:
+                raise InputError("all others of an instrument are set aside")
             found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))
         except InputError as error:
             # All other measurements of a reference may be rejected.
-            none = np.zeros((0, model.problem.components))
+            none = np.zeros((0, whole.problem.layout.width))
             positions = np.zeros(0, np.intp)
             yield ModelErrors(positions, none, none, none, reason=error.reason)
         else:
@@ -164,10 +172,9 @@ def cross_validate(
 
 
 def _checked_on(
-    model: FittedModel, training: Measurements, validation: Measurements, method: str
+    model: FittedModel, training: Observations, validation: Observations, method: str
 ) -> HeldOut:
     """The check on validation measurements."""
-    fitted = model.fit
     findings = []
     new = ~_repeated(training, validation)
     if not new.all():
@@ -186,34 +193,32 @@ def _checked_on(
     if rows.configurations < FEWEST:
         return HeldOut(validation, findings=tuple(findings))
     part, moved = registered_if_moved(
-        model,
-        model_errors(model, rows, np.flatnonzero(new)),
-        replace(fitted.problem, data=rows),
+        model, model_errors(model, rows, np.flatnonzero(new)), rows
     )
-    if moved is not None:
-        findings.append(moved)
+    findings += moved
     if part is None:
         return HeldOut(validation, findings=tuple(findings))
-    clusters = Grouping.of(validation, fitted.problem.setup).clusters
-    found = gains(method, fitted.problem, validation, [part], clusters)
+    clusters = Grouping.of(validation, model.problem.setup).clusters
+    there, _ = extended(model.problem, model.theta, validation)
+    found = gains(method, there, [part], clusters)
     return HeldOut(validation, (part,), method, found, tuple(findings))
 
 
-def _repeated(training: Measurements, validation: Measurements) -> NDArray[np.bool_]:
+def _repeated(training: Observations, validation: Observations) -> NDArray[np.bool_]:
     """Mask of measurements at configurations that were fitted, shape (N,)."""
-    q = np.concatenate([training.q[training.weight > 0.0], validation.q])
-    values = np.zeros((len(q), validation.values.shape[1]))
-    labels = Measurements(validation.joints, q, validation.model, values).groups()
-    fitted = labels[: len(q) - len(validation)]
-    return np.isin(labels[len(fitted) :], fitted)
+    fitted = training.q[training.weight > 0.0]
+    labels = grouped(np.concatenate([fitted, validation.q]))
+    return np.isin(labels[len(fitted) :], labels[: len(fitted)])
 
 
-def _enough(measurements: Measurements, parts: Sequence[ModelErrors]) -> bool:
+def _enough(measurements: Observations, parts: Sequence[ModelErrors]) -> bool:
     """Whether enough distinct configurations are held out to check anything."""
     if not parts:
         return False
     positions = ModelErrors.joined(parts).positions
-    held_out = measurements.rows(positions[measurements.weight[positions] > 0.0])
+    held_out = measurements.rows(
+        np.sort(positions[measurements.weight[positions] > 0.0])
+    )
     return held_out.configurations >= FEWEST
 
 
@@ -238,11 +243,11 @@ FEWEST = 5
 
 
 def registered_if_moved(
-    model: FittedModel, errors: ModelErrors, problem: Problem
-) -> tuple[ModelErrors | None, Finding | None]:
-    """Errors of validation measurements, registered anew if the instrument was moved.
+    model: FittedModel, errors: ModelErrors, rows: Observations
+) -> tuple[ModelErrors | None, list[Finding]]:
+    """Errors of validation measurements, registered anew where an instrument was moved.
 
-    Let S be the sum of squared errors with the station of the fit, S' that with a new
+    Let S be the sum of squared errors with a station of the fit, S' that with a new
     station, of M values and with k unknowns of the station. The instrument was moved if
     `S / M > MOVED^2 S' / (M - k)` for the calibrated robot and the nominal robot sees
     about the same displacement. The F test of the same hypothesis, `(S - S') / k`
@@ -250,18 +255,45 @@ def registered_if_moved(
 
     Args:
         model: The fitted model.
-        errors: The errors with the station of the fit.
-        problem: Problem of these measurements, for their standard deviations.
+        errors: The errors with the stations of the fit.
+        rows: The N measurements that they are of.
 
     Returns:
         The errors, None if the measurements suffice for no more than the registration;
-        and a finding, None if the instrument was not moved.
+        and a finding for every instrument that was moved.
     """
-    rows = problem.data
-    before = _registered(model.fit.problem, model.fit.before, rows)
-    after = _registered(model.problem, model.theta, rows)
+    fitted = {part.scope.station for part in model.problem.parts.values()}
+    there, _ = extended(model.problem, model.theta, rows)
+    of_block = [there.parts[key].scope.station for key in rows.keys]
+    found, findings, kept = errors, [], np.ones(len(rows), bool)
+    for station in dict.fromkeys(filter(fitted.__contains__, of_block)):
+        own = np.flatnonzero(np.array(of_block)[rows.block_of] == station)
+        moved, finding = _moved(model, errors.at(own), rows.rows(own), station)
+        if finding is not None:
+            findings.append(finding)
+        if moved is None:
+            kept[own] = False
+        else:
+            found = found.replaced(own, moved)
+    return found.at(kept) if kept.any() else None, findings
+
+
+def _moved(
+    model: FittedModel, errors: ModelErrors, rows: Observations, station: str
+) -> tuple[ModelErrors | None, Finding | None]:
+    """The same of the measurements from one station.
+
+    Args:
+        model: The fitted model.
+        errors: The errors with the station of the fit.
+        rows: The measurements that they are of.
+        station: Owner and kind of the station's frame.
+    """
+    before = _registered(model.fit.problem, model.fit.before, rows, station)
+    after = _registered(model.problem, model.theta, rows, station)
     if after is None or before is None:
         return errors, None
+    problem = after.problem
     own = errors_of_registered(model, before, after, errors.positions)
     values, unknowns = problem.values, len(after.refitted)
     left = max(values - unknowns, 1)
@@ -275,7 +307,8 @@ def registered_if_moved(
         "values": float(values),
         "unknowns": float(unknowns),
     }
-    seen = "the instrument had another station for the validation measurements"
+    of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
+    seen = f"the instrument had another station for the validation measurements{of}"
     rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
     if distinct_values(problem) <= unknowns or rows.configurations < FEWEST:
         return None, Finding(
@@ -297,9 +330,9 @@ def registered_if_moved(
 
 
 def _registered(
-    problem: Problem, theta: Floats, rows: Measurements
+    problem: Problem, theta: Floats, rows: Observations, station: str
 ) -> Registered | None:
-    """A fitted problem with the station estimated anew from other measurements.
+    """A fitted problem with a station estimated anew from other measurements.
 
     The base and the stationary references of the instrument are estimated; tool and
     robot stay. None if nothing of the station is free.
@@ -307,18 +340,23 @@ def _registered(
     there = registered(problem, theta, rows)
     moved, values = there.problem.rebased(there.theta)
     parameters = moved.parameters
-    outer = np.array([p.outer for p in parameters], bool)
-    # The base comes first; references on the tool stay with the robot.
-    outer[:6] |= parameters.nuisance[:6]
+    outer = np.zeros(len(parameters), bool)
+    base = np.zeros(len(parameters), bool)
+    for part in moved.parts.values():
+        if part.scope.station == station:
+            base[part.index[:FRAME]] = True
+            # References on the tool stay with the robot.
+            outer[part.index] |= [p.outer for p in part.parameters]
     _, J = moved.linearize(values)
-    free = np.flatnonzero(outer & parameters.nuisance & parameters.free & J.any(axis=0))
+    seen = parameters.nuisance & parameters.free & J.any(axis=0)
+    free = np.flatnonzero((base | outer) & seen)
     if len(free) == 0:
         return None
     basis = np.diag(parameters.scales)[:, free]
     plain = replace(moved, setup=replace(moved.setup, distances=()))
     starts = [plain]
-    if parameters.free[:6].all() and not moved.data.start.size:
-        starts.append(_from_afar(plain, values))
+    if parameters.free[base].all() and not any(b.start.size for b in rows.blocks):
+        starts.append(relocated(plain, values, station))
     found = [(least_squares(start, values, basis), start) for start in starts]
     result, start = min(
         found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
@@ -328,22 +366,9 @@ def _registered(
     return Registered(start, result.x, there.new, tuple(free.tolist()))
 
 
-def _from_afar(problem: Problem, theta: Floats) -> Problem:
-    """The problem with a closed-form base; the tool stays."""
-    few = problem.data.sample(SAMPLE)
-    F = problem.error.tip_poses(few.q, problem.split(theta)[0], few.payload)
-    tool = problem.error.tool
-    measurement, base, tool = problem.measurement.register(F, few, None, tool)
-    return replace(
-        problem,
-        error=problem.error.with_frames(base, tool),
-        measurement=measurement,
-    )
-
-
 def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
     """Whether both robots see about the same displacement, in the median."""
-    unit = np.where(np.isfinite(problem.sigma), problem.sigma, np.inf)
+    unit = problem.layout.table(problem.sigma, len(problem.data))
     with np.errstate(invalid="ignore"):
         nominal, calibrated = (
             np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
@@ -355,7 +380,8 @@ def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
 
 
 def _chi_square(errors: Floats, problem: Problem) -> float:
-    """Sum of squared errors in standard deviations."""
+    """Sum of squared errors in standard deviations, (N, D) a table of them."""
+    layout = problem.layout
     present = np.isfinite(problem.sigma)
-    whitened = errors[present] / problem.sigma[present]
+    whitened = (errors[layout.row, layout.column] / problem.sigma)[present]
     return float(whitened @ whitened)

@@ -10,7 +10,7 @@ import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Quantity
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Observations
 
 AXES = ("x", "y", "z")
 """Names of the components of a vector."""
@@ -21,20 +21,22 @@ class MeasurementErrors:
     """Errors of N measurements, predicted minus measured.
 
     Attributes:
-        rows: The measurements.
-        quantities: Quantities of the error columns.
+        rows: The measurements, in B blocks.
+        quantities: Quantities of the D error columns, those of all models side by side.
         before: With base, tool and instrument fitted and the robot nominal, shape
-            (N, d); NaN for what one does not have, infinite where nothing can be
+            (N, D); NaN for what one does not have, infinite where nothing can be
             predicted.
-        after: Those of the calibrated robot, shape (N, d).
-        sigma: Standard deviations, shape (N, d); infinite for what one lacks.
-        points: Where the calibrated robot has its tool, in the base link, shape (N, 3)
-            [m].
-        to_base: Rotation from the measurement frame to the base link, shape (3, 3).
+        after: Those of the calibrated robot, shape (N, D).
+        sigma: Standard deviations, shape (N, D); NaN for what one lacks, infinite for
+            what is set aside.
+        points: Where the calibrated robot has its tool, in the base link of the chain,
+            shape (N, 3) [m].
+        to_base: Rotation from the measurement frame of each block to the base link of
+            its chain, shape (B, 3, 3).
         leverage: Leverage in the fit, 0 to d, shape (N,); NaN where it was not fitted.
     """
 
-    rows: Measurements
+    rows: Observations
     quantities: tuple[Quantity, ...]
     before: Floats
     after: Floats
@@ -60,6 +62,8 @@ class MeasurementErrors:
     def table(self, name: str) -> dict[str, Sequence[Any]]:
         """Cells of the columns of `measurements.csv`, SI units; NaN where none is.
 
+        Model, chain, station and tool are columns unless they go without saying.
+
         Args:
             name: The set, `train` or `validate`.
         """
@@ -75,16 +79,31 @@ class MeasurementErrors:
         def add(names: Iterable[str], values: Floats) -> None:
             found.update(zip(names, values.T.tolist(), strict=True))
 
+        if len(rows.blocks) > 1 or any(rows.keys[0][1:]):
+            of_row = [rows.keys[k] for k in rows.block_of.tolist()]
+            for column in BlockKey._fields:
+                found[column] = [getattr(key, column) for key in of_row]
         add((f"joint.{joint}" for joint in rows.joints), rows.q)
-        if rows.start.size:
-            add((f"start.{joint}" for joint in rows.joints), rows.start)
-        width = rows.values.shape[1]
-        add((f"measured.{k + 1}" for k in range(width)), rows.values)
+        width = max(block.values.shape[1] for block in rows.blocks)
+        start, values, stated = (
+            np.full((len(self), columns), np.nan)
+            for columns in (len(rows.joints), width, self.sigma.shape[1])
+        )
+        for block, part in zip(rows.blocks, rows.slices, strict=True):
+            values[part, : block.values.shape[1]] = block.values
+            if block.start.size:
+                start[part] = block.start
+            if block.sigma is not None:
+                own = ~np.isnan(self.sigma[part.start])
+                stated[part, own] = block.sigma
+        if not np.isnan(start).all():
+            add((f"start.{joint}" for joint in rows.joints), start)
+        add((f"measured.{k + 1}" for k in range(width)), values)
         add(("weight", "leverage"), np.column_stack([rows.weight, self.leverage]))
         add((f"tool.{axis}" for axis in AXES), self.points)
         stages = {"before": self.before, "after": self.after, "sigma": self.sigma}
-        if rows.sigma is not None:
-            stages["stated"] = rows.sigma
+        if not np.isnan(stated).all():
+            stages["stated"] = stated
         for stage, values in stages.items():
             add((f"{component}.{stage}" for component in self.components), values)
         return found
@@ -102,7 +121,7 @@ class MeasurementErrors:
 
     @property
     def displacements(self) -> tuple[Floats, Floats] | None:
-        """Errors of position in the base link before and after, shape (N, 3) [m].
+        """Errors of position in the base links before and after, shape (N, 3) [m].
 
         NaN for rows that have none, or cannot be predicted; None where no row has,
         since it was measured otherwise.
@@ -112,14 +131,12 @@ class MeasurementErrors:
             columns = quantity.columns
             if quantity.unit != "m" or columns.stop - columns.start != 3:
                 continue
-            parts = [
-                np.where(np.isfinite(errors), errors, np.nan) @ self.to_base.T
-                for errors in (self.before[:, columns], self.after[:, columns])
-            ]
-            if found is not None:  # Of mixed measurements, each row has one of them.
-                parts = [
-                    np.where(np.isnan(first), second, first)
-                    for first, second in zip(found, parts, strict=True)
-                ]
-            found = parts[0], parts[1]
+            if found is None:
+                found = np.full((len(self), 3), np.nan), np.full((len(self), 3), np.nan)
+            for turned, errors in zip(found, (self.before, self.after), strict=True):
+                known = np.where(np.isfinite(errors), errors, np.nan)[:, columns]
+                for part, R in zip(self.rows.slices, self.to_base, strict=True):
+                    # Each measurement has one of the positions.
+                    own = known[part] @ R.T
+                    turned[part] = np.where(np.isnan(own), turned[part], own)
         return found

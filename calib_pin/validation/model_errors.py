@@ -12,12 +12,14 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.layout import alike
+from calib_pin.estimation.problem import Problem, distinct_values, error_table
 from calib_pin.estimation.registration import extended
 from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.validation.result import FoundDistance
 
 
@@ -28,14 +30,15 @@ class ModelErrors:
     Attributes:
         positions: Positions of the measurements among all, shape (N,).
         before: Errors of the nominal robot, base, tool and instrument registered, shape
-            (N, d); NaN for what a measurement of mixed ones does not have.
-        after: Errors of the fitted model, shape (N, d).
-        variance: The variance of these that the fit predicts, shape (N, d): noise, and
+            (N, D) with the quantities of all models side by side; NaN for what a
+            measurement does not have.
+        after: Errors of the fitted model, shape (N, D).
+        variance: The variance of these that the fit predicts, shape (N, D): noise, and
             what it leaves uncertain; NaN for measurements that were fitted.
         distances: Known distances between reference objects that these measurements
             name.
-        registered: Names of the objects that were not fitted, and are estimated from
-            the measurements themselves.
+        registered: Names of the stations and objects that were not fitted, and are
+            estimated from the measurements themselves.
         reason: Why the fit that they check says little of the robot, so that they do
             not count; empty where they do.
     """
@@ -74,6 +77,16 @@ class ModelErrors:
             variance=self.variance[kept],
         )
 
+    def replaced(self, kept: NDArray[np.intp], by: ModelErrors) -> ModelErrors:
+        """The same with those of some measurements, at positions within them, anew."""
+        anew = {distance.between: distance for distance in by.distances}
+        arrays = {}
+        for name in ("before", "after", "variance"):
+            arrays[name] = getattr(self, name).copy()
+            arrays[name][kept] = getattr(by, name)
+        distances = tuple(anew.get(d.between, d) for d in self.distances)
+        return replace(self, distances=distances, **arrays)
+
     def counted(self, weight: Floats) -> ModelErrors:
         """Those that are not set aside; all of them where no other is left.
 
@@ -87,9 +100,9 @@ class ModelErrors:
 
 @serial_blas
 def model_errors(
-    model: FittedModel, measurements: Measurements, positions: NDArray[np.intp]
+    model: FittedModel, measurements: Observations, positions: NDArray[np.intp]
 ) -> ModelErrors:
-    """Errors of measurements, with reference objects that only these name registered.
+    """Errors of measurements, with what only these name registered on them.
 
     Args:
         model: The fitted model.
@@ -97,7 +110,8 @@ def model_errors(
         positions: Their positions among all, shape (N,).
 
     Raises:
-        InputError: If a new reference object uses up all that its measurements say.
+        InputError: If a new station or reference object uses up all that its
+            measurements say, or they are of something that was not fitted.
     """
     before = registered(model.fit.problem, model.fit.before, measurements)
     after = registered(model.problem, model.theta, measurements)
@@ -105,7 +119,7 @@ def model_errors(
 
 
 @serial_blas
-def fitted_errors(model: FittedModel, training: Measurements) -> ModelErrors:
+def fitted_errors(model: FittedModel, training: Observations) -> ModelErrors:
     """Errors of the measurements that were fitted, and the known distances among them.
 
     Args:
@@ -114,11 +128,12 @@ def fitted_errors(model: FittedModel, training: Measurements) -> ModelErrors:
     """
     before = registered(model.fit.problem, model.fit.before, training)
     after = registered(model.problem, model.theta, training)
+    shown = error_table(before.problem, before.theta)
     return ModelErrors(
         np.arange(len(training)),
-        before.problem.masked_errors(before.theta),
-        after.problem.masked_errors(after.theta),
-        np.full(after.problem.sigma.shape, np.nan),
+        shown,
+        error_table(after.problem, after.theta),
+        np.full(shown.shape, np.nan),
         _found_distances(before, after, None),
     )
 
@@ -137,19 +152,33 @@ def errors_of_registered(
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
     """
-    problem, theta = after.problem, after.theta
-    known = {reference.name for reference in model.problem.measurement.references}
+    problem, theta, known = after.problem, after.theta, _located(model.problem)
     estimated = (*after.refitted, *after.new)
     there = problem, theta
-    if not estimated:
+    if not estimated and model.fit.problem.parts.keys() == problem.parts.keys():
         there = replace(model.fit.problem, data=problem.data), model.fit.theta
+    variance = predicted_variance(model.fit, *there, estimated)
     return ModelErrors(
         positions,
-        before.problem.masked_errors(before.theta),
-        problem.masked_errors(theta),
-        predicted_variance(model.fit, *there, estimated),
+        error_table(before.problem, before.theta),
+        error_table(problem, theta),
+        problem.layout.table(variance, len(problem.data)),
         _found_distances(before, after, known),
-        tuple(f.name for f in problem.measurement.references if f.name not in known),
+        tuple(name for name in _located(problem) if name not in known),
+    )
+
+
+def _located(problem: Problem) -> tuple[str, ...]:
+    """Names of the stations that are estimated, and of all reference objects."""
+    free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
+    stations = dict.fromkeys(
+        part.scope.station
+        for part in problem.parts.values()
+        if any(free[p.name] for p in part.parameters[:FRAME])
+    )
+    return (
+        *(" ".join(reversed(name.rsplit(".", 1))) for name in stations),
+        *(name for _, name in problem.references),
     )
 
 
@@ -166,9 +195,11 @@ def _found_distances(
         if known is None or not set(known).intersection(distance.between)
     ]
     (first, nominal), (second, found) = (
-        (distances, distances.lengths(at.problem.split(at.theta)[1]))
+        (distances, distances.lengths(at.theta))
         for at in (before, after)
-        for distances in [KnownDistances.of(stated, at.problem.measurement.references)]
+        for distances in [
+            KnownDistances.of(stated, at.problem.references, at.problem.given.names)
+        ]
     )
     assert first.stated == second.stated
     return tuple(
@@ -184,8 +215,8 @@ class Registered:
     Attributes:
         problem: The problem of these measurements.
         theta: Its parameter values, shape (P,).
-        new: Positions of the parameters of reference objects that only these
-            measurements name.
+        new: Positions of the free parameters of stations and reference objects that
+            only these measurements name.
         refitted: Positions of further parameters that were estimated anew from them.
     """
 
@@ -196,13 +227,13 @@ class Registered:
 
 
 def registered(
-    problem: Problem, theta: Floats, measurements: Measurements
+    problem: Problem, theta: Floats, measurements: Observations
 ) -> Registered:
     """A fitted problem on other measurements, with what only these name registered.
 
-    A socket, say, that only these measurements name is estimated from them. Nothing
-    else is fitted, and known distances between new reference objects do not count:
-    they are there to be found.
+    A socket, say, that only these measurements name is estimated from them, and so is
+    the base frame of a station. Nothing else is fitted, and known distances between new
+    reference objects do not count: they are there to be found.
 
     Args:
         problem: The problem.
@@ -210,12 +241,13 @@ def registered(
         measurements: The other measurements.
 
     Raises:
-        InputError: If a new reference object uses up all that its measurements say.
+        InputError: If a new station or reference object uses up all that its
+            measurements say, or they are of something that was not fitted.
     """
     known = set(problem.parameters.names)
     problem, theta = extended(problem, theta, measurements)
-    names = problem.parameters.names
-    new = tuple(k for k, name in enumerate(names) if name not in known)
+    names, free = problem.parameters.names, problem.parameters.free
+    new = tuple(k for k, name in enumerate(names) if name not in known and free[k])
     if not new:
         return Registered(problem, theta)
     plain = replace(problem, setup=replace(problem.setup, distances=()))
@@ -225,29 +257,31 @@ def registered(
 
 
 def _require_redundancy(problem: Problem, theta: Floats, new: Sequence[int]) -> None:
-    """Refuse measurements that a new reference object uses up.
+    """Refuse measurements that a new station or reference object uses up.
 
     Raises:
         InputError: If there are such; their errors would all be zero.
     """
-    count, size = len(problem.data), problem.components
     _, J = problem.linearize_rows(theta)
-    J = J[: count * size].reshape(count, size, -1)
-    owners: dict[str, list[int]] = {}
+    J = J[: len(problem.layout.row)]
+    owners: dict[tuple[str, str], list[int]] = {}
     for k in new:
-        owners.setdefault(problem.parameters.names[k].rsplit(".", 2)[0], []).append(k)
-    for name, columns in owners.items():
-        rows = np.flatnonzero(J[:, :, columns].any(axis=(1, 2)))
-        A = J[rows][:, :, columns].reshape(-1, len(columns))
+        name, kind, _ = problem.parameters.names[k].rsplit(".", 2)
+        owners.setdefault((name, kind), []).append(k)
+    for (name, kind), columns in owners.items():
+        A = J[:, columns]
+        told = A.any(axis=1)
+        rows = np.unique(problem.layout.row[told])
         values = distinct_values(replace(problem, data=problem.data.rows(rows)))
-        if values <= np.linalg.matrix_rank(A):
+        if values <= np.linalg.matrix_rank(A[told]):
             reason = (
                 f"the measurements of '{name}', which was not fitted, say no more than "
                 "where it is; measure it in more configurations"
             )
+            column = "station" if kind == "station" else "target"
             if not len(rows):
-                raise InputError(reason, column="target")
-            raise problem.data.error(int(rows[0]), reason, column="target")
+                raise InputError(reason, column=column)
+            raise problem.data.error(int(rows[0]), reason, column=column)
 
 
 ENTRIES = 4_000_000
@@ -272,8 +306,8 @@ def predicted_variance(
         estimated: Positions of parameters that were estimated from these.
 
     Returns:
-        Variances, shape (N, d); infinite for what a measurement lacks, NaN where the
-        fit knows no covariance.
+        Variances of the residual components, shape (M,); infinite for measurements that
+        are set aside, NaN where the fit knows no covariance.
     """
     sigma, deviations = problem.sigma, fitted.posterior
     if not np.isfinite(deviations.by_noise).all():
@@ -286,19 +320,19 @@ def predicted_variance(
     factor = np.zeros((len(theta), moved.shape[1]))
     factor[own] = moved[of_fit]
     factor[list(estimated)] = 0.0
-    size = problem.components
-    variances = np.empty(size)
-    for k, quantity in enumerate(problem.measurement.quantities):
-        variances[quantity.columns] = fitted.unit**2 * deviations.noise[k]
+    layout, count = problem.layout, len(problem.data)
+    noises = deviations.noise[alike(layout, fitted.problem.layout)]
+    variances = fitted.unit**2 * noises[layout.component]
     whitened = np.empty(sigma.shape)
-    step = max(1, ENTRIES // (size * len(problem.parameters)))
+    step = max(1, ENTRIES * count // max(1, len(sigma) * len(theta)))
     if len(estimated):  # The estimate couples all of them.
-        step = max(len(sigma), 1)
-    for start in range(0, len(sigma), step):
-        part = np.arange(start, min(start + step, len(sigma)))
-        some = replace(problem, data=problem.data.rows(part))
-        J = some.linearize_rows(theta)[1][: len(part) * size]
-        uncertain, noise = J @ factor, np.tile(variances, len(part))
+        step = max(count, 1)
+    for start in range(0, count, step):
+        rows = np.arange(start, min(start + step, count))
+        part = slice(*np.searchsorted(layout.row, (start, start + step)).tolist())
+        some = replace(problem, data=problem.data.rows(rows))
+        J = some.linearize_rows(theta)[1][: part.stop - part.start]
+        uncertain, noise = J @ factor, variances[part]
         if deviations.systematic is not None:
             # The fit has absorbed a part of what gears and compliance do there.
             there = deviations.systematic.rows(some, theta)
@@ -307,8 +341,7 @@ def predicted_variance(
             K = _range(J[:, list(estimated)])
             uncertain = uncertain - K @ (K.T @ uncertain)
             noise = noise * (1.0 - np.sum(K**2, axis=1))
-        total = noise + np.sum(uncertain**2, axis=1)
-        whitened[part] = total.reshape(len(part), size)
+        whitened[part] = noise + np.sum(uncertain**2, axis=1)
     return np.asarray(whitened * sigma**2)
 
 

@@ -10,16 +10,21 @@ from numpy.typing import NDArray
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import distinct_values
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.side_by_side import by_part, repeated_targets
-from calib_pin.observations import AT, PART, Measurements, fitted_and_held_out
+from calib_pin.estimation.scopes import own_name
+from calib_pin.measurement_models import declared
+from calib_pin.observations import AT, Observations, fitted_and_held_out
 from calib_pin.setup import Setup
+from calib_pin.validation.stretches import stretches
 
 FOLDS = 5
 """Parts of a cross-validation."""
 
 FEWEST = 4
 """Configurations of every target without which there is no cross-validation."""
+
+FEWEST_OF_FRAME = 3
+"""Configurations that a split leaves of every station, tool and chain where there are
+several: three positions locate a frame."""
 
 FEWEST_PLACES = 3
 """Places without which measurements are held out one by one, and not place by place."""
@@ -45,14 +50,14 @@ class Grouping:
             nothing.
     """
 
-    measurements: Measurements
+    measurements: Observations
     places: NDArray[np.int64]
     stretched: bool
     groups: NDArray[np.int64]
     clusters: NDArray[np.int64]
 
     @classmethod
-    def of(cls, measurements: Measurements, setup: Setup) -> Grouping:
+    def of(cls, measurements: Observations, setup: Setup) -> Grouping:
         """The grouping of measurements, with the known distances of a setup."""
         place = places(measurements, setup)
         other = stretches(measurements)
@@ -64,10 +69,51 @@ class Grouping:
             clusters = _merged(np.full(len(measurements), -1), other)
         return cls(measurements, place, stretched, groups, clusters)
 
-    def shuffled(self, seed: int) -> NDArray[np.int64]:
-        """The labels of the groups in random order."""
-        count = int(self.groups.max(initial=-1)) + 1
-        return np.random.default_rng(seed).permutation(count)
+    def shuffled(self, seed: int) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """The G groups in random order, one stratum after the other.
+
+        Groups of one stratum have measurements of the same blocks, so that whatever
+        takes its share of each has its share of every station, tool and chain.
+
+        Returns:
+            Labels of the groups and of the stratum of each, shape (G,).
+        """
+        data, count = self.measurements, int(self.groups.max(initial=-1)) + 1
+        seen = np.zeros((count, len(data.blocks)), bool)
+        seen[self.groups, data.block_of] = True
+        strata = np.unique(seen, axis=0, return_inverse=True)[1].reshape(-1)
+        order = np.random.default_rng(seed).permutation(count)
+        order = order[np.argsort(strata[order], kind="stable")]
+        return order, strata[order]
+
+    def spared(self, mask: NDArray[np.bool_]) -> NDArray[np.bool_]:
+        """A part to hold out without the groups that a frame cannot do without.
+
+        Args:
+            mask: The part, shape (N,).
+
+        Returns:
+            The mask of one that leaves configurations of every station, tool and chain.
+        """
+        data, mask = self.measurements, mask.copy()
+        configuration, trusted = data.groups(), data.weight > 0.0
+        for kind in ("station", "tool", "chain"):
+            names = [
+                key.chain
+                if kind == "chain"
+                else own_name(key, data.keys, getattr(key, kind))
+                for key in data.keys
+            ]
+            of_block = np.unique(names, return_inverse=True)[1].reshape(-1)
+            if not of_block.any():
+                continue
+            # Distinct configurations of every frame among those that are left.
+            of_row, count = of_block[data.block_of], int(configuration.max()) + 1
+            pairs = np.unique((of_row * count + configuration)[~mask & trusted])
+            left = np.bincount(pairs // count, minlength=len(data.blocks))
+            needed = mask & (left < FEWEST_OF_FRAME)[of_row]
+            mask &= ~np.isin(self.groups, self.groups[needed])
+        return mask
 
     def validation_name(self, count: int) -> str:
         """The name of a cross-validation in a number of folds."""
@@ -94,35 +140,54 @@ def folds(grouping: Grouping, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]
     Returns:
         One mask of shape (N,) for each part.
     """
-    rows, labels, place = grouping.measurements, grouping.groups, grouping.places
-    order = grouping.shuffled(seed)
+    rows, labels = grouping.measurements, grouping.groups
+    order, _ = grouping.shuffled(seed)
     count = FOLDS
-    if (place >= 0).any():
+    if (grouping.places >= 0).any():
         count = min(FOLDS, len(order))
     if len(order) < count:
         return []
     fold = np.empty(len(order), np.int64)
     fold[order] = np.arange(len(order)) % count
-    targets = np.array(rows.target)
     # Only what is estimated must be seen in every part.
-    references = fitted.problem.measurement.references
-    free = {f.name for f in references if any(p.free for p in f.parameters)}
-    sought = {
-        name
-        for name in set(targets[place < 0])
-        if free.intersection(name.rpartition(PART)[2].split(AT))
-    }
+    elsewhere = (seen & (grouping.places < 0) for seen in _estimated(fitted, rows))
+    sought = [np.where(seen, rows.groups(), -1) for seen in elsewhere if seen.any()]
     masks = []
     for k in range(count):
-        mask = fold[labels] == k
+        mask = grouping.spared(fold[labels] == k)
+        if not mask.any():
+            continue
         rest = replace(fitted.problem, data=rows.rows(~mask))
         if distinct_values(rest) <= fitted.structure.rank or any(
-            rows.rows(~mask & (targets == name)).configurations < FEWEST
-            for name in sought
+            len(np.unique(seen[~mask & (seen >= 0)])) < FEWEST for seen in sought
         ):
             return []
         masks.append(mask)
     return masks
+
+
+def _estimated(fitted: Fit, rows: Observations) -> list[NDArray[np.bool_]]:
+    """Masks of the measurements of each target that has something to estimate, (N,).
+
+    Args:
+        fitted: The fit.
+        rows: The N measurements.
+    """
+    found: dict[tuple[str, ...], NDArray[np.bool_]] = {}
+    for block, part in zip(rows.blocks, rows.slices, strict=True):
+        model = fitted.problem.parts[block.key]
+        free = {
+            reference.name: model.scope.reference(reference)
+            for reference in model.measurement.references
+            if any(parameter.free for parameter in reference.parameters)
+        }
+        for name in block.target.distinct:
+            halves = tuple(free[half] for half in name.split(AT) if half in free)
+            if halves:
+                # From another station it may be another thing, or the same one.
+                mask = found.setdefault((name, *halves), np.zeros(len(rows), bool))
+                mask[part] |= block.target.where(name)
+    return list(found.values())
 
 
 def _merged(place: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.int64]:
@@ -131,36 +196,54 @@ def _merged(place: NDArray[np.int64], other: NDArray[np.int64]) -> NDArray[np.in
     return np.unique(labels, return_inverse=True)[1].reshape(-1)
 
 
-def places(measurements: Measurements, setup: Setup) -> NDArray[np.int64]:
+def places(measurements: Observations, setup: Setup) -> NDArray[np.int64]:
     """Label of the place at which each measurement has its ball in a socket, (N,).
 
-    Sockets belong to one place that share what stands before the last slash of their
-    names, or a known distance. -1 for other measurements, and for all where there are
-    fewer than three places.
+    Sockets belong to one place that share their station and what stands before the last
+    slash of their names, or a known distance. -1 for other measurements, and for all
+    where there are fewer than three places.
     """
-    sockets = repeated_targets(measurements)
-    names = [name.rpartition(AT)[2] for name in sockets]
-    home = {name: name.rpartition("/")[0] or name for name in names}
+    sockets = [np.full(len(block), -1) for block in measurements.blocks]
+    number: dict[str, int] = {}
+    home: list[str] = []
+    for codes, block in zip(sockets, measurements.blocks, strict=True):
+        if declared(block.model).naming.configurations == 1:
+            continue
+        for target in block.target.distinct:
+            if name := target.rpartition(AT)[2]:
+                k = number.setdefault(_at(block.station, name), len(home))
+                if k == len(home):
+                    home.append(_at(block.station, name.rpartition("/")[0] or name))
+                codes[block.target.where(target)] = k
     for distance in setup.distances:
-        first, second = (home.get(name, name) for name in distance.between)
-        home = {k: first if v == second else v for k, v in home.items()}
-    of = {name: k for k, name in enumerate(dict.fromkeys(filter(None, home.values())))}
+        for station in dict.fromkeys(["", *(key.station for key in measurements.keys)]):
+            ends = [_at(station, name) for name in distance.between]
+            first, second = (home[number[e]] if e in number else e for e in ends)
+            home = [first if name == second else name for name in home]
+    of = {name: k for k, name in enumerate(dict.fromkeys(home))}
     if len(of) < FEWEST_PLACES:
         return np.full(len(measurements), -1)
-    return np.array([of[home[name]] if name else -1 for name in names], np.int64)
+    labels = np.array([*(of[name] for name in home), -1], np.int64)
+    return np.asarray(labels[np.concatenate(sockets)])
+
+
+def _at(station: str, name: str) -> str:
+    """The name of something at a station among those of all."""
+    return f"{station}/{name}" if station else name
 
 
 def split(
-    measurements: Measurements,
+    measurements: Observations,
     setup: Setup,
-    validation: Measurements | None,
+    validation: Observations | None,
     holdout: float | None,
     seed: int,
-) -> tuple[Measurements, Measurements | None, str]:
+) -> tuple[Observations, Observations | None, str]:
     """Training measurements, validation measurements if any, and how they were chosen.
 
     Raises:
-        InputError: If no measurement is left to fit, or none of one model.
+        InputError: If no measurement is left to fit, or none of a model, chain or tool
+            that is to be validated.
         OptionError: If the holdout is out of range, or validation measurements are
             given as well.
     """
@@ -169,26 +252,28 @@ def split(
     training, marked = fitted_and_held_out(measurements)
     if len(training) == 0:
         raise InputError("no measurement is left to fit: all are marked for validation")
-    _require_parts(training, marked, "all are marked for validation")
+    _require_fitted(training, marked, "no {} is left to fit: all are for validation")
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
-        if validation.model != measurements.model:
-            raise InputError(
-                f"cannot check '{measurements.model}' measurements with "
-                f"'{validation.model}' ones"
-            )
+        for model in validation.models:
+            if model not in training.models:
+                raise InputError(
+                    f"cannot check '{', '.join(training.models)}' measurements with "
+                    f"'{model}' ones"
+                )
+        _require_fitted(training, validation, "no {} was fitted, but there is to check")
         return training, validation, "file"
     if holdout is not None:
         mask = _held_out(training, setup, holdout, seed)
         kept, left = training.rows(~mask), training.rows(mask)
-        _require_parts(kept, left, "the holdout took all")
+        _require_fitted(kept, left, "no {} is left to fit: the holdout took all")
         return kept, left, "holdout"
     return training, marked if len(marked) else None, "set"
 
 
 def _held_out(
-    measurements: Measurements, setup: Setup, holdout: float, seed: int
+    measurements: Observations, setup: Setup, holdout: float, seed: int
 ) -> NDArray[np.bool_]:
     """The mask of a holdout, which takes whole groups, shape (N,).
 
@@ -200,140 +285,39 @@ def _held_out(
             "holdout is out of range", value=holdout, allowed="between 0 and 1"
         )
     grouping = Grouping.of(measurements, setup)
-    labels, order = grouping.groups, grouping.shuffled(seed)
+    labels, (order, stratum) = grouping.groups, grouping.shuffled(seed)
+    # The same share of every stratum, whatever its size.
+    _, start, sizes = np.unique(stratum, return_index=True, return_counts=True)
+    share = (np.arange(len(order)) - start[stratum] + 0.5) / sizes[stratum]
+    order = order[np.argsort(share, kind="stable")]
     count = max(1, round(holdout * len(measurements)))
     size = np.cumsum(np.bincount(labels)[order])
     chosen = np.zeros(len(order), bool)
     chosen[order[: int(np.searchsorted(size, count)) + 1]] = True
-    mask = np.asarray(chosen[labels])
+    mask = grouping.spared(chosen[labels])
     if mask.all():
         raise OptionError("holdout leaves no measurement to fit", value=holdout)
     return mask
 
 
-def _require_parts(training: Measurements, left: Measurements, why: str) -> None:
-    """Refuse mixed measurements of which one model has none to fit.
+def _require_fitted(training: Observations, left: Observations, why: str) -> None:
+    """Refuse validation measurements of a kind of which there is none to fit.
+
+    Only the station of the instrument may be another one.
+
+    Args:
+        training: The measurements to fit.
+        left: Those to validate with.
+        why: The reason, with braces where the kind belongs.
 
     Raises:
-        InputError: If there is such a model.
+        InputError: If there are such.
     """
-    for model, (_, measurements) in by_part(left).items():
-        if model not in by_part(training):
-            raise measurements.error(
-                0, f"no '{model}' measurement is left to fit: {why}", column="set"
-            )
-
-
-@dataclass(frozen=True)
-class StretchOptions:
-    """Limits of what counts as a path, and how it is cut.
-
-    Attributes:
-        close: Mean square of successive distances, by that of random pairs, of a
-            path. Random order has 1. Whatever is measured along a path, in
-            clusters, or line by line on a grid has less than 0.4 (UR10 Series A
-            0.39 and 0.19, the grid of the UR5 0.25, Pandas 0.29 and 0.20); poses
-            that somebody chose and ordered at will have more than 0.5 (TALOS 0.56,
-            TIAGo 0.95 and 0.76, UR10 Series B 0.81).
-        chance: Standard deviations by which it must fall short of 1 (von Neumann's
-            ratio).
-        unlike: The same ratio at the distance in the file from which they count as
-            unlike: 1 - 1/e, where an exponential correlation has decayed to 1/e.
-        blocks: Blocks that a file is cut into where its correlation allows it.
-        fewest_blocks: Blocks that a file is cut into in any case: as many as there
-            are folds.
-        jump: Length of a step that is a jump, by that of the step at hand.
-        fewest: Configurations whose order can tell anything: chance must not look
-            like a path.
-    """
-
-    close: float = 0.5
-    chance: float = 3.0
-    unlike: float = 0.63
-    blocks: int = 20
-    fewest_blocks: int = 5
-    jump: float = 2.0
-    fewest: int = 10
-
-
-OPTIONS = StretchOptions()
-
-
-def stretches(rows: Measurements) -> NDArray[np.int64]:
-    """Label of the stretch of the file in which each row stands, shape (N,).
-
-    It is a path if successive configurations z (joint positions in units of their
-    scatter) are closer than chance would have them: the variogram
-
-        g(h) = mean |z_(i+h) - z_i|^2 / mean |z_j - z_i|^2
-
-    is 1 for every h in random order; g(1) is half of von Neumann's ratio (1941), with a
-    standard deviation of at most 1 / sqrt(N). Then the file is cut into blocks as long
-    as the correlation of its configurations: the first h with g(h) > 1 - 1/e. A
-    repetition belongs to the block where its configuration first stands.
-
-    Returns:
-        The labels, from 0; all -1 where the order tells nothing.
-    """
-    none = np.full(len(rows), -1)
-    if len(rows) < OPTIONS.fewest:
-        return none
-    configuration = rows.groups()
-    _, first = np.unique(configuration, return_index=True)
-    order = np.sort(first)
-    file = np.unique(np.array(rows.files), return_inverse=True)[1][order]
-    q, scatter = rows.q[order], rows.q[order].std(axis=0)
-    moves = scatter > 1e-9
-    # In units of the scatter, without joints that stand still.
-    z = (q - q.mean(axis=0))[:, moves] / scatter[moves]
-    count = len(order)
-    if count < OPTIONS.fewest or not z.any():
-        return none
-    near = _variogram(z, file, 1)
-    if near > min(OPTIONS.close, 1.0 - OPTIONS.chance / np.sqrt(count)):
-        return none
-    longest = count // OPTIONS.fewest_blocks
-    # Every lag of the short ones; of the long ones a tenth apart.
-    lags = np.unique(np.geomspace(1, longest, 24 + count.bit_length() * 4).astype(int))
-    length = next(
-        (h for h in lags.tolist()[1:] if _variogram(z, file, h) > OPTIONS.unlike),
-        longest,
-    )
-    length = max(length, min(count // OPTIONS.blocks, 2 * length), 1)
-    block = _blocks(z, file, length)
-    of = np.empty(count, np.int64)
-    of[configuration[order]] = block
-    return of[configuration]
-
-
-def _variogram(z: Floats, file: NDArray[np.int64], lag: int) -> float:
-    """Mean square distance at a distance in the file, by that of random pairs."""
-    inside = file[lag:] == file[:-lag]
-    if not inside.any():
-        return 1.0
-    squares = np.sum((z[lag:] - z[:-lag])[inside] ** 2, axis=1)
-    # Of two independent configurations: twice the variance, which is 1 per joint.
-    return float(squares.mean() / (2.0 * z.shape[1]))
-
-
-def _blocks(z: Floats, file: NDArray[np.int64], length: int) -> NDArray[np.int64]:
-    """Label of blocks of about equal length that end with their file.
-
-    A jump near the nominal end, between two clusters or lines, is where the next block
-    begins.
-    """
-    begins = np.zeros(len(file), bool)
-    begins[0] = True
-    begins[1:] = np.diff(file) != 0
-    step = np.zeros(len(file))
-    step[1:] = np.sum(np.diff(z, axis=0) ** 2, axis=1)
-    starts = np.flatnonzero(begins)
-    for start, stop in zip(starts, [*starts[1:], len(file)], strict=True):
-        count = max(1, round((stop - start) / length))
-        ends = start + np.arange(1, count) * (stop - start) // count
-        for end in ends.tolist():
-            low = end - (length - 1) // 2
-            high = min(end + length // 2 + 1, stop)
-            jump = low + int(np.argmax(step[low:high]))
-            begins[jump if step[jump] > OPTIONS.jump**2 * step[end] else end] = True
-    return np.asarray(np.cumsum(begins) - 1)
+    fitted = {key._replace(station="") for key in training.keys}
+    for block in left.blocks:
+        model, chain, _, tool = block.key
+        if len(block) and block.key._replace(station="") not in fitted:
+            kind = f"'{model}' measurement"
+            kind += f" of the chain '{chain}'" if chain else ""
+            kind += f" with the tool '{tool}'" if tool else ""
+            raise block.error(0, why.format(kind), column="set")

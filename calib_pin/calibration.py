@@ -6,7 +6,6 @@ that were held out, and judges it; then the same for the geometry that a URDF ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -14,12 +13,12 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.formulation import geometric_setup
+from calib_pin.estimation.formulation import geometric_setup, make_parts
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.side_by_side import among, targets_of
-from calib_pin.observations import AT, Measurements, states_sigmas
+from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
@@ -27,7 +26,7 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_errors import MeasurementErrors
-from calib_pin.validation.model_errors import ModelErrors, fitted_errors
+from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.splits import FOLDS, split
@@ -36,7 +35,6 @@ from calib_pin.validation.summaries import (
     NamedArray,
     SolverSummary,
     Statistics,
-    ToolAccuracy,
     Validation,
 )
 from calib_pin.validation.tip_drift import tip_drift
@@ -44,21 +42,21 @@ from calib_pin.validation.tip_drift import tip_drift
 
 @serial_blas
 def calibrate(
-    chain: Chain,
-    measurements: Measurements,
+    chains: Chain | Chains,
+    measurements: Measurements | Observations,
     setup: Setup | None = None,
     *,
-    validation: Measurements | None = None,
+    validation: Measurements | Observations | None = None,
     holdout: float | None = None,
     validate: bool = True,
     ladder: bool = False,
     seed: int = 0,
     progress: Stages | None = None,
 ) -> CalibrationResult:
-    """Calibrate a chain.
+    """Calibrate a robot.
 
     Args:
-        chain: The nominal chain.
+        chains: The nominal chain, or all chains that were measured.
         measurements: Measurements; those marked for validation are not fitted.
         setup: Estimated and known quantities; default six errors of every joint
             placement with base and tool unknown.
@@ -76,7 +74,8 @@ def calibrate(
         The result. Look at `verdict` before using it.
 
     Raises:
-        InputError: If the measurements do not fit the model.
+        InputError: If the measurements do not fit the model, or there are some to
+            validate with of something that was not fitted.
         OptionError: If a name in the setup does not exist, the holdout is not
             between 0 and 1, or measurements are too few to learn from.
 
@@ -91,30 +90,26 @@ def calibrate(
         >>> result.verdict, result.identifiability.structural_rank
         ('good', 34)
     """
-    setup = setup or Setup()
-    files = measurements.files
-    if validation is not None:
-        validation = among(validation, measurements.model)
-        files += validation.files
-    training, held, method = split(measurements, setup, validation, holdout, seed)
-    _require_ends(
-        setup, (measurements,) if validation is None else (measurements, validation)
-    )
+    setup, chains = setup or Setup(), Chains.of(chains)
+    data = Observations.of(measurements)
+    further = None if validation is None else Observations.of(validation)
+    training, held, method = split(data, setup, further, holdout, seed)
+    _require_ends(chains, setup, training, held)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
     if ladder:
-        selected = select_model(chain, training, setup, seed, progress)
+        selected = select_model(chains, training, setup, seed, progress)
         model = selected.model
     else:
         tell = portion(named(progress, "fit"), 0.0, share)
-        model = fit_model(chain, training, setup, seed, tell)
+        model = fit_model(chains, training, setup, seed, tell)
 
     def checking(stage: str, part: float) -> None:
         if progress is not None:
             progress(stage, share + (1.0 - share) * part)
 
     held_out = check(
-        chain,
+        chains,
         training,
         setup,
         model,
@@ -127,7 +122,8 @@ def calibrate(
     )
     fitted = fitted_errors(model, training)
     tell = named(progress, "joint readings")
-    judgement = judge(chain, model, fitted, held_out, seed, tell)
+    judgement = judge(chains, model, fitted, held_out, seed, tell)
+    files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(
         model,
         training,
@@ -137,13 +133,13 @@ def calibrate(
         seed,
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
-        urdf=_urdf(chain, training, model, held, seed, validate),
+        urdf=_urdf(chains, training, model, held, seed, validate),
     )
 
 
 def _result(
     model: FittedModel,
-    training: Measurements,
+    training: Observations,
     errors: ModelErrors,
     held_out: HeldOut,
     judgement: Judgement,
@@ -197,11 +193,13 @@ def _result(
             displaced=_displaced(model, seed),
             gains=held_out.gains,
         ),
-        accuracy=ToolAccuracy(
-            tip=tip_accuracy(fitted, model.problem, model.theta, seed),
-            measured=judgement.measured,
-            workspace=judgement.workspace,
-        ),
+        accuracies={
+            name: replace(
+                accuracy,
+                tip=tip_accuracy(fitted, model.problem, model.theta, seed, name),
+            )
+            for name, accuracy in judgement.accuracies.items()
+        },
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measured(model, model.weighted(training), errors, leverages(fitted)),
         held_out=None
@@ -216,19 +214,28 @@ def _result(
     )
 
 
-def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
+def _require_ends(
+    chains: Chains, setup: Setup, training: Observations, held: Observations | None
+) -> None:
     """Refuse known distances between what no measurement names.
 
     Raises:
         OptionError: If there are such.
     """
+    if not setup.distances:
+        return
+    targets = {block.key: block.target.distinct for block in training.blocks}
+    parts, _ = make_parts(chains, targets, setup)
+    fitted = {half for found in targets.values() for t in found for half in t.split(AT)}
     names = {
-        half
-        for measurements in parts
-        for part in measurements.parts
-        for target in dict.fromkeys(targets_of(measurements, part))
-        for half in target.split(AT)
+        part.scope.reference(reference)
+        for part in parts.values()
+        for reference in part.measurement.references
+        if reference.name in fitted
     }
+    for block in held.blocks if held is not None else ():
+        new = {half for t in block.target.distinct for half in t.split(AT)} - fitted
+        names |= new | {f"{block.station}/{name}" for name in new}
     for distance in setup.distances:
         for end in distance.between:
             if end not in names:
@@ -242,10 +249,10 @@ def _require_ends(setup: Setup, parts: Sequence[Measurements]) -> None:
 
 
 def _urdf(
-    chain: Chain,
-    training: Measurements,
+    chains: Chains,
+    training: Observations,
     model: FittedModel,
-    held: Measurements | None,
+    held: Observations | None,
     seed: int,
     validate: bool,
 ) -> UrdfResult | None:
@@ -253,21 +260,21 @@ def _urdf(
 
     None where the calibration is nothing but geometry.
     """
-    if model.problem.error.geometric:
+    if all(part.error.geometric for part in model.problem.parts.values()):
         return None
     fitted = model.fit
-    setup = geometric_setup(chain, training, fitted.problem.setup)
+    setup = geometric_setup(chains, training, fitted.problem.setup)
     if not setup.parameters:
         return UrdfResult(None, (), "nothing of this calibration has a place in a URDF")
     if setup.parameters == fitted.problem.setup.parameters:
         geometry = FittedModel(fitted, *fitted.problem.rebased(fitted.theta))
     else:
-        geometry = fit_model(chain, training, setup, seed)
+        geometry = fit_model(chains, training, setup, seed)
     held_out = check(
-        chain, training, setup, geometry, seed, validation=held, validate=validate
+        chains, training, setup, geometry, seed, validation=held, validate=validate
     )
     errors = fitted_errors(geometry, training)
-    judgement = judge(chain, geometry, errors, held_out, seed)
+    judgement = judge(chains, geometry, errors, held_out, seed)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta),
         judgement.errors,
@@ -282,28 +289,43 @@ def _displaced(model: FittedModel, seed: int) -> float | None:
         return None
     first = CalibratedModel.create(model.fit.problem, model.fit.theta)
     second = CalibratedModel.create(squared.problem, squared.theta)
-    return tip_drift(first, second, base=True, tool=True, seed=seed).position.rms
+    return max(
+        tip_drift(
+            first.of(name), second.of(name), base=True, tool=True, seed=seed
+        ).position.rms
+        for name in first.measured_chains
+    )
 
 
 def _measured(
     model: FittedModel,
-    measurements: Measurements,
+    measurements: Observations,
     errors: ModelErrors,
     leverage: Floats | None = None,
 ) -> MeasurementErrors:
-    """Errors with their measurements, in the order of their files."""
+    """Errors with their measurements, in the order of these."""
     errors = errors.at(np.argsort(errors.positions, kind="stable"))
     rows = measurements.rows(errors.positions)
-    error, of_robot = model.problem.error, model.problem.split(model.theta)[0]
-    T = error.poses(rows.q, of_robot, error.basis(rows.q, rows.payload))
-    to_base = (error.base * error.corrections(of_robot)[0]).inverse()
+    problem, theta = model.problem, model.theta
+    if all(key in problem.parts for key in rows.keys):
+        problem = replace(problem, data=rows)
+    else:
+        there = registered(problem, theta, rows)
+        problem, theta = there.problem, there.theta
+    points, rotations = [], []
+    for part, data, _, _ in problem.blocks:
+        error, of_robot = part.error, part.split(theta[part.index])[0]
+        T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
+        to_base = (error.base * error.corrections(of_robot)[0]).inverse()
+        points.append(T[:, :3, 3] @ to_base.rotation.T + to_base.translation)
+        rotations.append(to_base.rotation)
     return MeasurementErrors(
         rows=rows,
-        quantities=tuple(model.problem.measurement.quantities),
+        quantities=problem.layout.quantities,
         before=errors.before,
         after=errors.after,
-        sigma=replace(model.problem, data=rows).sigma,
-        points=T[:, :3, 3] @ to_base.rotation.T + to_base.translation,
-        to_base=np.asarray(to_base.rotation),
+        sigma=problem.layout.table(problem.sigma, len(rows)),
+        points=np.concatenate(points),
+        to_base=np.array(rotations),
         leverage=np.full(len(rows), np.nan) if leverage is None else leverage,
     )

@@ -10,24 +10,24 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import InputError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.side_by_side import among
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.model_errors import registered
+from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
 
 
 @serial_blas
 def evaluate(
-    robot: Chain | CalibratedModel,
-    measurements: Measurements,
+    robot: Chain | Chains | CalibratedModel,
+    measurements: Measurements | Observations,
     setup: Setup | None = None,
     *,
     registration: bool = False,
@@ -46,20 +46,23 @@ def evaluate(
     Raises:
         InputError: If the measurements do not fit the model.
     """
-    outside = 0
+    rows, outside = Observations.of(measurements), 0
+    ready = prepared(robot, rows, setup, registration=registration)
     if isinstance(robot, CalibratedModel):
-        outside = int(robot.outside(measurements.q).sum())
-    ready = prepared(robot, measurements, setup, registration=registration)
-    residual = ready.problem.masked_errors(ready.theta)
+        outside = sum(
+            int(robot.of(block.part.key.chain).outside(block.data.q).sum())
+            for block in ready.problem.blocks
+        )
+    residual = error_table(ready.problem, ready.theta)
     errors, counts = [], []
-    for quantity in ready.problem.measurement.quantities:
+    for quantity in ready.problem.layout.quantities:
         sizes = quantity.errors(residual)
-        if len(sizes):  # Mixed measurements may all be of another model.
+        if len(sizes):  # There may be no measurements of that model.
             errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
             counts.append(len(sizes))
     return Evaluation(
         errors=tuple(errors),
-        rows=len(measurements),
+        rows=len(rows),
         counts=tuple(counts),
         registered=ready.registered,
         verdict="untrusted" if ready.reason else "good",
@@ -78,8 +81,8 @@ class Prepared:
         theta: Its parameter values, shape (P,).
         registered: Whether base, tool and instrument were fitted to them.
         reason: Why that must not be trusted; empty where it may.
-        located: Names of references, such as sockets, that were not there before and
-            stand where the measurements put them.
+        located: Names of stations and references, such as sockets, that were not there
+            before and stand where the measurements put them.
     """
 
     problem: Problem
@@ -90,8 +93,8 @@ class Prepared:
 
 
 def prepared(
-    robot: Chain | CalibratedModel,
-    rows: Measurements,
+    robot: Chain | Chains | CalibratedModel,
+    rows: Observations,
     setup: Setup | None = None,
     *,
     registration: bool = False,
@@ -108,10 +111,7 @@ def prepared(
         InputError: If there are no measurements, or they do not fit the model.
     """
     if isinstance(robot, CalibratedModel):
-        rows = among(rows, robot.measurement.name)
-        problem = robot.problem(rows)
-        instrument = np.zeros(len(robot.measurement.parameters))
-        theta = np.concatenate([robot.theta, instrument])
+        problem, theta = robot.problem(rows), robot.theta
     else:
         setup = replace(setup or Setup(), parameters=(), fixed=(), bounds={}, prior={})
         problem = make_problem(robot, rows, setup)
@@ -119,7 +119,7 @@ def prepared(
         registration = True
     if len(rows) == 0:
         raise InputError("there are no measurements to evaluate")
-    reason, known = "", {reference.name for reference in problem.measurement.references}
+    reason, known = "", located_names(problem)
     if registration:
         if isinstance(robot, CalibratedModel):
             problem, theta = extended(problem, theta, rows)
@@ -128,5 +128,5 @@ def prepared(
         reason = registration_reason(problem, result)
     there = registered(problem, theta, rows)
     problem, theta = there.problem, there.theta
-    new = [f.name for f in problem.measurement.references if f.name not in known]
-    return Prepared(problem, theta, registration, reason, tuple(new))
+    new = tuple(name for name in located_names(problem) if name not in known)
+    return Prepared(problem, theta, registration, reason, new)

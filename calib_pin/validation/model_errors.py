@@ -152,7 +152,7 @@ def errors_of_registered(
         after: The fitted model.
         positions: Positions of the measurements among all, shape (N,).
     """
-    problem, theta, known = after.problem, after.theta, _located(model.problem)
+    problem, theta, known = after.problem, after.theta, located_names(model.problem)
     estimated = (*after.refitted, *after.new)
     there = problem, theta
     if not estimated and model.fit.problem.parts.keys() == problem.parts.keys():
@@ -164,11 +164,11 @@ def errors_of_registered(
         error_table(problem, theta),
         problem.layout.table(variance, len(problem.data)),
         _found_distances(before, after, known),
-        tuple(name for name in _located(problem) if name not in known),
+        tuple(name for name in located_names(problem) if name not in known),
     )
 
 
-def _located(problem: Problem) -> tuple[str, ...]:
+def located_names(problem: Problem) -> tuple[str, ...]:
     """Names of the stations that are estimated, and of all reference objects."""
     free = dict(zip(problem.given.names, problem.parameters.free, strict=True))
     stations = dict.fromkeys(

@@ -149,8 +149,8 @@ class Validation:
     Attributes:
         method: `set`, `file`, `holdout`, `5-fold by stretch`, ..., or `none`.
         count: Number of validation measurements.
-        located: Names of references that only validation measurements name, and that
-            were estimated from these.
+        located: Names of references and stations (`station day2`) that only validation
+            measurements name, and that were estimated from these.
         skipped: Why folds of a cross-validation were skipped: a fit without them
             says nothing of the robot.
     """

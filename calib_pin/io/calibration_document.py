@@ -4,7 +4,7 @@ from __future__ import annotations
 
 import math
 from collections.abc import Mapping, Sequence
-from dataclasses import asdict
+from dataclasses import asdict, fields
 from datetime import UTC, datetime
 from importlib.metadata import version
 from pathlib import Path
@@ -25,18 +25,23 @@ from calib_pin.io.documents import identification_parts, model_name, stated
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, plain
+from calib_pin.io.measurement_errors import SETS
 from calib_pin.io.setup import setup_document
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.references import ReferenceObject
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult, UrdfResult
 from calib_pin.validation.summaries import ModelSelection, Provenance, ToolAccuracy
 
 SAMPLES = ("configurations", "points", "position", "orientation")
 """Keys of the predicted uncertainty of the tool point, arrays over the workspace."""
+
+BREAKDOWN = tuple(f.name for f in fields(Breakdown) if f.name != "accuracies")
+"""Parts of a result that tell of its stations, tools, chains and blocks."""
 
 CURVE = ("measurements", "position")
 """Keys of that uncertainty by the number of measurements."""
@@ -90,12 +95,14 @@ def calibration_document(
             "validation": result.validation.count,
             "placed_by_validation": list(result.validation.located),
         },
-        "rotation_to_base": result.fitted.to_base.tolist(),
+        **_rotations(result),
         **described,
         **identification_parts(result, suggestions),
         "errors": _errors(result.errors, result.validation.method),
         "validation": plain(result.validation),
         "predicted": _predicted(result.accuracy),
+        **_further_chains(result),
+        **{key: plain(getattr(result, key)) for key in BREAKDOWN},
         "statistics": {
             **plain(statistics),
             "chi2_interval": list(chi2_interval(dof)) if dof > 0 else [],
@@ -251,6 +258,32 @@ def _predicted(accuracy: ToolAccuracy) -> Json | None:
         **known,
         "samples": plain(dict(zip(SAMPLES, samples, strict=True))),
         "by_count": plain(dict(zip(CURVE, tip.by_count.curve, strict=True))),
+    }
+
+
+def _further_chains(result: CalibrationResult) -> Json:
+    """The expected errors of the tools of all chains but the first."""
+    _, *others = result.accuracies or [""]
+    found = {name: _predicted(result.accuracies[name]) for name in others}
+    return {"predicted_by_chain": found} if found else {}
+
+
+def _rotations(result: CalibrationResult) -> Json:
+    """Rotations from the measurement frame to the base link.
+
+    It is that of the first block; where others differ, those of all stand beside it.
+    """
+    sets = zip(SETS, (result.fitted, result.held_out), strict=True)
+    found = {name: part.to_base for name, part in sets if part is not None}
+    first = result.fitted.to_base[0]
+    alike = all(
+        np.array_equal(rotation, first, equal_nan=True)
+        for rotations in found.values()
+        for rotation in rotations
+    )
+    return {
+        "rotation_to_base": first.tolist(),
+        **({} if alike else {"rotations_to_base": plain(found)}),
     }
 
 

@@ -11,22 +11,29 @@ import csv
 import io
 import math
 from collections.abc import Mapping, Sequence
+from dataclasses import replace
 
 import numpy as np
 
+from calib_pin.estimation.layout import side_by_side
 from calib_pin.io.columns import GrowingColumn
 from calib_pin.io.csv_text import CsvText
 from calib_pin.io.measurements import LINES
+from calib_pin.io.older_results import with_blocks
 from calib_pin.io.result_folder import MEASUREMENTS
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.measurement_models import Quantity, declared
+from calib_pin.observations import BlockKey, Labels, Measurements, Observations
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
 SETS = ("train", "validate")
 WORDS = ("set", "file", "line", "target", "payload")
-"""The first columns; all others hold numbers."""
+"""The first columns; all others but `KEYS` hold numbers."""
+
+KEYS = BlockKey._fields
+"""Columns that stand behind these where there are several blocks of measurements."""
 
 LEGEND = """\
 calib-pin measurements of a calibration, run {run}; lengths in m, angles in rad, images
@@ -51,10 +58,15 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
     parts = [result.fitted, *([] if result.held_out is None else [result.held_out])]
     tables = [p.table(name) for p, name in zip(parts, SETS, strict=False)]
     names = dict.fromkeys(name for table in tables for name in table)
-    numbers = [name for name in names if name not in WORDS]
+    told = [*WORDS, *(name for name in KEYS if name in names)]
+    for errors, table in zip(parts, tables, strict=True):
+        if told != [*WORDS] and "model" not in table:
+            key = errors.rows.only.key._asdict()
+            table |= {name: [value] * len(errors) for name, value in key.items()}
+    numbers = [name for name in names if name not in told]
     text, found = io.StringIO(newline=""), list[bytes]()
     text.write("".join(f"# {line}\n" for line in LEGEND.format(run=run).splitlines()))
-    csv.writer(text, lineterminator="\n").writerow([*WORDS, *numbers])
+    csv.writer(text, lineterminator="\n").writerow([*told, *numbers])
     # Files may have names that are not UTF-8.
     found.append(text.getvalue().encode("utf-8", "backslashreplace"))
     for table in tables:
@@ -63,7 +75,7 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
             part = slice(start, start + LINES)
             words = io.StringIO(newline="")
             csv.writer(words, lineterminator="\0").writerows(
-                zip(*(table[name][part] for name in WORDS), strict=True)
+                zip(*(table[name][part] for name in told), strict=True)
             )
             heads = words.getvalue().encode("utf-8", "backslashreplace").split(b"\0")
             cells = zip(*(table.get(n, unknown)[part] for n in numbers), strict=True)
@@ -76,14 +88,15 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
 
 
 def decode_errors(
-    data: bytes, model: CalibratedModel, to_base: Floats
+    data: bytes, model: CalibratedModel, to_base: Mapping[str, Floats]
 ) -> tuple[MeasurementErrors, MeasurementErrors | None]:
     """The errors of the fitted and of the validation measurements.
 
     Args:
         data: Bytes of the file.
         model: The calibrated robot.
-        to_base: Rotation from the measurement frame to the base link, shape (3, 3).
+        to_base: By set, rotations from the measurement frame of each block to its base
+            link, shape (B, 3, 3), or one for all, shape (3, 3).
 
     Raises:
         ValueError: If a column is missing, or there is no measurement.
@@ -93,13 +106,22 @@ def decode_errors(
     header = first.cells(0)
     if missing := set(WORDS) - set(header):
         raise ValueError(f"columns are missing: {', '.join(sorted(missing))}")
-    words: dict[str, list[str]] = {name: [] for name in WORDS}
+    told = [*WORDS, *(KEYS if "model" in header else ())]
+    words: dict[str, list[str]] = {name: [] for name in told}
     numbers = {name: GrowingColumn() for name in header if name not in words}
     for stretch in stretches:
         for name, cells in zip(header, stretch.columns(header), strict=True):
             (words[name] if name in words else numbers[name]).extend(cells)
     columns = {name: np.frombuffer(found.numbers) for name, found in numbers.items()}
-    fitted, held_out = (_part(words, columns, model, to_base, name) for name in SETS)
+    if "model" not in words:
+        if len(model.parts) > 1:
+            words, columns = with_blocks(words, columns, model)
+        else:
+            count = len(words["set"])
+            words |= {k: [v] * count for k, v in model.only.key._asdict().items()}
+    fitted, held_out = (
+        _part(words, columns, model, to_base[name], name) for name in SETS
+    )
     if fitted is None:
         raise ValueError("there are no measurements")
     return fitted, held_out
@@ -113,50 +135,69 @@ def _part(
     name: str,
 ) -> MeasurementErrors | None:
     """The errors of one set; None where it is empty."""
-    chosen = np.flatnonzero(np.array(words["set"]) == name)
-    if not len(chosen):
+    of_block: dict[BlockKey, list[int]] = {}
+    keys = map(BlockKey, *(words[column] for column in KEYS))
+    for row, (found, key) in enumerate(zip(words["set"], keys, strict=True)):
+        if found == name:
+            of_block.setdefault(key, []).append(row)
+    if not of_block:
         return None
-    file, line, target, payload = (
-        tuple(words[column][row] for row in chosen.tolist()) for column in WORDS[1:]
-    )
+    unknown = unknown_errors(model, 0)
+    _, first = side_by_side(_quantities(model))
 
-    def numbers(*names: str) -> Floats:
+    def numbers(chosen: Sequence[int], *names: str) -> Floats:
         for column in names:
             if column not in columns:
                 raise ValueError(f"the column '{column}' is missing")
-        return np.stack([columns[column][chosen] for column in names], axis=1)
+        found = [columns[column][chosen] for column in names]
+        return np.column_stack([np.zeros((len(chosen), 0)), *found])
 
-    components = unknown_errors(model, 0).components
-    stated = [f"{component}.stated" for component in components]
-    joints = model.chain.joints
-    starts = [f"start.{joint}" for joint in joints]
-    rows = Measurements(
-        joints=joints,
-        q=numbers(*(f"joint.{joint}" for joint in joints)),
-        model=model.measurement.name,
-        values=numbers(*(f"measured.{k + 1}" for k in range(model.measurement.width))),
-        sigma=numbers(*stated) if stated[0] in columns else None,
-        target=target,
-        payload=payload,
-        start=numbers(*starts) if starts[0] in columns else np.zeros((0, 0)),
-        lines=np.array(line, np.int64),
-        files=file,
-        weight=numbers("weight")[:, 0],
-    )
+    def block(key: BlockKey, chosen: Sequence[int]) -> Measurements:
+        about = declared(key.model)
+        joints, at = model.chains.joints, first[key.model]
+        own = unknown.components[at : at + len(about.components)]
+        stated = [f"{component}.stated" for component in own]
+        sigma = numbers(chosen, *stated) if stated[0] in columns else None
+        file, line, target, payload = (
+            Labels.of([words[column][row] for row in chosen]) for column in WORDS[1:]
+        )
+        measured = (f"measured.{k + 1}" for k in range(len(about.values)))
+        return Measurements(
+            joints=joints,
+            q=numbers(chosen, *(f"joint.{joint}" for joint in joints)),
+            values=numbers(chosen, *measured),
+            sigma=None if sigma is None or np.isnan(sigma).all() else sigma,
+            target=target,
+            payload=payload,
+            start=numbers(chosen, *(f"start.{joint}" for joint in joints))
+            if about.relative
+            else np.zeros((0, 0)),
+            lines=np.array(list(line), np.int64),
+            files=file,
+            weight=numbers(chosen, "weight")[:, 0],
+            **key._asdict(),
+        )
+
+    rows = [row for chosen in of_block.values() for row in chosen]
     before, after, sigma = (
-        numbers(*(f"{component}.{stage}" for component in components))
+        numbers(rows, *(f"{component}.{stage}" for component in unknown.components))
         for stage in ("before", "after", "sigma")
     )
-    return MeasurementErrors(
-        rows=rows,
-        quantities=tuple(model.measurement.quantities),
+    return replace(
+        unknown,
+        rows=Observations(tuple(block(*found) for found in of_block.items())),
         before=before,
         after=after,
         sigma=sigma,
-        points=numbers(*(f"tool.{axis}" for axis in AXES)),
-        to_base=to_base,
-        leverage=numbers("leverage")[:, 0],
+        points=numbers(rows, *(f"tool.{axis}" for axis in AXES)),
+        to_base=np.broadcast_to(to_base, (len(of_block), 3, 3)),
+        leverage=numbers(rows, "leverage")[:, 0],
     )
+
+
+def _quantities(model: CalibratedModel) -> Mapping[str, Sequence[Quantity]]:
+    """The quantities of each model that measurements were fitted with."""
+    return {key.model: part.measurement.quantities for key, part in model.parts.items()}
 
 
 def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
@@ -166,23 +207,21 @@ def unknown_errors(model: CalibratedModel, count: int) -> MeasurementErrors:
         model: The calibrated robot.
         count: Number of measurements.
     """
-    joints, quantities = model.chain.joints, tuple(model.measurement.quantities)
+    joints, (quantities, _) = model.chains.joints, side_by_side(_quantities(model))
     unknown = np.full((count, quantities[-1].columns.stop), np.nan)
-    width = model.measurement.width
     rows = Measurements(
         joints=joints,
         q=np.zeros((count, len(joints))),
-        model=model.measurement.name,
-        values=np.zeros((count, width)),
-        target=("",) * count,
+        values=np.zeros((count, model.only.measurement.width)),
+        **model.only.key._asdict(),
     )
     return MeasurementErrors(
-        rows=rows,
+        rows=Observations.of(rows),
         quantities=quantities,
         before=unknown,
         after=unknown,
         sigma=unknown,
         points=np.full((count, 3), np.nan),
-        to_base=np.full((3, 3), np.nan),
+        to_base=np.full((1, 3, 3), np.nan),
         leverage=np.full(count, np.nan),
     )

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Mapping
 from pathlib import Path
 from reprlib import repr
-from typing import Any
+from typing import Any, get_type_hints
 
 import numpy as np
 
@@ -20,9 +20,9 @@ from calib_pin.estimation.evidence import (
     TipAccuracy,
 )
 from calib_pin.io.calibrated_model import model_of, reference_of
-from calib_pin.io.calibration_document import CURVE, SAMPLES
+from calib_pin.io.calibration_document import BREAKDOWN, CURVE, SAMPLES
 from calib_pin.io.json_text import Json, typed
-from calib_pin.io.measurement_errors import decode_errors, unknown_errors
+from calib_pin.io.measurement_errors import SETS, decode_errors, unknown_errors
 from calib_pin.io.result_folder import (
     DOCUMENT,
     MADE,
@@ -35,6 +35,7 @@ from calib_pin.io.result_folder import (
 )
 from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.result import (
@@ -137,7 +138,7 @@ def _result(
     unknown = np.full((len(names), len(names)), np.nan)
     covariance = document.get("covariance") or unknown
     validation: Json = {"method": stated[0][1] if stated else "none", "count": 0}
-    urdf = document.get("urdf")
+    urdf, kinds = document.get("urdf"), get_type_hints(Breakdown)
     return CalibrationResult(
         parameters=parameters,
         groups=groups,
@@ -150,7 +151,12 @@ def _result(
         validation=typed(Validation, document.get("validation", validation)),
         solver=typed(SolverSummary, sections["solver"]),
         statistics=typed(Statistics, sections["statistics"]),
-        accuracy=_accuracy(document.get("predicted"), len(model.chain.joints)),
+        accuracies=_accuracies(document, model),
+        **{
+            key: typed(kinds[key], document[key])
+            for key in BREAKDOWN
+            if key in document
+        },
         covariance=NamedArray.of(covariance, names, names),
         fitted=fitted,
         held_out=held_out,
@@ -159,7 +165,7 @@ def _result(
         urdf=None
         if urdf is None
         else UrdfResult(
-            model=model_of(urdf["model"], model.chain) if urdf.get("model") else None,
+            model=model_of(urdf["model"], model.chains) if urdf.get("model") else None,
             errors=tuple(errors for errors, _ in stated_errors(urdf)),
             reason=typed(str, urdf["reason"]),
         ),
@@ -202,7 +208,19 @@ def _measured(
         rotation = document["rotation_to_base"]
     except (InputError, KeyError):
         return unknown_errors(model, int(document["measurements"]["training"])), None
-    return decode_errors(errors, model, np.array(rotation, float))
+    rotations = dict.fromkeys(SETS, rotation) | document.get("rotations_to_base", {})
+    found = {name: np.array(stated, float) for name, stated in rotations.items()}
+    return decode_errors(errors, model, found)
+
+
+def _accuracies(document: Json, model: CalibratedModel) -> dict[str, ToolAccuracy]:
+    """The expected errors of the tool by the name of the chain."""
+    first = {model.moving.key.chain: document.get("predicted")}
+    entries = first | document.get("predicted_by_chain", {})
+    return {
+        name: _accuracy(entry, len(model.chains[name].joints))
+        for name, entry in entries.items()
+    }
 
 
 def _accuracy(entry: Mapping[str, Any] | None, joints: int) -> ToolAccuracy:

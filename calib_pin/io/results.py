@@ -31,6 +31,7 @@ from calib_pin.io.calibrated_model import count_without_instruments, model_of
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.journal import sha256
 from calib_pin.io.json_text import Json, require_format
+from calib_pin.io.older_results import upgraded
 from calib_pin.io.result_folder import (
     NOMINAL,
     RESIDUAL_MODEL,
@@ -220,6 +221,7 @@ def read_model(path: Path, read: Read) -> tuple[Json, CalibratedModel]:
     robot = _find_robot(document, path, read)
     with reading(path):
         listed, run = members(document), str(document.get("run", ""))
+        document = upgraded(document)
         model = model_of(document, _chains(document, robot))
         learned = _learned(document.get("residual_model"))
         if (learned is None) != (model.setup.learned is None):

@@ -29,8 +29,8 @@ from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
     from calib_pin.control.compensation import Compensation
-    from calib_pin.observations import BlockKey
     from calib_pin.io.targets import Targets
+    from calib_pin.observations import BlockKey
     from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 targets_option = partial(options.option, "Targets")

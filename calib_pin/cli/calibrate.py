@@ -10,7 +10,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
-    open_chain,
+    open_chains,
     open_measurements,
     open_setup,
     require_distinct,
@@ -52,6 +52,7 @@ def calibrate(
     base: options.Base = None,
     tip: options.Tip = None,
     parameters: options.Parameters = None,
+    station_per_file: options.StationPerFile = False,
     solver: Annotated[
         str | None,
         options.fit(
@@ -123,8 +124,7 @@ def calibrate(
     from calib_pin.calibration import calibrate as run
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.files import write_files
-    from calib_pin.measurement_models.side_by_side import repeated_targets
-    from calib_pin.observations import AT
+    from calib_pin.io.measured_columns import place_of
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.text import report
 
@@ -141,23 +141,35 @@ def calibrate(
     if stated.solver.evolution and stated.solver.name not in ("de", "hybrid"):
         name = stated.solver.name
         notice(f"{name} ignores the options of differential evolution in 'solver'")
-    chain = open_chain(robot, stated)
+    chains = open_chains(robot, stated)
     inputs = [robot, setup, validation, *measurements]
-    files = None if output is None else result_files(output, chain.robot.name)
+    files = None if output is None else result_files(output, chains.robot.name)
     pictures = figure_files(figures, figure_format, "calibration")
     if files is None:
         check_outputs(pictures, inputs, force)
     else:
-        check_results(files, pictures, chain.robot, inputs, force)
+        check_results(files, pictures, chains.robot, inputs, force)
     require_distinct([*measurements, *([] if validation is None else [validation])])
     with progress_bar(quiet=quiet) as bar:
-        rows = open_measurements(measurements, chain, stated, quiet=quiet, bar=bar)
+        chains, rows = open_measurements(
+            measurements,
+            chains,
+            stated,
+            station_per_file=station_per_file,
+            quiet=quiet,
+            bar=bar,
+        )
     unseen = None
     if validation is not None:
-        same = replace(stated, model=rows.model)
-        sockets = {name.rpartition(AT)[2] for name in repeated_targets(rows)}
-        unseen = open_measurements(
-            [validation], chain, same, quiet=True, sockets=sockets
+        same = replace(stated, model="+".join(rows.models))
+        sockets = map(place_of, rows.target.distinct)
+        _, unseen = open_measurements(
+            [validation],
+            chains,
+            same,
+            station_per_file=station_per_file,
+            quiet=True,
+            sockets=sockets,
         )
     if rows.validate.any() and (unseen is not None or holdout is not None):
         option = "--holdout" if unseen is None else "--validation"
@@ -169,7 +181,7 @@ def calibrate(
     start = time.perf_counter()
     with progress_bar(quiet=quiet) as bar:
         result = run(
-            chain,
+            chains,
             rows,
             stated,
             validation=unseen,
@@ -180,7 +192,7 @@ def calibrate(
         )
         fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
         stood = calibrated_setup(result.model)
-        better = suggestions(chain, rows.model, stood, result, seed=seed)
+        better = suggestions(chains, rows.keys, stood, result, seed=seed)
         shown = files is not None or figures is not None
         drawn = draw_calibration(result, bar) if shown else []
         contents = drawings = figure_contents(drawn, pictures)

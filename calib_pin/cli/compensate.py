@@ -30,7 +30,8 @@ from calib_pin.errors import OptionError, require_known
 if TYPE_CHECKING:
     from calib_pin.control.compensation import Compensation
     from calib_pin.io.targets import Targets
-    from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.observations import BlockKey
+    from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 
 targets_option = partial(options.option, "Targets")
 
@@ -78,6 +79,18 @@ def compensate(
             "none for nothing.",
         ),
     ] = None,
+    chain: options.ChainName = None,
+    station: Annotated[
+        str | None,
+        targets_option(
+            "--station NAME",
+            "Station in whose measurement frame the targets are; default the first.",
+        ),
+    ] = None,
+    tool: Annotated[
+        str | None,
+        targets_option("--tool NAME", "Tool to bring there; default the first."),
+    ] = None,
     position: Annotated[
         bool,
         targets_option("--position", "Reach positions only, with any orientation."),
@@ -105,7 +118,7 @@ def compensate(
     from calib_pin.io.result_folder import written_before
     from calib_pin.io.results import read_accuracy, read_calibration
     from calib_pin.io.targets import command_columns, encode_commands, read_target_file
-    from calib_pin.measurement_models import tracked
+    from calib_pin.measurement_models import declared
     from calib_pin.report.accuracy import judged
     from calib_pin.report.compensation_text import (
         accuracy_lines,
@@ -120,9 +133,10 @@ def compensate(
     require_file(calibration)
     check_outputs((output,), (calibration, targets, setup), force)
     doubts: list[str] = []
-    model = read_calibration(calibration, notice=doubts.append)
+    calibrated = read_calibration(calibration, notice=doubts.append)
     accuracy = read_accuracy(calibration)
-    model = with_payload(model, payload, calibration)
+    key = _block(calibrated, chain, station, tool)
+    model = with_payload(calibrated.of(key), payload, calibration)
     robot = model.chain.robot.file
     read: list[str | Path] = [robot, calibration.parent / robot]
     read += written_before(calibration)
@@ -141,7 +155,8 @@ def compensate(
             file=targets,
         )
     oriented = asked.oriented and not position
-    measured_point = tracked(model.measurement.name) == {"point"}
+    own = [k.model for k in calibrated.parts if k.chain == key.chain]
+    measured_point = all(declared(name).tracks == "point" for name in own)
     of_tool = asked.T is not None and point != "tip"
     if oriented and of_tool and measured_point and not quiet:
         notice(
@@ -200,8 +215,30 @@ def compensate(
     return 0 if good else 2
 
 
+def _block(
+    model: CalibratedModel, chain: str | None, station: str | None, tool: str | None
+) -> BlockKey:
+    """The first block of a calibration of a chain, a station and a tool.
+
+    Raises:
+        OptionError: If a name is not among those that were measured, or there are
+            several chains and none is named.
+    """
+    if chain is None and len(model.measured_chains) > 1:
+        raise OptionError(
+            "the calibration is of several chains; say which one with --chain",
+            allowed=", ".join(model.measured_chains),
+        )
+    found = [key for key in model.parts if key.chain in model.measured_chains]
+    for kind, name in (("chain", chain), ("station", station), ("tool", tool)):
+        if name is not None:
+            require_known(kind, name, dict.fromkeys(getattr(k, kind) for k in found))
+            found = [key for key in found if getattr(key, kind) == name]
+    return found[0]
+
+
 def _run(
-    model: CalibratedModel,
+    model: CalibratedChain,
     asked: Targets,
     frame: str,
     point: str,

@@ -10,13 +10,14 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     open_calibration,
-    open_chain,
+    open_chains,
     open_measurements,
     open_setup,
     require_distinct,
     require_file,
 )
 from calib_pin.cli.printing import progress_bar, show, stage
+from calib_pin.errors import require_known
 
 
 def evaluate(
@@ -28,6 +29,8 @@ def evaluate(
     model: options.Model = None,
     base: options.Base = None,
     tip: options.Tip = None,
+    chain: options.ChainName = None,
+    station_per_file: options.StationPerFile = False,
     register: Annotated[
         bool,
         options.fit(
@@ -48,26 +51,36 @@ def evaluate(
 
     from calib_pin.io.documents import evaluation_document
     from calib_pin.io.json_text import encode
-    from calib_pin.kinematics.chain import Chain
+    from calib_pin.kinematics.chains import Chains
     from calib_pin.report.accuracy import evaluated
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.validation.evaluation import evaluate as run
 
     stated = open_setup(setup, base=base, tip=tip, model=model)
-    subject: Chain | CalibratedModel
+    subject: Chains | CalibratedModel
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
         subject, stated = open_calibration(robot, setup, stated, doubts.append)
-        chain = subject.chain
+        chains = subject.chains
+        sockets = [reference.name for reference in subject.references.values()]
+        if chain is not None:
+            require_known("chain", chain, subject.measured_chains)
     else:
-        subject = chain = open_chain(robot, stated)
+        chains, sockets = open_chains(robot, stated, chain), []
     require_distinct(measurements)
-    sockets: list[str] = []
-    if isinstance(subject, CalibratedModel):
-        sockets = [reference.name for reference in subject.measurement.references]
     with progress_bar() as bar:
-        rows = open_measurements(measurements, chain, stated, sockets=sockets, bar=bar)
+        measured, rows = open_measurements(
+            measurements,
+            chains,
+            stated,
+            chain=chain,
+            station_per_file=station_per_file,
+            sockets=sockets,
+            bar=bar,
+        )
+        if not robot.endswith(".json"):
+            subject = measured
         stage(bar, "evaluate")
         evaluation = run(subject, rows, stated, registration=register)
     if doubts:

@@ -10,8 +10,8 @@ from calib_pin.cli.printing import Bar, notice, stage
 from calib_pin.errors import OptionError, RobotError, require_known
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
-    from calib_pin.observations import Measurements
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -73,30 +73,49 @@ def open_setup(
     )
 
 
-def require_model(setup: Setup) -> str:
-    """The measurement model where no columns show it.
+def stated_blocks(setup: Setup, chain: str | None = None) -> tuple[BlockKey, ...]:
+    """The blocks that can be measured: models, chains, stations and tools of a setup.
+
+    Args:
+        setup: The setup.
+        chain: The only chain; default all of the setup.
 
     Raises:
-        OptionError: If neither the setup nor a flag names one.
+        OptionError: If neither the setup nor a flag names a measurement model.
     """
+    from itertools import product
+
+    from calib_pin.io.inferred_model import asked_models
     from calib_pin.measurement_models import MEASUREMENT_MODELS
+    from calib_pin.observations import BlockKey
 
     if setup.model is None:
         raise OptionError(
             "without measurements, --model must name the measurement model",
             allowed=", ".join(MEASUREMENT_MODELS),
         )
-    return setup.model
+    stated = (setup.chains, setup.stations, setup.tools)
+    chains, stations, tools = (tuple(names) or ("",) for names in stated)
+    named = chains if chain is None else (chain,)
+    keys = product(asked_models(setup.model), named, stations, tools)
+    return tuple(BlockKey(*key) for key in keys)
 
 
-def open_chain(robot: str, setup: Setup) -> Chain:
-    """The chain of a robot that the setup names.
+def open_chains(
+    robot: str, setup: Setup, measured: Sequence[BlockKey] | str | None = None
+) -> Chains:
+    """The chains of a robot by the setup.
+
+    Args:
+        robot: The robot.
+        setup: The setup.
+        measured: What is measured, or the name of the only chain; default what the
+            measurements will name.
 
     Raises:
-        RobotError: If the robot or a frame cannot be used.
+        RobotError: If the robot, a link or a chain cannot be used.
     """
-    from calib_pin.io.urdf import load_robot
-    from calib_pin.kinematics.chain import Chain
+    from calib_pin.io.urdf import load_chains
 
     if robot.endswith(".json"):
         raise RobotError(
@@ -104,7 +123,17 @@ def open_chain(robot: str, setup: Setup) -> Chain:
             file=robot,
             allowed="a URDF file, such as the corrected one",
         )
-    return Chain(load_robot(robot), setup.base, setup.tip)
+    names: tuple[str, ...]
+    if isinstance(measured, str):
+        names = (measured,)
+    elif measured is not None:
+        names = tuple(key.chain for key in measured)
+    else:
+        # A tip that is stated has to be there, whatever else is measured.
+        names = () if setup.tip is None else ("",)
+    return load_chains(
+        robot, base=setup.base, tip=setup.tip, stated=setup.chains, names=names
+    )
 
 
 def open_calibration(
@@ -127,7 +156,8 @@ def open_calibration(
     require_joints_only(file, setup)
     model = read_calibration(name, notice=doubted)
     joints = setup.joints or model.setup.joints
-    return model, replace(model.setup, model=model.measurement.name, joints=joints)
+    models = "+".join(dict.fromkeys(key.model for key in model.parts))
+    return model, replace(model.setup, model=models, joints=joints)
 
 
 def require_joints_only(file: Path | None, setup: Setup) -> None:
@@ -157,26 +187,32 @@ def require_file(path: str | Path, other: str = "") -> None:
 
 def open_measurements(
     files: Sequence[Path],
-    chain: Chain,
+    chains: Chains,
     setup: Setup,
     *,
+    chain: str | None = None,
+    station_per_file: bool = False,
     quiet: bool = False,
     sockets: Iterable[str] = (),
     bar: Bar | None = None,
-) -> Measurements:
-    """Measurement files, with a remark on columns that mean nothing.
+) -> tuple[Chains, Observations]:
+    """Measurement files and the chains that they name.
 
-    The places of some sockets may be known beside those of the setup.
+    A remark tells of columns that mean nothing. The places of some sockets may be known
+    beside those of the setup. Where a chain is asked for, only its measurements count.
 
     Raises:
         InputError: If a file cannot be used.
     """
     from calib_pin.io.measurements import read_measurements
+    from calib_pin.observations import Observations
 
-    return read_measurements(
+    rows = read_measurements(
         files,
-        chain,
+        chains,
         model=setup.model,
+        station_per_file=station_per_file,
+        unnamed=chain,
         joints=setup.joints,
         notice=None if quiet else notice,
         progress=stage(bar, "read"),
@@ -185,6 +221,12 @@ def open_measurements(
             *(name for name, s in setup.sockets.items() if s.estimate is False),
         ],
     )
+    names = tuple(key.chain for key in rows.keys)
+    if chain is not None:
+        require_known("measured chain", chain, names)
+        blocks = (block for block in rows.blocks if block.chain == chain)
+        rows = Observations(tuple(blocks))
+    return chains.named(names), rows
 
 
 def require_folders(folders: Sequence[Path]) -> None:

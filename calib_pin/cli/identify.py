@@ -2,20 +2,24 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
-    open_chain,
+    open_chains,
     open_measurements,
     open_setup,
     require_distinct,
-    require_model,
+    stated_blocks,
 )
 from calib_pin.cli.printing import progress_bar, show
+
+if TYPE_CHECKING:
+    from calib_pin.observations import BlockKey
 
 
 def identify(
@@ -32,6 +36,7 @@ def identify(
     base: options.Base = None,
     tip: options.Tip = None,
     parameters: options.Parameters = None,
+    station_per_file: options.StationPerFile = False,
     seed: options.Seed = 0,
     json: options.Json = False,
 ) -> int:
@@ -53,21 +58,29 @@ def identify(
     from calib_pin.validation.result import Identification
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
-    chain = open_chain(robot, stated)
     found: Identification
+    keys: Sequence[BlockKey]
     if measurements:
         require_distinct(measurements)
         # What is learned has no parameters that could be known.
         stated = replace(stated, learned=None)
         with progress_bar() as bar:
-            rows = open_measurements(measurements, chain, stated, bar=bar)
-            result = run(chain, rows, stated, validate=False, seed=seed, progress=bar)
-        stated = replace(calibrated_setup(result.model), model=rows.model)
+            chains, rows = open_measurements(
+                measurements,
+                open_chains(robot, stated),
+                stated,
+                station_per_file=station_per_file,
+                bar=bar,
+            )
+            result = run(chains, rows, stated, validate=False, seed=seed, progress=bar)
+        stated, keys = calibrated_setup(result.model), rows.keys
         found, verdict, reason = result, result.verdict, result.reason
     else:
-        found = structural(chain, require_model(stated), stated, seed=seed)
+        keys = stated_blocks(stated)
+        chains = open_chains(robot, stated, keys)
+        found = structural(chains, keys, stated, seed=seed)
         verdict, reason = "good", ""
-    better = suggestions(chain, require_model(stated), stated, found, seed=seed)
+    better = suggestions(chains, keys, stated, found, seed=seed)
     if json:
         document = identification_document(found, better, verdict, reason)
         typer.echo(encode(document).decode(), nl=False)

@@ -13,7 +13,7 @@ import typer
 from calib_pin.errors import OptionError
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
+    from calib_pin.kinematics.chains import Chains
 
 _Number = TypeVar("_Number", int, float)
 
@@ -115,6 +115,20 @@ Tip = Annotated[
     str | None,
     robot("--tip LINK", "Last link of the chain; by default the only leaf."),
 ]
+ChainName = Annotated[
+    str | None,
+    robot(
+        "--chain NAME",
+        "Chain, by its name in the setup file or that of its tip link; needed where "
+        "there are several and the measurements do not say.",
+    ),
+]
+StationPerFile = Annotated[
+    bool,
+    robot(
+        "--station-per-file", "Every file is from another station of the instrument."
+    ),
+]
 Parameters = Annotated[
     str | None,
     robot(
@@ -138,12 +152,14 @@ Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
 Json = Annotated[bool, output("--json", "Print JSON.")]
 
 
-def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, float]]:
+def parse_limits(
+    words: Sequence[str], chains: Chains
+) -> dict[str, tuple[float, float]]:
     """Limits by joint name or glob [rad, m].
 
     Args:
         words: `JOINT=LOWER:UPPER`, with a unit in brackets if it is not rad or m.
-        chain: The chain; whether a name is one of its joints is checked later.
+        chains: The chains; whether a name is one of their joints is checked later.
 
     Raises:
         OptionError: If a word is not of this form, the limits cross, or the unit is
@@ -178,12 +194,12 @@ def parse_limits(words: Sequence[str], chain: Chain) -> dict[str, tuple[float, f
                 allowed=f"LOWER up to UPPER, at most {ANGLE.largest:.4g} rad or m; "
                 "other units in brackets: [deg]",
             )
-        for k in matching(joint, chain.joints):
-            kind = ANGLE if chain.revolute[k] else LENGTH
+        for k in matching(joint, chains.joints):
+            kind = ANGLE if chains.revolute[k] else LENGTH
             if unit is not None and unit not in kind.units:
                 raise OptionError(
-                    f"--limits cannot be {word!r}: joint '{chain.joints[k]}' is "
-                    f"{'revolute' if chain.revolute[k] else 'prismatic'}",
+                    f"--limits cannot be {word!r}: joint '{chains.joints[k]}' is "
+                    f"{'revolute' if chains.revolute[k] else 'prismatic'}",
                     allowed=", ".join(kind.units),
                 )
         limits[joint] = (lower, upper)

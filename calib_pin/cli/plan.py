@@ -14,12 +14,12 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
-    open_chain,
+    open_chains,
     open_measurements,
     open_setup,
     require_distinct,
     require_folders,
-    require_model,
+    stated_blocks,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -143,6 +143,7 @@ def plan(
     setup: options.SetupFile = None,
     base: options.Base = None,
     tip: options.Tip = None,
+    chain: options.ChainName = None,
     parameters: options.Parameters = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
@@ -187,26 +188,34 @@ def plan(
         raise OptionError(
             "--ignore-collisions contradicts --srdf, --package-dir and --clearance"
         )
-    chain = open_chain(robot, stated)
-    narrower = options.parse_limits(limits or [], chain)
-    stated = replace(stated, limits={**stated.limits, **narrower})
     rows = None
     if to:
         with progress_bar(quiet=quiet) as bar:
-            rows = open_measurements(to, chain, stated, quiet=quiet, bar=bar)
+            chains, rows = open_measurements(
+                to,
+                open_chains(robot, stated, chain),
+                stated,
+                chain=chain,
+                quiet=quiet,
+                bar=bar,
+            )
         rows = fitted_and_held_out(rows)[0]
-        stated = replace(stated, model=rows.model)
-    measured = require_model(stated)
+        keys = rows.keys
+    else:
+        keys = stated_blocks(stated, chain)
+        chains = open_chains(robot, stated, keys)
+    narrower = options.parse_limits(limits or [], chains)
+    stated = replace(stated, limits={**stated.limits, **narrower})
     # Nothing of the file may turn out to be impossible after a long search.
     names = (*stated.planes, *stated.targets, *stated.anchors)
-    still = np.zeros((len(names), len(chain.joints)))
-    encode_configurations(chain, still, names, joints=stated.joints)
+    still = np.zeros((len(names), len(chains.joints)))
+    encode_configurations(chains, still, names, joints=stated.joints)
     collisions = None
     if not ignore_collisions:
         from calib_pin.io.collision import CLEARANCE, load_collisions
 
         collisions = load_collisions(
-            chain,
+            chains,
             stated.obstacles,
             srdf=srdf,
             package_dirs=package_dir or [],
@@ -214,11 +223,11 @@ def plan(
             notice=None if quiet else notice,
             file=stated.file,
         )
-    poses = None if tests is None else read_configurations(tests, chain, stated.joints)
+    poses = None if tests is None else read_configurations(tests, chains, stated.joints)
     with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
         found = run(
-            chain,
-            measured,
+            chains,
+            keys,
             wanted,
             stated,
             criterion=criterion,
@@ -234,7 +243,7 @@ def plan(
         drawn = draw_plan(found, bar) if pictures else []
         contents = figure_contents(drawn, pictures)
     table = encode_configurations(
-        chain,
+        chains,
         found.q,
         found.target,
         joints=stated.joints,

@@ -58,7 +58,7 @@ def report(
     own = output is None and REPORT in document.get("files", {})
     pictures = figure_files(figures, figure_format, "calibration")
     inputs: list[str | Path | None] = [file, file.parent / MEASUREMENTS]
-    inputs.append(result.model.chain.robot.file)
+    inputs.append(result.model.chains.robot.file)
     check_outputs([page, *pictures], inputs, force or own)
     if MEASUREMENTS not in document.get("files", {}):
         notice(f"{file} has no {MEASUREMENTS}: nothing is known of single measurements")

@@ -104,9 +104,9 @@ def result_contents(
 
     document = calibration_document(result, provenance(*run), suggestions=suggestions)
     document["run"] = run_id(document, encode_residual_model(result.model))
-    contents = {files.nominal: result.model.chain.robot.source}
+    contents = {files.nominal: result.model.chains.robot.source}
     if result.verdict == "no-gain":
-        contents[files.urdf] = result.model.chain.robot.source
+        contents[files.urdf] = result.model.chains.robot.source
     elif result.geometry is not None:
         contents[files.urdf] = encode_urdf(result.geometry, files.urdf)
     learned = encode_residual_model(result.model, document["run"])
@@ -121,7 +121,7 @@ def result_contents(
         for path, data in contents.items()
         if inside(name := listed(path, files.json.parent))
     }
-    if is_source(files.nominal, result.model.chain.robot):
+    if is_source(files.nominal, result.model.chains.robot):
         del contents[files.nominal]  # It is an input, and stays as it is.
     return {**contents, files.json: encode(document)}
 
@@ -153,11 +153,14 @@ def write_results(
     for path in (files.urdf, files.residual_model):
         if path not in contents and exists(path):
             notice(f"{path} is not from this run, which has no such file")
-    if result.geometry is not None and result.geometry.tool_carries_tip:
-        notice(
-            f"'{result.model.chain.tip}' is the link of the last joint itself: the "
-            "error behind that joint is in frames.tool of calibration.json"
-        )
+    if (geometry := result.geometry) is None:
+        return
+    for chain in map(geometry.of, geometry.measured_chains):
+        if chain.tool_carries_tip:
+            notice(
+                f"'{chain.chain.tip}' is the link of the last joint itself: the error "
+                "behind that joint is in frames.tool of calibration.json"
+            )
 
 
 FORMATS = ("png", "pdf", "svg")

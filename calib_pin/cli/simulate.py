@@ -11,9 +11,9 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     check_outputs,
-    open_chain,
+    open_chains,
     open_setup,
-    require_model,
+    stated_blocks,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -113,26 +113,27 @@ def simulate(
     )
     from calib_pin.io.results import encode_urdf
     from calib_pin.io.setup import read_true_errors
+    from calib_pin.observations import Labels
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel
 
     stated = open_setup(setup, base=base, tip=tip, model=model, parameters=parameters)
-    measured = require_model(stated)
+    keys = stated_blocks(stated)
     if (count is None) == (configurations is None):
         raise OptionError("give either --count or --configurations")
     check_outputs((output, truth), (robot, setup, configurations, errors), force)
-    chain = open_chain(robot, stated)
-    problem = nominal_problem(chain, measured, stated)
+    chains = open_chains(robot, stated, keys)
+    problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(seed)
     if errors is None:
         theta = draw_errors(problem.parameters, rng)
     else:
         given = read_true_errors(errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    q, target, payload = None, tuple[str, ...](), tuple[str, ...]()
+    q, target, payload = None, Labels.none(), Labels.none()
     if configurations is not None:
-        q = read_configurations(configurations, chain, stated.joints)
+        q = read_configurations(configurations, chains, stated.joints)
         target = read_names(configurations, "target")
         payload = read_names(configurations, "payload")
     comment = f"simulated by: {told_command(context)}"
@@ -159,7 +160,7 @@ def simulate(
             pass
     told = [f"wrote {len(rows)} measurements to {output}"]
     if truth is not None:
-        if true.tool_carries_tip:
+        if any(true.of(name).tool_carries_tip for name in true.measured_chains):
             notice(f"{truth} lacks the error behind the last joint: no link holds it")
         if not true.geometric:
             notice(f"{truth} holds the geometry only; a URDF cannot hold other errors")

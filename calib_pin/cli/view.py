@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from functools import partial
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
@@ -12,7 +12,7 @@ import typer
 import calib_pin.cli.options as options
 from calib_pin.cli.files import (
     open_calibration,
-    open_chain,
+    open_chains,
     open_measurements,
     open_setup,
     require_distinct,
@@ -20,10 +20,11 @@ from calib_pin.cli.files import (
     require_folders,
 )
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage
-from calib_pin.errors import OptionError
+from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
-    from calib_pin.kinematics.chain import Chain
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.observations import Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.viewer.scene import Rows, Scene
@@ -61,6 +62,8 @@ def view(
     model: options.Model = None,
     base: options.Base = None,
     tip: options.Tip = None,
+    chain: options.ChainName = None,
+    station_per_file: options.StationPerFile = False,
 ) -> int:
     """Show a robot in the browser, with the errors of measurements and a plan.
 
@@ -74,7 +77,15 @@ def view(
     stated = open_setup(setup, base=base, tip=tip, model=model)
     require_file(robot, ", or a robot")
     require_folders(package_dir or [])
-    scene = _open(robot, measurements or [], plan, package_dir or [], setup, stated)
+    require_distinct(measurements or [])
+    reading = partial(
+        open_measurements,
+        measurements or [],
+        chain=chain,
+        station_per_file=station_per_file,
+    )
+    read = reading if measurements else None
+    scene = _open(robot, read, plan, package_dir or [], setup, stated, chain)
     window = Window(scene, port)
     try:
         if port not in (0, window.port):
@@ -98,39 +109,49 @@ def _require_viser() -> None:
         )
 
 
+Reading = Callable[..., "tuple[Chains, Observations]"]
+"""Reads the measurements, as `open_measurements` does."""
+
+
 def _open(
     name: str,
-    measurements: list[Path],
+    reading: Reading | None,
     plan: Path | None,
     package_dirs: list[Path],
     file: Path | None,
     setup: Setup,
+    chain: str | None,
 ) -> Scene:
     """The scene to draw."""
-    from calib_pin.io.measurements import read_configurations
+    from calib_pin.io.measurements import read_configurations, read_names
     from calib_pin.io.urdf import load_robot
-    from calib_pin.viewer.scene import Plan, Scene, bodies_of, tip_path
+    from calib_pin.viewer.scene import Plan, Scene, bodies_of, drawn_link, tip_paths
     from calib_pin.viewer.shapes import robot_shapes
 
-    require_distinct(measurements)
-    model, chain, rows, planned = None, None, None, None
+    model, chains, rows, planned = None, None, None, None
     if name.endswith(".json"):
         model, setup = open_calibration(name, file, setup, notice)
-        chain = model.chain
-    elif measurements or plan is not None or setup.base or setup.tip:
-        chain = open_chain(name, setup)
-    robot = load_robot(name) if chain is None else chain.robot
+        chains = model.chains
+        if chain is not None:
+            require_known("chain", chain, model.measured_chains)
+    elif reading is not None or plan is not None or setup.base or setup.tip or chain:
+        chains = open_chains(name, setup, chain)
+    robot = load_robot(name) if chains is None else chains.robot
     with progress_bar() as bar:
-        if chain is not None and measurements:
-            rows = _rows(model, chain, measurements, setup, bar)
-        if chain is not None and plan is not None:
-            q = read_configurations(plan, chain, setup.joints)
-            planned = Plan(q, tip_path(model or chain, q))
+        if chains is not None and reading is not None:
+            chains, rows = _rows(model, chains, reading, setup, bar)
+        if chains is not None and not chains.names:
+            named = () if plan is None else read_names(plan, "chain").distinct
+            chains = chains.named(named or ("",))
+        link = robot.root if chains is None else drawn_link(chains)
+        if chains is not None and plan is not None:
+            q = read_configurations(plan, chains, setup.joints)
+            planned = Plan(q, tip_paths(chains, q, link, model))
         shapes = robot_shapes(robot, package_dirs, stage(bar, "shapes"))
     if shapes.missing:
         _note_missing(shapes.missing)
-    bodies = bodies_of(robot, robot.root if chain is None else chain.base, model)
-    return Scene(robot.name, shapes.parts, tuple(bodies), chain, rows, planned)
+    bodies = bodies_of(robot, link, model)
+    return Scene(robot.name, shapes.parts, tuple(bodies), chains, rows, planned)
 
 
 def _note_missing(meshes: Sequence[str]) -> None:
@@ -146,26 +167,26 @@ def _note_missing(meshes: Sequence[str]) -> None:
 
 def _rows(
     model: CalibratedModel | None,
-    chain: Chain,
-    measurements: list[Path],
+    chains: Chains,
+    reading: Reading,
     setup: Setup,
     bar: Bar | None,
-) -> Rows:
+) -> tuple[Chains, Rows]:
     """Measurements, and the errors of the nominal and of the calibrated robot."""
-    from calib_pin.measurement_models.side_by_side import among
     from calib_pin.validation.evaluation import prepared
     from calib_pin.viewer.errors import stage_errors
-    from calib_pin.viewer.scene import Rows
+    from calib_pin.viewer.scene import Rows, drawn_link
 
-    sockets = () if model is None else (f.name for f in model.measurement.references)
-    rows = open_measurements(measurements, chain, setup, sockets=sockets, bar=bar)
-    if model is not None:
-        rows = among(rows, model.measurement.name)
+    known = {} if model is None else model.references
+    sockets = (reference.name for reference in known.values())
+    measured, rows = reading(chains, setup, sockets=sockets, bar=bar)
+    chains = measured if model is None else chains
+    link = drawn_link(chains)
     stage(bar, "errors")
-    before = prepared(chain, rows, setup)
+    before = prepared(chains, rows, setup)
     if before.reason:
         notice(f"the errors before cannot be trusted: {before.reason}")
-    stages = {"before": stage_errors(before)}
+    stages = {"before": stage_errors(before, link)}
     if model is not None:
-        stages["after"] = stage_errors(prepared(model, rows))
-    return Rows(rows, stages)
+        stages["after"] = stage_errors(prepared(model, rows), link)
+    return chains, Rows(rows, stages)

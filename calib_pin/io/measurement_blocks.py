@@ -50,6 +50,7 @@ def read_blocks(
     joints: Mapping[str, JointMap],
     asked: Sequence[str] = (),
     station: str | None = None,
+    unnamed: str = "",
     notice: Callable[[str], None] | None = None,
     progress: Progress | None = None,
 ) -> list[Measurements]:
@@ -61,10 +62,11 @@ def read_blocks(
 
     Args:
         table: The file.
-        chains: The chains that it may name; if it names none, the only one of these.
+        chains: The chains that it may name.
         joints: How file columns become joints; others are taken by their own name.
         asked: Measurement models of a file without a column `model`.
         station: Station of all measurements; None takes the column `station`.
+        unnamed: Chain of measurements that name none.
         notice: Called with one sentence that lists the columns without a meaning.
         progress: Told the part that is done, 0 to 1.
 
@@ -79,12 +81,11 @@ def read_blocks(
             "--station-per-file",
             "station",
         )
-    default = chains.names[0] if len(chains.names) == 1 else ""
-    absent = {"chain": default, "station": station or ""}
+    absent = {"chain": unnamed, "station": station or ""}
     names = {
         name: texts.get(name, Labels.all(absent.get(name, ""), count)) for name in NAMES
     }
-    names["chain"] = names["chain"].map(lambda name: name or default)
+    names["chain"] = names["chain"].map(lambda name: name or unnamed)
     chains = _named_chains(table, chains, names["chain"])
     q = read_positions(table, chains, joint_sources(chains, joints), names["chain"])
     if progress is not None:

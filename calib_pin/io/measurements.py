@@ -53,6 +53,7 @@ def read_measurements(
     *,
     model: str | None = None,
     station_per_file: bool = False,
+    unnamed: str | None = None,
     joints: Mapping[str, JointMap] = {},
     sockets: Collection[str] = (),
     notice: Callable[[str], None] | None = None,
@@ -72,6 +73,7 @@ def read_measurements(
             names with a plus between them each file is read as the only one that its
             columns allow. None infers it from the columns.
         station_per_file: Whether each file is a station, called as the file is.
+        unnamed: Chain of measurements that name none; default the only one of `chain`.
         joints: How file columns become joints; others are taken by their own name.
         sockets: Sockets that are known, for which one configuration is enough.
         notice: Called once per file that has columns without a meaning, with one
@@ -105,12 +107,16 @@ def read_measurements(
     if not files:
         raise InputError("no measurement file is given")
     asked, chains = asked_models(model), Chains.of(chain)
+    if unnamed is None:
+        unnamed = chains.names[0] if len(chains.names) == 1 else ""
     stations = _stations(files) if station_per_file else [None] * len(files)
     parts: list[Measurements] = []
     for k, (file, station) in enumerate(zip(files, stations, strict=True)):
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, portion(tell, 0.0, CUT))
-        parts += read_blocks(table, chains, joints, asked, station, notice, tell)
+        parts += read_blocks(
+            table, chains, joints, asked, station, unnamed, notice, tell
+        )
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
     given = () if chains.names == ("",) else chains.names
     names = dict.fromkeys([*given, *(part.chain for part in parts)])

@@ -8,7 +8,7 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.kinematics.chain import Chain
+from calib_pin.estimation.system import System
 from calib_pin.parameterizations import beyond_geometry
 from calib_pin.report.blocks import Block, Cell, Line, Table, columns
 from calib_pin.report.tables import (
@@ -67,7 +67,7 @@ def judged(reason: str, status: str = "untrusted") -> Line:
 
 def subject(result: CalibrationResult) -> Line:
     """The robot, its chain, and how it was measured."""
-    model, count = result.model, len(result.fitted)
+    count = len(result.fitted)
     measured = f"{count} measurement{'s' if count != 1 else ''}"
     search = ""
     if result.solver.history:
@@ -75,18 +75,26 @@ def subject(result: CalibrationResult) -> Line:
         search = f"; {solver.name}, {solver.evaluations} evaluations"
         search += f" ({solver.evaluator})"
     return Line(
-        f"{chain_words(model.chain)}; {model.measurement.name}, {measured} fitted"
+        f"{chain_words(result.model)}; {model_words(result.model)}, {measured} fitted"
         f"{search}",
         "note",
     )
 
 
-def chain_words(chain: Chain) -> str:
-    """The robot and the ends of a chain, for the line below a verdict."""
-    return (
-        f"{chain.robot.name}: {len(chain.joints)} joints from {chain.base} to "
-        f"{chain.tip}"
-    )
+def chain_words(system: System) -> str:
+    """The robot and the ends of its chains, for the line below a verdict."""
+    chains = system.chains
+    moving = [name for name in chains.names if chains[name].joints]
+    joints = f"{chains.robot.name}: {len(chains.joints)} joints"
+    if len(moving) > LISTED_OWNERS:
+        return f"{joints} in {len(moving)} chains"
+    ends = [f"from {chains[name].base} to {chains[name].tip}" for name in moving]
+    return f"{joints} {' and '.join(ends)}"
+
+
+def model_words(system: System) -> str:
+    """The measurement models, each once."""
+    return " + ".join(dict.fromkeys(key.model for key in system.parts))
 
 
 def accuracy(result: CalibrationResult) -> Iterator[Block]:
@@ -110,7 +118,7 @@ def accuracy(result: CalibrationResult) -> Iterator[Block]:
 
 def _registered(result: CalibrationResult) -> Iterator[str]:
     """Sentences on what was registered for the nominal robot as well."""
-    of_robot = {p.name for p in result.model.error.parameters if not p.nuisance}
+    of_robot = {p.name for p in result.model.given if not p.nuisance}
     owners: dict[str, dict[str, None]] = {}
     for parameter in result.parameters:
         if parameter.status != "fixed" and parameter.name not in of_robot:

@@ -8,7 +8,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 from calib_pin.estimation.evidence import TRUSTED
-from calib_pin.report.accuracy import chain_words, judged
+from calib_pin.report.accuracy import chain_words, judged, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
     SIZES,
@@ -42,7 +42,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     yield _verdict(found)
     yield from (Line(doubt, "note") for doubt in _doubts(found))
     yield Facts(
-        chain_words(found.first.model.chain),
+        chain_words(found.first.model),
         [(label, _origin(record)) for label, record in pair],
     )
     yield from tip_differences(found)
@@ -146,7 +146,7 @@ def _origin(record: CalibrationResult) -> str:
     created, file = record.provenance.created, record.provenance.file
     day = f"; {created[:10]}" if created else ""
     return (
-        f"{file}: {record.model.measurement.name}, {len(record.fitted)} measurements, "
+        f"{file}: {model_words(record.model)}, {len(record.fitted)} measurements, "
         f"{' + '.join(kinds)}{day}"
     )
 
@@ -212,7 +212,7 @@ def _how(found: Comparison) -> Iterator[str]:
 
 
 def _farthest(found: Comparison) -> Facts:
-    drift, chain = found.drift, found.first.model.chain
+    drift, chain = found.drift, found.first.model.of().chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     angles = []

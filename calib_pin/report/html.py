@@ -107,7 +107,7 @@ def html_report(
 
     The document is its `calibration.json`, which knows the files and their hashes.
     """
-    name = result.model.chain.robot.name
+    name = result.model.chains.robot.name
     page = _pages().get_template("report.html")
     return page.render(
         title=f"Calibration of {name}",
@@ -153,9 +153,12 @@ def report(
     """
     if isinstance(result, CalibrationResult):
         model = result.model
-        setup, name = calibrated_setup(model), model.measurement.name
         suggested = suggestions(
-            model.chain, name, setup, result, seed=result.solver.seed
+            model.chains,
+            tuple(model.parts),
+            calibrated_setup(model),
+            result,
+            seed=result.solver.seed,
         )
         made = result.provenance if result.provenance.versions else provenance()
         document = calibration_document(result, made, suggestions=suggested)

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step
-from calib_pin.report.accuracy import chain_words
+from calib_pin.report.accuracy import chain_words, model_words
 from calib_pin.report.blocks import Block, Cell, Facts, Line, Table, columns
 from calib_pin.report.tables import (
     STATUS,
@@ -41,7 +41,7 @@ def plan_report(plan: Plan) -> Iterator[Block]:
 def _subject(plan: Plan) -> Iterator[Line]:
     more = f" in addition to {plan.measured} measurements" if plan.measured else ""
     yield Line(
-        f"{chain_words(plan.problem.error.chain)}; {plan.problem.measurement.name}, "
+        f"{chain_words(plan.problem)}; {model_words(plan.problem)}, "
         f"{len(plan.q)} configurations{more}",
         "strong",
     )
@@ -114,7 +114,8 @@ def _chosen_steps(plan: Plan) -> list[Step]:
 
 def _tip(plan: Plan) -> Facts:
     predicted, directions = plan.predicted, plan.predicted.directions
-    quantities = [q.name for q in plan.problem.measurement.quantities]
+    parts = plan.problem.parts.values()
+    quantities = {q.name for part in parts for q in part.measurement.quantities}
     tip = amount(predicted.position, "m")
     # Without measured orientations the tool's orientation is not known anyway.
     if "orientation" in quantities:

@@ -60,16 +60,6 @@ class CalibratedChain:
         moved = self.theta[self.error.joint_corrections].any()
         return self.error.learned is None and not moved
 
-    @property
-    def without_corrections(self) -> CalibratedChain:
-        """The chain without what a URDF cannot hold: of a true robot, its geometry.
-
-        Of a fit that is no use, see `CalibrationResult.geometry`.
-        """
-        theta = self.theta.copy()
-        theta[self.error.joint_corrections] = 0.0
-        return replace(self, error=replace(self.error, learned=None), theta=theta)
-
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""
         products = self.error.corrections(self.theta)
@@ -139,6 +129,18 @@ class CalibratedModel(System):
     def geometric(self) -> bool:
         """Whether there is nothing but geometry, which a URDF can hold."""
         return all(self.of(name).geometric for name in self.measured_chains)
+
+    @property
+    def without_corrections(self) -> CalibratedModel:
+        """The robot without what a URDF cannot hold: of a true one, its geometry.
+
+        Of a fit that is no use, see `CalibrationResult.geometry`.
+        """
+        theta, parts = self.theta.copy(), {}
+        for key, part in self.parts.items():
+            theta[part.index[part.error.joint_corrections]] = 0.0
+            parts[key] = replace(part, error=replace(part.error, learned=None))
+        return replace(self, parts=parts, theta=theta)
 
     @property
     def measured_chains(self) -> tuple[str, ...]:

@@ -1,4 +1,4 @@
-"""The errors of measurements where a robot has them, in its base link."""
+"""The errors of measurements where a robot has them, in one of its links."""
 
 from __future__ import annotations
 
@@ -6,13 +6,15 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 
 import numpy as np
+import pinocchio as pin
 from numpy.typing import NDArray
 
+from calib_pin.estimation.measured import Block
+from calib_pin.estimation.problem import error_table
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MeasurementModel, Mixed
-from calib_pin.measurement_models.side_by_side import by_part
+from calib_pin.kinematics.tree import Configurations, link_frame
 from calib_pin.measurement_models.tool_point import PointModel
-from calib_pin.observations import Measurements
 from calib_pin.validation.evaluation import Prepared
 
 
@@ -37,7 +39,7 @@ class ErrorSizes:
 
 @dataclass(frozen=True)
 class StageErrors:
-    """Errors of N measurements as one robot predicts them, in its base link.
+    """Errors of N measurements as one robot predicts them, in one of its links.
 
     Attributes:
         points: The measured points of its tool, shape (N, 3) [m].
@@ -56,46 +58,66 @@ class StageErrors:
         return self.points - self.vectors
 
 
-def stage_errors(robot: Prepared) -> StageErrors:
-    """Errors of the measurements that a robot is prepared for."""
+def stage_errors(robot: Prepared, link: str) -> StageErrors:
+    """Errors of the measurements that a robot is prepared for, in one of its links."""
     problem, theta = robot.problem.rebased(robot.theta)
-    error, data, of_robot = problem.error, problem.data, problem.split(theta)[0]
-    residual = problem.masked_errors(theta)
-    # Of relative measurements as well: where the tool is, not how it has moved.
-    T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
-    vectors = np.full((len(data), 3), np.nan)
-    sizes = {}
-    for quantity in problem.measurement.quantities:
-        columns = residual[:, quantity.columns]
-        size = np.linalg.norm(columns, axis=1)
-        sizes[quantity.name] = ErrorSizes(quantity.unit, size)
-        if quantity.unit == "m" and columns.shape[1] == 3:
-            vectors[np.isfinite(size)] = columns[np.isfinite(size)]
-    to_base = error.base.inverse()
-    points = _tool_points(problem.measurement, T, data)
-    return StageErrors(
-        points @ to_base.rotation.T + to_base.translation,
-        vectors @ to_base.rotation.T,
-        sizes,
-    )
+    data, residual = problem.data, problem.errors(theta)
+    points, vectors = np.zeros((len(data), 3)), np.full((len(data), 3), np.nan)
+    for block in problem.blocks:
+        q, base = data.q[block.rows], block.part.error.base.inverse().homogeneous
+        seen = base @ _tool_poses(block, theta)
+        to_link = base_poses(problem.chains, block.part.key.chain, link, q)
+        points[block.rows] = (to_link @ seen)[:, :3, 3]
+        turn = to_link[:, :3, :3] @ base[:3, :3]
+        errors = block.table(residual)
+        for quantity in block.part.measurement.quantities:
+            columns = errors[:, quantity.columns]
+            if quantity.unit == "m" and columns.shape[1] == 3:
+                vectors[block.rows] = np.einsum("nij,nj->ni", turn, columns)
+    table = error_table(problem, theta)
+    sizes = {
+        quantity.name: ErrorSizes(
+            quantity.unit, np.linalg.norm(table[:, quantity.columns], axis=1)
+        )
+        for quantity in problem.layout.quantities
+    }
+    return StageErrors(points, vectors, sizes)
 
 
-def _tool_points(
-    measurement: MeasurementModel, T: Floats, data: Measurements
-) -> Floats:
-    """The tool points of measurements in the measurement frame, shape (N, 3) [m].
+def _tool_poses(block: Block, theta: Floats) -> Floats:
+    """Poses of the tool at the measured points, in the measurement frame, (N, 4, 4).
 
-    The tool poses T (N, 4, 4) are in that frame too.
+    Of relative measurements as well: where the tool is, not how it has moved.
     """
-    points = T[:, :3, 3].copy()
-    parts = {measurement.name: measurement}
-    if isinstance(measurement, Mixed):
-        parts = dict(measurement.parts)
-    for name, (rows, own) in by_part(data).items():
-        model = parts[name]
-        if isinstance(model, PointModel):
-            label, _ = model.names(own.target, own)
-            offsets = [point.at(np.zeros(3)) for point in model.points]
-            offset = np.array([*offsets, np.zeros(3)])[label]
-            points[rows] += np.einsum("nij,nj->ni", T[rows, :3, :3], offset)
-    return points
+    part, data = block.part, block.data
+    error, of_robot = part.error, part.split(theta[part.index])[0]
+    T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
+    model = part.measurement
+    if isinstance(model, PointModel):
+        label, _ = model.names(data.target, data)
+        offsets = [point.at(np.zeros(3)) for point in model.points]
+        offset = np.array([*offsets, np.zeros(3)])[label]
+        T[:, :3, 3] += np.einsum("nij,nj->ni", T[:, :3, :3], offset)
+    return np.asarray(T)
+
+
+def base_poses(chains: Chains, name: str, link: str, q: Floats) -> Floats:
+    """Poses (N, 4, 4) of the base of a chain in a link, as the nominal robot has them.
+
+    Args:
+        chains: The chains.
+        name: Name of the chain.
+        link: The link.
+        q: Positions of the joints of all chains, shape (N, n) [rad, m].
+    """
+    result = np.tile(np.eye(4), (len(q), 1, 1))
+    if chains[name].base == link:
+        return result
+    model = chains.robot.model
+    data = model.createData()
+    base, other = (link_frame(model, k) for k in (chains[name].base, link))
+    joints = [model.getJointId(joint) for joint in chains.joints]
+    for k, configuration in enumerate(Configurations(model, joints)(q)):
+        pin.framesForwardKinematics(model, data, configuration)
+        result[k] = data.oMf[other].actInv(data.oMf[base]).homogeneous
+    return result

@@ -13,7 +13,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.viewer.controls import STAGES, Controls, put, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.scene import Plan, Rows, Scene
+from calib_pin.viewer.scene import Plan, Rows, Scene, block_names
 from calib_pin.viewer.stage import RowsDrawing, Stage
 
 if TYPE_CHECKING:
@@ -33,7 +33,7 @@ class Joints:
     def __init__(self, controls: Controls, scene: Scene, stage: Stage) -> None:
         """Add the sliders and take the first posture."""
         skeleton = scene.bodies[0].skeleton
-        self._stage, self._places = stage, scene.places
+        self._stage, (self._columns, self._places) = stage, scene.moved
         self._q, self._payload = scene.start, ""
         self._factors = np.where(skeleton.revolute, 180.0 / math.pi, 1e3)
         self.mover: object | None = None
@@ -58,8 +58,8 @@ class Joints:
         stage.pose(self._q, self._payload)
 
     def move(self, q: Floats, payload: str, mover: object) -> None:
-        """Move the chain to q (n,) [rad, m]; other joints stay where they are."""
-        self._q[self._places] = q
+        """Move the chains to q (n,) [rad, m]; other joints stay where they are."""
+        self._q[self._places] = q[self._columns]
         self._payload, self.mover = payload, mover
         self._stage.pose(self._q, payload)
         for place in self._places:
@@ -76,13 +76,13 @@ class Joints:
 
 def _range(scene: Scene) -> tuple[Floats, Floats]:
     """Limits of all joints: those of the URDF, and what was measured or planned."""
-    skeleton, places = scene.bodies[0].skeleton, scene.places
+    skeleton, (columns, places) = scene.bodies[0].skeleton, scene.moved
     lower, upper = skeleton.lower.copy(), skeleton.upper.copy()
     shown = [] if scene.rows is None else [scene.rows.data.q]
     shown += [] if scene.plan is None else [scene.plan.q]
     for q in shown:
-        lower[places] = np.minimum(lower[places], q.min(axis=0))
-        upper[places] = np.maximum(upper[places], q.max(axis=0))
+        lower[places] = np.minimum(lower[places], q[:, columns].min(axis=0))
+        upper[places] = np.maximum(upper[places], q[:, columns].max(axis=0))
     return lower, upper
 
 
@@ -104,7 +104,9 @@ class Player:
             self._slider = controls.gui.add_slider("number", 1, max(count, 2), 1, 1)
             self._button = controls.gui.add_button("play", disabled=count < 2)
             self._speed = controls.gui.add_slider("per second", 0.1, 5.0, 0.1, 1.0)
-            controls.switch("path of the tip", path)
+            controls.switch(
+                "paths of the tips" if len(plan.paths) > 1 else "path of the tip", path
+            )
         controls.on(self._slider, lambda value: self._show(min(value, count) - 1.0))
         self._button.on_click(lambda _: self.play(not self._playing))
 
@@ -217,15 +219,17 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
         controls.switch("tool points by size", drawing.map, on, instead=drawing.behind)
         quantity = controls.gui.add_dropdown("error of", quantities)
         stage = controls.gui.add_dropdown("robot", stages, initial_value=stages[-1])
+        block = controls.gui.add_dropdown(
+            "measurements", tuple(rows.blocks), visible=len(rows.blocks) > 1
+        )
         legend = controls.gui.add_html("")
 
     def color() -> None:
-        drawing.color_map(stage.value, quantity.value)
-        found = rows.stages[stage.value].quantities[quantity.value]
+        found = drawing.color_map(stage.value, quantity.value, block.value)
         unit, factor = DISPLAY[found.unit]
-        legend.content = scale(factor * found.sizes[found.shown], unit)
+        legend.content = scale(factor * found.sizes, unit)
 
-    for choice in (quantity, stage):
+    for choice in (quantity, stage, block):
         controls.on(choice, lambda _: color())
     color()
 
@@ -233,6 +237,9 @@ def _add_map(controls: Controls, rows: Rows, drawing: RowsDrawing) -> None:
 def _about(rows: Rows, row: int) -> str:
     """The source of a measurement, its target, and its errors."""
     lines = [html.escape(Path(rows.data.source(row)).name)]
+    if len(rows.data.blocks) > 1:
+        name = block_names(rows.data.keys)[int(rows.data.block_of[row])]
+        lines.append(html.escape(name))
     if rows.data.target[row]:
         lines.append(f"target {html.escape(rows.data.target[row])}")
     for name in next(iter(rows.stages.values())).quantities:

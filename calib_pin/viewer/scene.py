@@ -1,6 +1,7 @@
 """The scene of a robot, its measurements and a plan, as plain data.
 
-All of it stands in the base link of the chain. A calibrated robot is drawn with the
+All of it stands in one link: the base of the chain, or the root of the robot where
+chains have several bases. A calibrated robot is drawn with the
 joint origins of its corrected URDF and, where it has corrections of the joints, with
 these turned as it says. What it corrects behind the tip moves no link: it shows in the
 place of the tool only.
@@ -8,7 +9,9 @@ place of the tool only.
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 import pinocchio as pin
@@ -16,13 +19,14 @@ from numpy.typing import NDArray
 
 from calib_pin.io.urdf_bytes import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
-from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, invert
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
-from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.viewer.errors import StageErrors
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
+from calib_pin.viewer.errors import StageErrors, base_poses
 from calib_pin.viewer.shapes import Shape, box
 
 
@@ -57,12 +61,11 @@ class Skeleton:
         still = {*robot.mimics, *robot.refused}
         own = [joint for joint in single if model.names[joint] not in still]
         self.joints: tuple[str, ...] = tuple(str(model.names[j]) for j in own)
-        # Joint, the one of `joints` whose position it takes, factor, and offset.
-        self._driven = [(joint, k, 1.0, 0.0) for k, joint in enumerate(own)]
+        # By joint: the place of the one whose position it takes, factor, and offset.
+        self._driven = {joint: (k, 1.0, 0.0) for k, joint in enumerate(self.joints)}
         for name, mimic in robot.mimics.items():
             place = self.joints.index(mimic.leader)
-            joint = model.getJointId(name)
-            self._driven.append((joint, place, mimic.factor, mimic.offset))
+            self._driven[name] = place, mimic.factor, mimic.offset
         kinds = [model.joints[j].shortname() for j in own]
         self.revolute = np.array(["JointModelP" not in kind for kind in kinds], bool)
         start = [model.idx_qs[j] for j in own]
@@ -78,12 +81,19 @@ class Skeleton:
         """Zero, or the limit next to it, of every joint, shape (K,) [rad, m]."""
         return np.asarray(np.clip(0.0, self.lower, self.upper))
 
+    def positions(self, joints: Sequence[str], q: Floats) -> Floats:
+        """Positions (n,) of joints, also of those that follow others, at q (K,)."""
+        driven = (self._driven[joint] for joint in joints)
+        return np.array([factor * q[k] + offset for k, factor, offset in driven])
+
     def placements(self, q: Floats) -> Floats:
         """Poses of all links in the base link at q (K,) [rad, m], shape (L, 4, 4)."""
         model, data = self._model, self._data
         full = pin.neutral(model)
-        for joint, place, factor, offset in self._driven:
-            position, start = factor * q[place] + offset, model.idx_qs[joint]
+        positions = self.positions(tuple(self._driven), q)
+        for name, position in zip(self._driven, positions, strict=True):
+            joint = model.getJointId(name)
+            start = model.idx_qs[joint]
             if model.nqs[joint] == 2:  # A continuous joint has cosine and sine.
                 full[start : start + 2] = np.cos(position), np.sin(position)
             else:
@@ -126,13 +136,21 @@ class Body:
             payload: Name of what the robot carries; nothing, or the only payload
                 there is, where it is empty.
         """
-        if self.model is None or self.model.error.geometric:
-            return self.skeleton.placements(q)
-        error, theta = _carrying(self.model, payload), self.model.theta
-        joints = self.skeleton.joints
-        places = [joints.index(name) for name in self.model.chain.joints]
         moved = q.copy()
-        moved[places] = error.joint_positions(q[None, places], theta)[0]
+        own = {joint: k for k, joint in enumerate(self.skeleton.joints)}
+        model = self.model
+        chains = [] if model is None else [model.of(k) for k in model.measured_chains]
+        for chain in chains:
+            if chain.error.geometric:
+                continue
+            joints = chain.chain.joints
+            commanded = self.skeleton.positions(joints, q)[None]
+            (turned,) = _carrying(chain, payload).joint_positions(
+                commanded, chain.theta
+            )
+            for joint, position in zip(joints, turned, strict=True):
+                if joint in own:  # One that follows another follows it as it is.
+                    moved[own[joint]] = position
         return self.skeleton.placements(moved)
 
 
@@ -145,8 +163,19 @@ class Rows:
         stages: Errors by stage, `before` and, of a calibration, `after`.
     """
 
-    data: Measurements
+    data: Observations
     stages: dict[str, StageErrors]
+
+    @property
+    def blocks(self) -> dict[str, NDArray[np.bool_]]:
+        """Masks (N,) of the measurements of each block, by its name, after all."""
+        every = {"all": np.ones(len(self.data), bool)}
+        if len(self.data.blocks) == 1:
+            return every
+        return every | {
+            name: self.data.block_of == k
+            for k, name in enumerate(block_names(self.data.keys))
+        }
 
 
 @dataclass(frozen=True)
@@ -154,12 +183,12 @@ class Plan:
     """Configurations in their order.
 
     Attributes:
-        q: Positions of the chain's joints, shape (M, n) [rad, m].
-        path: The way of the tip in the base link, shape (P, 3) [m].
+        q: Positions of the joints of all chains, shape (M, n) [rad, m].
+        paths: The way of each tip in the base link, shape (P, 3) each [m].
     """
 
     q: Floats
-    path: Floats
+    paths: Sequence[Floats] = ()
 
     def at(self, number: float) -> Floats:
         """Joint positions (n,) between configurations, numbered from 0 to M - 1."""
@@ -178,7 +207,7 @@ class Scene:
         title: Name of the robot.
         shapes: Shapes of the links of all bodies.
         bodies: The robot, or the nominal and the corrected one.
-        chain: The chain that measurements and plan move, if there is one.
+        chains: The chains that measurements and plan move, if there are any.
         rows: Measurements, if there are any.
         plan: Planned configurations, if there are any.
     """
@@ -186,26 +215,31 @@ class Scene:
     title: str
     shapes: tuple[Shape, ...]
     bodies: tuple[Body, ...]
-    chain: Chain | None = None
+    chains: Chains | None = None
     rows: Rows | None = None
     plan: Plan | None = None
 
-    @property
-    def places(self) -> NDArray[np.intp]:
-        """Positions of the chain's joints among those of the bodies, shape (n,)."""
-        joints = () if self.chain is None else self.chain.joints
-        return np.array(
-            [self.bodies[0].skeleton.joints.index(k) for k in joints], np.intp
-        )
+    @cached_property
+    def moved(self) -> tuple[NDArray[np.intp], NDArray[np.intp]]:
+        """Joints of the chains with a position of their own, (m,), among the bodies'.
+
+        The first are their columns in configurations of the chains, the second are
+        their places among the joints of the bodies.
+        """
+        joints = () if self.chains is None else self.chains.joints
+        own = self.bodies[0].skeleton.joints
+        pairs = [(k, own.index(j)) for k, j in enumerate(joints) if j in own]
+        columns, places = np.array(pairs, np.intp).reshape(-1, 2).T
+        return columns, places
 
     @property
     def start(self) -> Floats:
         """Joint positions of the first measurement or plan, or neutral, shape (K,)."""
-        q = self.bodies[0].skeleton.neutral
+        q, (columns, places) = self.bodies[0].skeleton.neutral, self.moved
         if self.rows is not None:
-            q[self.places] = self.rows.data.q[0]
+            q[places] = self.rows.data.q[0, columns]
         elif self.plan is not None:
-            q[self.places] = self.plan.q[0]
+            q[places] = self.plan.q[0, columns]
         return q
 
     def corners(self, q: Floats) -> Floats:
@@ -226,19 +260,44 @@ def bodies_of(robot: Robot, base: str, model: CalibratedModel | None) -> list[Bo
     ]
 
 
-def tip_path(subject: Chain | CalibratedModel, q: Floats) -> Floats:
-    """The way (P, 3) [m] of the tip in the base link while all joints move evenly.
+def drawn_link(chains: Chains) -> str:
+    """The link in which everything is drawn: the base of the chains, or the root."""
+    bases = {chains[name].base for name in chains.names if chains[name].joints}
+    return bases.pop() if len(bases) == 1 else chains.robot.root
+
+
+def block_names(keys: Sequence[BlockKey]) -> list[str]:
+    """Names of blocks: as much of their keys as tells them apart."""
+    differ = [len(set(values)) > 1 for values in zip(*keys, strict=True)]
+    return [
+        ", ".join(name or "-" for name, told in zip(key, differ, strict=True) if told)
+        for key in keys
+    ]
+
+
+def tip_paths(
+    chains: Chains, q: Floats, link: str, model: CalibratedModel | None = None
+) -> list[Floats]:
+    """The ways (P, 3) [m] of all tips in a link while all joints move evenly.
 
     The points of the configurations q (M, n) [rad, m] are among them.
     """
     between = max(1, min(STEPS, LONGEST // len(q)))
     numbers = np.arange((len(q) - 1) * between + 1) / between
-    plan = Plan(q, np.zeros((0, 3)))
+    plan = Plan(q)
     dense = np.array([plan.at(number) for number in numbers])
-    if isinstance(subject, Chain):
-        return np.asarray(subject.poses(dense)[:, :3, 3])
-    error = _carrying(subject, "")
-    return error.tip_poses(dense, subject.theta)[:, :3, 3]
+    paths = []
+    for name in chains.names:
+        chain, own = chains[name], dense[:, chains.columns(name)]
+        if not chain.joints:
+            continue
+        if model is None:
+            T = chain.poses(own)
+        else:
+            calibrated = model.of(name)
+            T = _carrying(calibrated, "").tip_poses(own, calibrated.theta)
+        paths.append((base_poses(chains, name, link, dense) @ T)[:, :3, 3])
+    return paths
 
 
 def floor_height(scene: Scene) -> float:
@@ -262,7 +321,7 @@ def floor_height(scene: Scene) -> float:
     return under if lowest > under - LEGS else lowest
 
 
-def _carrying(model: CalibratedModel, payload: str) -> ErrorModel:
+def _carrying(model: CalibratedChain, payload: str) -> ErrorModel:
     """The error model with a payload; of several, no name means no payload."""
     several = len(model.setup.payloads) > 1
     return model.error.carrying(payload or (NOTHING if several else ""))

@@ -10,7 +10,7 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats, to_quaternion
 from calib_pin.viewer.controls import GHOST, MARK, MEASURED, PATH, ROBOT, STAGES, scaled
-from calib_pin.viewer.errors import StageErrors
+from calib_pin.viewer.errors import ErrorSizes, StageErrors
 from calib_pin.viewer.scene import Body, Rows, Scene, floor_height
 from calib_pin.viewer.shapes import Shape
 
@@ -112,19 +112,26 @@ class RowsDrawing:
         for name, handle in self.vectors.items():
             handle.points = lines(self._rows.stages[name], factor)
 
-    def color_map(self, stage: str, quantity: str) -> None:
-        """Color the tool points of a stage by the error of a quantity."""
+    def color_map(self, stage: str, quantity: str, block: str) -> ErrorSizes:
+        """Color the tool points of a stage by the error of a quantity.
+
+        Returns:
+            The sizes of the measurements that are shown, those of a block.
+        """
         errors = self._rows.stages[stage]
         found = errors.quantities[quantity]
+        shown = found.shown & self._rows.blocks[block]
+        sizes = found.sizes[shown]
         # Points and colors in one: a browser may draw between two messages.
         self._api.add_point_cloud(
             "/map/points",
-            errors.points[found.shown].astype(np.float32),
-            scaled(found.sizes[found.shown]) if found.shown.any() else MEASURED,
+            errors.points[shown].astype(np.float32),
+            scaled(sizes) if len(sizes) else MEASURED,
             point_size=0.014 * self._size,
             point_shape="circle",
             precision="float32",
         )
+        return ErrorSizes(found.unit, sizes)
 
     def mark(self, row: int) -> None:
         """Mark the tool point of a measurement."""
@@ -166,7 +173,7 @@ class Stage:
     Attributes:
         robots: The robots by name.
         rows: Measurements, if there are any.
-        path: The path of the tip, if there is a plan.
+        path: The paths of all tips, if there is a plan.
     """
 
     def __init__(self, server: viser.ViserServer, scene: Scene) -> None:
@@ -188,10 +195,10 @@ class Stage:
         self.rows = None if scene.rows is None else RowsDrawing(api, scene.rows, size)
         self.path = None
         if scene.plan is not None:
-            way = scene.plan.path
+            ways = scene.plan.paths
             self.path = api.add_line_segments(
                 "/path",
-                np.stack([way[:-1], way[1:]], axis=1),
+                np.concatenate([np.stack([w[:-1], w[1:]], axis=1) for w in ways]),
                 np.array(PATH),
                 thickness=0.002 * size,
             )

@@ -12,7 +12,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.parameters import ParameterSet
 from calib_pin.report.figures.canvas import (
     AFTER,
     GRID,
@@ -57,13 +57,13 @@ class Estimate:
 def of_robot(
     parameters: Sequence[ParameterEstimate],
     groups: Sequence[CoupledGroup],
-    error: ErrorModel,
+    given: ParameterSet,
 ) -> list[Estimate]:
     """Identifiable parameters and combinations of the robot, from base to tip.
 
     A combination that begins with a frame or the instrument is theirs.
     """
-    own = {parameter.name for parameter in error.parameters if not parameter.nuisance}
+    own = {parameter.name for parameter in given if not parameter.nuisance}
     place = {parameter.name: k for k, parameter in enumerate(parameters)}
     found: list[tuple[str, ParameterEstimate | CoupledGroup, Terms]] = [
         (shortened(p.name), p, ((p.name, 1.0),))
@@ -212,7 +212,7 @@ SIGNS: dict[str, dict[str, Any]] = {
 
 def parameter_intervals(result: CalibrationResult) -> Drawn | None:
     """Estimates of the robot with two standard deviations, one panel per unit."""
-    estimates = of_robot(result.parameters, result.groups, result.model.error)
+    estimates = of_robot(result.parameters, result.groups, result.model.given)
     if not estimates:
         return None
     figure, panels, remark = lists(estimates, _significance)

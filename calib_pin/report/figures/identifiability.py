@@ -131,7 +131,7 @@ def correlations(result: CalibrationResult) -> Drawn | None:
     """Correlations of the robot's estimates, the lower half of the matrix."""
     if not np.isfinite(result.covariance).all():
         return None
-    estimates = of_robot(result.parameters, result.groups, result.model.error)
+    estimates = of_robot(result.parameters, result.groups, result.model.given)
     places = {p.name: k for k, p in enumerate(result.parameters)}
     R = correlation(estimates, places, result.covariance)
     usable = np.isfinite(np.diag(R))

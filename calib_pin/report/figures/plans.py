@@ -111,7 +111,7 @@ def _draw(axes: Axes, counts: Floats, curve: _Curve, planned: int) -> None:
 
 def predicted_deviations(plan: Plan) -> Drawn | None:
     """Predicted standard deviations of the estimates, one panel per unit."""
-    estimates = of_robot(plan.parameters, plan.groups, plan.problem.error)
+    estimates = of_robot(plan.parameters, plan.groups, plan.problem.given)
     estimates = [estimate for estimate in estimates if estimate.sigma > 0.0]
     if not estimates:
         return None
@@ -165,8 +165,9 @@ def planned_positions(plan: Plan) -> Drawn | None:
 
 def tool_positions(plan: Plan) -> Floats:
     """Tool points of the nominal robot in the base link, shape (K, 3) [m]."""
-    error = plan.problem.error
-    T = error.poses(plan.q, np.zeros(len(error.parameters)))
+    part = plan.problem.moving
+    error = part.error
+    T = error.poses(plan.q[:, part.columns], np.zeros(len(error.screws)))
     to_base = error.base.inverse().homogeneous
     return np.asarray(T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3])
 

@@ -203,9 +203,9 @@ def equipped_problem(equipped: Setup) -> Callable[..., Problem]:
 def visited() -> Callable[..., tuple[Floats, Targets]]:
     """Configurations and targets of a block: `visited(problem, theta, count, rng)`.
 
-    The instrument of the first block, or of the one whose key follows, can measure
-    there. Where it must touch something they are random: away from contact there is a
-    residual, as in any fit that begins.
+    The instrument of the only block can measure there. Where it must touch something,
+    or is one of several, whose key follows, they are random: away from contact there is
+    a residual, as in any fit that begins.
     """
 
     def draw(
@@ -216,7 +216,8 @@ def visited() -> Callable[..., tuple[Floats, Targets]]:
         key: BlockKey | None = None,
     ) -> tuple[Floats, Targets]:
         key = key or problem.only.key
-        if not problem.parts[key].measurement.declaration.contact:
+        contact = problem.parts[key].measurement.declaration.contact
+        if not contact and len(problem.parts) == 1:
             at = observable_configurations(problem, key, theta, count, rng)
             return at.q, at.target
         names = named_targets(problem, key)

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -10,22 +10,34 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from calib_pin.estimation.configurations import asked, named_targets
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.observations import BlockKey, Observations, Targets
 from calib_pin.parameterizations import PARAMETERIZATIONS
 from calib_pin.setup import Setup
-from calib_pin.simulation import exact_problem
+from calib_pin.simulation import exact_at
 
 Equipped = Callable[..., Problem]
-Visited = Callable[..., tuple[Floats, tuple[str, ...]]]
+Visited = Callable[..., tuple[Floats, Targets]]
 
 FREE = ("position", "pose", "plane-distance")
 """Models whose rows need not name anything."""
 
-MIXED = "position+pose+fixed-point+plane-contact+relative-distance+camera"
+MIXED = tuple(
+    BlockKey(model)
+    for model in (
+        "position",
+        "pose",
+        "fixed-point",
+        "plane-contact",
+        "relative-distance",
+        "camera",
+    )
+)
 NAMED = [m for m in MEASUREMENT_MODELS if m not in ("pose", "plane-distance")]
 
 
@@ -59,9 +71,12 @@ def test_jacobian_of_the_tool_itself(
 CORRECTED = ("transmission", "placement", "compliance", "joint-offset")
 
 
-@pytest.mark.parametrize("model", ["pose", MIXED])
+@pytest.mark.parametrize("model", ["pose", MIXED], ids=["pose", "mixed"])
 def test_joint_corrections_among_errors_of_the_geometry(
-    model: str, special_chain: Chain, equipped_problem: Equipped, visited: Visited
+    model: str | Sequence[BlockKey],
+    special_chain: Chain,
+    equipped_problem: Equipped,
+    visited: Visited,
 ) -> None:
     """The screws of a place stand before its joint's motion, whatever their order."""
     stated = {"parameters": CORRECTED, "prior": {"*": 0.01}}
@@ -81,13 +96,18 @@ def test_joint_corrections_with_every_model(
 def check_jacobian(problem: Problem, visited: Visited) -> None:
     rng = np.random.default_rng(3)
     theta = rng.normal(size=len(problem.parameters)) * 0.02
-    count = max(6, len(set(problem.data.target)))
-    q, target = visited(problem, theta, count, rng)
+    at = []
+    for key in problem.parts:
+        count = max(6, len(named_targets(problem, key)))
+        q, target = visited(problem, theta, count, rng, key)
+        at.append(asked(problem, key, q, target))
     # Measured values away from the prediction: the residual's own curvature counts.
-    measured = exact_problem(problem, theta, q, target)
-    noise = rng.normal(size=measured.sigma.shape) * 0.05
-    values = measured.measurement.disturb(measured.data.values, noise)
-    measured = replace(measured, data=replace(measured.data, values=values))
+    disturbed = []
+    for part, data, _, _ in exact_at(problem, theta, *at).blocks:
+        noise = rng.normal(size=(len(data), part.components)) * 0.05
+        values = part.measurement.disturb(data.values, noise)
+        disturbed.append(replace(data, values=values))
+    measured = replace(problem, data=Observations(tuple(disturbed)))
 
     _, J = measured.linearize(theta)
     assert np.abs(J - _differences(measured, theta)).max() < 2e-7 * np.abs(J).max()
@@ -113,5 +133,6 @@ def test_screws_of_one_place_apply_in_order() -> None:
     expected = pin.SE3(np.eye(3), np.array([0.1, 0, 0]))
     expected *= pin.SE3(pin.exp3(np.array([0, 0.2, 0])), np.zeros(3))
     expected *= pin.SE3(pin.exp3(np.array([0, 0, -0.3])), np.zeros(3))
-    found = problem.error.corrections(problem.split(theta)[0])[3]
+    part = problem.only
+    found = part.error.corrections(part.split(theta)[0])[3]
     assert found.isApprox(expected, 1e-14)

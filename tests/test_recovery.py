@@ -120,7 +120,8 @@ def test_joint_corrections_are_recovered(robot: str, tip: str | None) -> None:
     q = chain.random_configurations(50, rng)
 
     def predicted(fitted: Problem, theta: Floats) -> Floats:
-        return fitted.error.poses(q, fitted.split(theta)[0])[:, :3, 3]
+        part = fitted.only
+        return part.error.poses(q, part.split(theta)[0])[:, :3, 3]
 
     # Of equal robots the fit finds the one closest to nominal: such a one itself.
     truth = parameters.scales * (visible @ rng.normal(size=visible.shape[1]))

@@ -22,6 +22,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey
 from calib_pin.setup import (
     AnchorSetup,
     CameraSetup,
@@ -32,7 +33,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.simulation import exact_problem
+from calib_pin.simulation import exact_at
 
 RUNS = 200
 SIZE = 0.3
@@ -47,7 +48,7 @@ class Case:
     """One way of measuring a robot.
 
     Attributes:
-        model: Measurement models.
+        model: Measurement model, or the blocks that are measured.
         setup: The setup.
         rows: Measurements of each run.
         noise: Standard deviation of each component [m, rad, px].
@@ -55,7 +56,7 @@ class Case:
         robot: Name of a bundled robot.
     """
 
-    model: str
+    model: str | tuple[BlockKey, ...]
     setup: Setup
     rows: int
     noise: float
@@ -156,7 +157,11 @@ CASES: Mapping[str, Case] = {
         39,
     ),
     "position and fixed-point": Case(
-        "position+fixed-point", replace(FRAMES, sockets=SOCKETS), 120, 5e-5, 33
+        (BlockKey("position"), BlockKey("fixed-point")),
+        replace(FRAMES, sockets=SOCKETS),
+        120,
+        5e-5,
+        33,
     ),
 }
 
@@ -197,7 +202,10 @@ class Study:
             [c.row(len(zero)) for c in self.structure.combinations]
         )
         # A beam along the plane has no distance: only what can be measured counts.
-        self._new = observable_configurations(self.problem, zero, 30, self.rng)
+        self._new = [
+            observable_configurations(self.problem, key, zero, 30, self.rng)
+            for key in self.problem.parts
+        ]
 
     def truth(self, size: float = SIZE) -> Floats:
         """True errors in the gauge, shape (P,)."""
@@ -238,7 +246,7 @@ class Study:
         """
         # A gap that contacts have there must not differ by the units alone.
         known = replace(self.problem, units=fitted.problem.units)
-        of_truth = exact_problem(known, truth, *self._new)
+        of_truth = exact_at(known, truth, *self._new)
         new = replace(fitted.problem, data=of_truth.data)
         count = new.sigma.size
 

@@ -66,8 +66,9 @@ def members(problem: Problem, sizes: tuple[float, ...]) -> Floats:
 
 def kernel_poses(problem: Problem, theta: Floats) -> Floats:
     """Tool poses of the error model by the kernels."""
-    segments = Segments.of(problem.error)
-    (chain,) = segments.links(problem.split(theta)[0][None])
+    part = problem.only
+    segments = Segments.of(part.error)
+    (chain,) = segments.links(part.split(theta)[0][None])
     q = problem.data.q * segments.signs
     motion, starts = motions(q, segments.revolute)
     T = np.full((len(q), 4, 4), np.nan)
@@ -82,7 +83,7 @@ def assert_costs(found: Floats, problem: Problem, theta: Floats) -> None:
     ten operations at each, stays however small the difference is.
     """
     expected = [problem.cost(member) for member in theta]
-    size = np.abs(problem.data.values).max(initial=1.0)
+    size = np.abs(problem.data.only.values).max(initial=1.0)
     rounding = 10.0 * np.finfo(float).eps * size / problem.sigma.ravel()
     tolerance = [np.abs(problem.residual(member)) @ rounding for member in theta]
     allowed = 1e-12 * np.array(expected) + tolerance
@@ -95,7 +96,7 @@ def assert_costs(found: Floats, problem: Problem, theta: Floats) -> None:
 def test_poses_agree_with_pinocchio(example_robot: Path, measured: Measured) -> None:
     for problem in problems(example_robot, measured, ["pose"]):
         for theta in members(problem, (0.0, 0.05, 0.5)):
-            expected = problem.error.poses(problem.data.q, problem.split(theta)[0])
+            expected = problem.only.poses(theta, problem.data.only)
             found = kernel_poses(problem, theta)
             # Errors of half a radian about axes that nearly meet far away reach far.
             size = np.abs(expected).max()
@@ -106,7 +107,7 @@ def test_costs_agree_with_pinocchio(example_robot: Path, measured: Measured) -> 
     for problem in problems(example_robot, measured):
         # A beam of a distance hits at less than 70 degrees at nominal; errors of this
         # size leave it far from grazing, where rounding would be magnified.
-        large = 0.02 if problem.measurement.name == "plane-distance" else 0.5
+        large = 0.02 if problem.data.models == ("plane-distance",) else 0.5
         theta = members(problem, (0.0, 1e-4, large, large))
         costs = PopulationCost(problem)
         assert costs.evaluator == "kernel"
@@ -117,7 +118,8 @@ def test_jacobians_agree_with_pinocchio(
     example_robot: Path, measured: Measured
 ) -> None:
     for problem in problems(example_robot, measured):
-        rows = ManyRows(problem, problem.data, problem.sigma)
+        (block,) = problem.blocks
+        rows = ManyRows(block.part, block.data, block.table(problem.sigma))
         (theta,) = members(problem, (0.02,))
         r, J = problem.linearize(theta)
         lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)

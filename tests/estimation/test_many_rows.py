@@ -21,6 +21,7 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
+from calib_pin.observations import Observations
 from calib_pin.setup import PlaneSetup, Setup
 from calib_pin.solvers import Status
 
@@ -42,7 +43,8 @@ def small_chunks(monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def many(problem: Problem) -> ManyRows:
-    return ManyRows(problem, problem.data, problem.sigma)
+    (block,) = problem.blocks
+    return ManyRows(block.part, block.data, block.table(problem.sigma))
 
 
 def parameters_of(problem: Problem) -> Floats:
@@ -52,7 +54,7 @@ def parameters_of(problem: Problem) -> Floats:
 
 def rounding(problem: Problem) -> float:
     """What errors of meters are exact to, and errors of pixels."""
-    return 1e-13 * max(1.0, np.abs(problem.data.values).max(initial=0.0))
+    return 1e-13 * max(1.0, np.abs(problem.data.only.values).max(initial=0.0))
 
 
 def assert_same_system(
@@ -83,13 +85,13 @@ def test_any_number_of_rows(model: str, rows: int, measured: Measured) -> None:
     assert not problem.many
     theta = parameters_of(problem)
     chunked = many(problem)
-    errors = chunked.errors(theta)
+    errors = chunked.errors(theta).reshape(-1)
     exact = rounding(problem)
     np.testing.assert_allclose(errors, problem.errors(theta), rtol=0, atol=exact)
     # Half a sum of squares, each of a residual that is exact to so much.
-    lost = np.abs(problem.residual(theta)) @ (exact / problem.sigma.ravel())
+    lost = np.abs(problem.residual(theta)) @ (exact / problem.sigma)
     cost = pytest.approx(problem.cost(theta), rel=1e-13, abs=float(lost))
-    assert chunked.cost(theta, np.zeros(0)) == cost
+    assert 0.5 * chunked.square(theta) == cost
 
     assert_same_system(problem.linearize(theta), chunked.linearize(theta), 1e-11)
     assert_same_system(problem.linearize(theta), chunked.factorize(theta), 1e-12)
@@ -108,7 +110,7 @@ def test_the_number_of_threads_changes_no_bit(
         )
         chunked = many(problem)
         arrays = [*chunked.linearize(theta), *chunked.factorize(theta)]
-        arrays += [chunked.errors(theta), np.array(chunked.cost(theta, np.zeros(0)))]
+        arrays += [chunked.errors(theta), np.array(chunked.square(theta))]
         return [array.tobytes() for array in arrays]
 
     assert computed(1) == computed(2) == computed(3)
@@ -125,10 +127,12 @@ def test_triangular_resolves_what_one_noisy_row_sees(
 ) -> None:
     """A joint stands still in all rows but one, which says next to nothing."""
     problem = measured(load_chain("space6"), model, ["placement", "dh"], 700)
-    q, sigma = problem.data.q.copy(), problem.sigma.copy()
+    data = problem.data.only
+    q, sigma = data.q.copy(), problem.blocks[0].table(problem.sigma).copy()
     q[:, 2], q[350, 2] = 0.3, -0.9
     sigma[350] *= ratio
-    problem = replace(problem, data=replace(problem.data, q=q, sigma=sigma))
+    data = replace(data, q=q, sigma=sigma)
+    problem = replace(problem, data=Observations.of(data))
     theta = np.zeros(len(problem.parameters))
     chunked = many(problem)
 
@@ -153,7 +157,7 @@ def test_triangular_resolves_what_one_noisy_row_sees(
 
 def through_kernels(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
     """The same problem, whose rows just suffice for the kernels."""
-    entries = len(problem.data) * problem.components * len(problem.parameters)
+    entries = len(problem.sigma) * len(problem.parameters)
     monkeypatch.setattr("calib_pin.estimation.problem.MANY", entries)
     return replace(problem)
 

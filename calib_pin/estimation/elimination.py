@@ -29,6 +29,10 @@ SINGULAR = 1e-10
 Rows = tuple[NDArray[np.intp], Floats, Floats]
 """Positions of parameters (p,), residual (M,) and Jacobian by these (M, p)."""
 
+Products = tuple[NDArray[np.intp], Floats]
+"""Positions of parameters, behind them one for the residual, (p + 1,), and products of
+all pairs of these columns, (p + 1, p + 1)."""
+
 
 @dataclass(frozen=True)
 class Station:
@@ -97,6 +101,83 @@ def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Row
     shared = every[~is_own]
     station = Station(every[is_own], shared, root, -root @ along, -root @ rest)
     return station, (shared, r - U @ rest, B - U @ along)
+
+
+def eliminate_products(
+    own: NDArray[np.intp], products: Products
+) -> tuple[Station, Products]:
+    """The same from products of columns: half the digits, good for a step.
+
+    Args:
+        own: Positions of the station's parameters, shape (k,).
+        products: Those of its measurements.
+
+    Returns:
+        The station, and what is left for the other parameters.
+    """
+    index, K = products
+    mine = np.isin(index, own)
+    values, vectors, size = _spectrum(K[np.ix_(mine, mine)])
+    root = vectors / np.sqrt(values) / size[:, None]
+    along = root.T @ K[np.ix_(mine, ~mine)]
+    response, others = -root @ along, index[~mine]
+    station = Station(index[mine], others[:-1], root, response[:, :-1], response[:, -1])
+    rest = K[np.ix_(~mine, ~mine)]
+    before = np.diag(rest) * len(K) * np.finfo(float).eps
+    rest = rest - along.T @ along
+    # Columns that the station's own can do all of are left with rounding.
+    lost = np.diag(rest) <= before
+    rest[lost] = rest[:, lost] = 0.0
+    return station, (others, rest)
+
+
+def added(parts: Sequence[Products]) -> Products:
+    """The sum of products of columns, by all parameters of any of them."""
+    every = np.unique(np.concatenate([index for index, _ in parts]))
+    total = np.zeros((len(every), len(every)))
+    for index, K in parts:
+        at = np.searchsorted(every, index)
+        # Several parameters of a part may be one.
+        np.add.at(total, np.ix_(at, at), K)
+    return every, total
+
+
+def square_root(products: Products, count: int) -> tuple[Floats, Floats]:
+    """A system (r, J) with such products, up to what rounding has destroyed.
+
+    Singular values below 1e-8 of the largest, columns brought to one length, are
+    rounding; they come out as zero.
+
+    Args:
+        products: Products of columns.
+        count: Number of all parameters P.
+
+    Returns:
+        Residual, shape (p + 1,), and Jacobian, shape (p + 1, P).
+    """
+    index, K = products
+    r, J = np.zeros(len(K)), np.zeros((len(K), count))
+    if not np.isfinite(K).all():
+        return r + np.nan, J
+    values, vectors, size = _spectrum(K[:-1, :-1])
+    root = np.sqrt(values)
+    J[: len(root), index[:-1]] = root[:, None] * vectors.T * size
+    r[: len(root)] = vectors.T @ (K[:-1, -1] / size) / root
+    # What no parameter changes stands in a row of its own.
+    r[-1] = np.sqrt(max(K[-1, -1] - float(r @ r), 0.0))
+    return r, J
+
+
+def _spectrum(K: Floats) -> tuple[Floats, Floats, Floats]:
+    """Eigenvalues above rounding, (r,), and eigenvectors, (k, r), of products (k, k).
+
+    Columns are brought to one length first; what they are divided by is the third.
+    """
+    size = np.sqrt(np.diag(K))
+    size = np.where(size > 0.0, size, 1.0)
+    values, vectors = np.linalg.eigh(K / np.outer(size, size))
+    kept = values > len(K) * np.finfo(float).eps * values.max(initial=0.0)
+    return values[kept], vectors[:, kept], size
 
 
 def with_response(stations: Sequence[Station], factor: Floats) -> Floats:

@@ -24,12 +24,19 @@ class Evaluator(Protocol):
         """Sum of squares of the whitened residuals."""
         ...
 
-    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (M,), and Jacobian, (M, p), good for a step."""
+    def normal(self, theta: Floats) -> Floats:
+        """Products of the columns of Jacobian and residual, (p + 1, p + 1).
+
+        Half the digits are lost, which is good enough for a step.
+        """
         ...
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The same to full precision, for decisions about ranks."""
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p).
+
+        Of very many measurements they are those of a smaller system with the same
+        normal equations, to full precision.
+        """
         ...
 
 
@@ -65,7 +72,13 @@ class RowByRow:
         r = self.residual(theta)
         return float(r @ r)
 
-    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
+    def normal(self, theta: Floats) -> Floats:
+        """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
+        r, J = self.factorize(theta)
+        columns = np.column_stack([J, r])
+        return np.asarray(columns.T @ columns)
+
+    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         of_robot, instrument = self._model.split(theta)
         tool = self._tool.linearize(of_robot)
@@ -77,8 +90,6 @@ class RowByRow:
         )
         J = whitened_jacobian(tool, known, self._sigma).reshape(-1, len(theta))
         return whitened(linear.residual, self._data, self._sigma), J
-
-    factorize = linearize
 
 
 def evaluator(model: Model, data: Measurements, sigma: Floats, many: bool) -> Evaluator:

@@ -2,7 +2,7 @@
 
 The Jacobian of a million measurements does not fit into memory, and nothing needs it: a
 step of Gauss-Newton, a rank and a covariance follow from a square system with the same
-normal equations. Two ways lead there. `linearize` adds up products of columns, which is
+normal equations. Two ways lead there. `normal` adds up products of columns, which is
 fast but loses half the digits: it drives the steps. `factorize` reduces the residual
 rows by orthogonal transformations, chunk by chunk, and loses nothing: ranks are decided
 by it.
@@ -68,15 +68,8 @@ class ManyRows:
 
         return sum(self._threads.map(square, self._chunks), 0.0)
 
-    def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """A square system with the normal equations of all measurements.
-
-        Singular values below 1e-8 of the largest, columns brought to one length, are
-        rounding; they come out as zero.
-
-        Returns:
-            Residual, shape (P + 1,), and Jacobian, shape (P + 1, P).
-        """
+    def normal(self, theta: Floats) -> Floats:
+        """Products of all pairs of columns of `[J r]`, shape (P + 1, P + 1)."""
         total = np.zeros((size := self._padded(len(self._split(theta)[1])), size))
         for part in self._reduced(row_kernels.normal_equations, theta):
             total += part
@@ -84,7 +77,7 @@ class ManyRows:
         B = self._to_parameters(theta)
         # Whether a product of what is not finite warns depends on the processor.
         with np.errstate(invalid="ignore"):
-            return _square_root(B.T @ symmetric @ B)
+            return np.asarray(B.T @ symmetric @ B)
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The residual rows reduced by orthogonal transformations.
@@ -155,21 +148,3 @@ class _Chunk:
         T = np.empty((len(self.data), 4, 4))
         kernels.poses(chain, self.motion, self.starts, T)
         return T
-
-
-def _square_root(K: Floats) -> tuple[Floats, Floats]:
-    """A system (r, J) with `[J r]^T [J r] = K`, up to what rounding has destroyed."""
-    r, J = np.zeros(len(K)), np.zeros((len(K), len(K) - 1))
-    if not np.isfinite(K).all():
-        return r + np.nan, J
-    size = np.sqrt(np.diag(K))
-    size = np.where(size > 0.0, size, 1.0)
-    H, g = (K / np.outer(size, size))[:-1, :-1], K[:-1, -1] / size[:-1]
-    values, vectors = np.linalg.eigh(H)
-    kept = values > len(H) * np.finfo(float).eps * values[-1]
-    root = np.sqrt(values[kept])
-    J[: len(root)] = root[:, None] * vectors[:, kept].T * size[:-1]
-    r[: len(root)] = vectors[:, kept].T @ g / root
-    # What no parameter changes stands in a row of its own.
-    r[-1] = np.sqrt(max(K[-1, -1] - float(r @ r), 0.0))
-    return r, J

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
 
@@ -11,14 +11,16 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.elimination import (
-    Rows,
     Station,
+    added,
     eliminate,
+    eliminate_products,
     reduced,
+    square_root,
     station_parameters,
 )
 from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluator
-from calib_pin.estimation.measured import Measured, assumed_sigma
+from calib_pin.estimation.measured import Block, Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
@@ -122,22 +124,62 @@ class Problem(Measured):
         Returns:
             Residual, shape (M,), and Jacobian, shape (M, P).
         """
-        return self._joined(theta, lambda one, own: one.linearize(own))
+        if not self.many:
+            return self.factorize(theta)
+        left, stations = [], []
+        for name, pairs in self._by_station.items():
+            products = added(
+                [
+                    (
+                        np.append(own := block.part.index, len(theta)),
+                        one.normal(theta[own]),
+                    )
+                    for block, one in pairs
+                ]
+            )
+            if name in self.own_of_stations and np.isfinite(products[1]).all():
+                station, products = eliminate_products(
+                    self.own_of_stations[name], products
+                )
+                stations.append(station)
+            left.append(products)
+        self._eliminated.clear()
+        self._eliminated[theta.tobytes()] = stations
+        return self._with_further(theta, *square_root(added(left), len(theta)))
 
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` to full precision, for decisions about ranks."""
-        return self._joined(theta, lambda one, own: one.factorize(own))
+        if not self.own_of_stations:
+            rows = [
+                one.factorize(theta[block.part.index])
+                for block, one in zip(self.blocks, self.evaluators, strict=True)
+            ]
+            return self._with_further(theta, *self._stacked(rows))
+        left, stations = [], []
+        for name, pairs in self._by_station.items():
+            station, rest = eliminate(
+                self.own_of_stations[name],
+                [
+                    (own := block.part.index, *one.factorize(theta[own]))
+                    for block, one in pairs
+                ],
+            )
+            stations.append(station)
+            left.append(rest)
+        self._eliminated.clear()
+        self._eliminated[theta.tobytes()] = stations
+        return self._with_further(theta, *reduced(left, len(theta)))
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same with a row for every measured value, however many there are."""
         if not self.many:
-            return self.linearize(theta)
+            return self.factorize(theta)
         rows = [
-            RowByRow(block.part, block.data, block.table(self.sigma))
+            RowByRow(part, data, block.table(self.sigma)).factorize(theta[part.index])
             for block in self.blocks
+            for part, data, _, _ in [block]
         ]
-        found = self._evaluated(theta, lambda one, own: one.linearize(own), rows)
-        return self._with_further(theta, *self._stacked(found))
+        return self._with_further(theta, *self._stacked(rows))
 
     def completed(self, theta: Floats, step: Floats) -> Floats:
         """A step with that of the parameters that were eliminated.
@@ -220,44 +262,18 @@ class Problem(Measured):
         parameters = self.parameters
         return Priors(np.where(parameters.free, parameters.priors, np.inf))
 
-    def _evaluated(
-        self,
-        theta: Floats,
-        evaluate: Callable[[Evaluator, Floats], tuple[Floats, Floats]],
-        evaluators: Sequence[Evaluator],
-    ) -> list[Rows]:
-        """What the evaluators of all blocks say of the blocks' own parameters."""
-        pairs = zip(self.blocks, evaluators, strict=True)
-        return [
-            (block.part.index, *evaluate(one, theta[block.part.index]))
-            for block, one in pairs
-        ]
+    @cached_property
+    def _by_station(self) -> Mapping[str, Sequence[tuple[Block, Evaluator]]]:
+        """The blocks of every station with their evaluators."""
+        found: dict[str, list[tuple[Block, Evaluator]]] = {}
+        for pair in zip(self.blocks, self.evaluators, strict=True):
+            found.setdefault(pair[0].part.scope.station, []).append(pair)
+        return found
 
-    def _joined(
-        self,
-        theta: Floats,
-        evaluate: Callable[[Evaluator, Floats], tuple[Floats, Floats]],
-    ) -> tuple[Floats, Floats]:
-        """Residual and Jacobian of all blocks, and the further rows behind them."""
-        found = self._evaluated(theta, evaluate, self.evaluators)
-        if not self.own_of_stations:
-            return self._with_further(theta, *self._stacked(found))
-        of_station: dict[str, list[Rows]] = {}
-        for block, rows in zip(self.blocks, found, strict=True):
-            of_station.setdefault(block.part.scope.station, []).append(rows)
-        left, stations = [], []
-        for name, parts in of_station.items():
-            station, rest = eliminate(self.own_of_stations[name], parts)
-            stations.append(station)
-            left.append(rest)
-        self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
-        return self._with_further(theta, *reduced(left, len(theta)))
-
-    def _stacked(self, found: Sequence[Rows]) -> tuple[Floats, Floats]:
+    def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, block after block."""
         pairs = zip(self.blocks, found, strict=True)
-        parts = [(r, self.spread(block.part, J)) for block, (_, r, J) in pairs]
+        parts = [(r, self.spread(block.part, J)) for block, (r, J) in pairs]
         if len(parts) == 1:
             return parts[0]
         r, J = zip(*parts, strict=True)

@@ -206,7 +206,7 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
         start: Start, shape (P,).
         basis: Directions that the parameters may take, shape (P, k).
     """
-    if problem.many and len(problem.data) > 2 * SAMPLE:
+    if problem.many and len(problem.data) > 2 * SAMPLE * len(problem.blocks):
         # The sample is done in no time and ends a step from the solution.
         few = replace(problem, data=problem.data.sample(SAMPLE))
         start = gauss_newton(

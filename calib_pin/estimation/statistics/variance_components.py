@@ -114,35 +114,31 @@ def by_quantity(
         return grouped(problem, np.column_stack([jac @ half, fun]))
     size, counts = half.shape[1] + 1, _counts(problem)
     products = np.zeros((len(counts), size, size))
-    half = with_response(problem.stations(theta), half)
-    own = {}
-    for station in problem.stations(theta):
-        own.update(dict.fromkeys(station.own.tolist(), station))
-    for k, part, r, J in _by_quantity(problem, theta):
-        rows = np.column_stack([J @ half[part.index], r])
+    stations = problem.stations(theta)
+    half = with_response(stations, half)
+    settled, deviation = with_response(stations, np.zeros((len(half), 1))), {}
+    for station in stations:
+        settled[station.own, 0] = station.settled
+        deviation.update(dict.fromkeys(station.own.tolist(), station))
+    for k, part, K in _by_quantity(problem, theta):
+        change = np.column_stack([half[part.index], settled[part.index]])
+        columns = np.vstack([change, np.eye(1, size, size - 1)])
+        products[k] += columns.T @ K @ columns
+        # What its station absorbs of measurements is no redundancy.
         for station in {
-            id(s): s for p in part.index if (s := own.get(int(p)))
+            id(s): s for p in part.index if (s := deviation.get(int(p)))
         }.values():
-            # What its station absorbs of measurements is no redundancy.
-            mine = [
-                np.flatnonzero(part.index == p)[0]
-                for p in station.own
-                if p in part.index
-            ]
-            found = np.isin(station.own, part.index)
-            rows[:, -1] += J[:, mine] @ station.settled[found]
-            counts[k] -= float(np.sum((J[:, mine] @ station.root[found]) ** 2))
-        products[k] += rows.T @ rows
+            mine = np.flatnonzero(np.isin(part.index, station.own))
+            root = station.root[np.searchsorted(station.own, part.index[mine])]
+            counts[k] -= float(np.sum(root * (K[np.ix_(mine, mine)] @ root)))
     products *= current_units(problem)[:, None, None] ** 2
     further = problem.further
     known = np.column_stack([further.jacobian(theta) @ half, further.residual(theta)])
     return Groups(counts, products, known.T @ known)
 
 
-def _by_quantity(
-    problem: Problem, theta: Floats
-) -> Iterator[tuple[int, Part, Floats, Floats]]:
-    """Linearized measurements of each quantity of each block, by its own parameters."""
+def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, Floats]]:
+    """Products of columns of each quantity of each block, by its own parameters."""
     current, of_keys = current_units(problem), problem.layout.of_keys
     firsts = {
         key: list(dict.fromkeys(found.tolist())) for key, found in of_keys.items()
@@ -157,8 +153,8 @@ def _by_quantity(
         for block, one in zip(alone.blocks, alone.evaluators, strict=True):
             found = firsts[block.part.key]
             if place < len(found):
-                r, J = one.linearize(theta[block.part.index])
-                yield found[place], block.part, r, J
+                K = one.normal(theta[block.part.index])
+                yield found[place], block.part, K
 
 
 def _leverages(problem: Problem, result: LeastSquaresResult, half: Floats) -> Floats:

@@ -14,8 +14,8 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.joint_conventions import suggest_conventions
-from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.estimation.system import Part
+from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats

@@ -84,8 +84,8 @@ def simulate(
         count: Number K of random configurations at which an instrument can measure,
             shared out among the blocks.
         per_configuration: Whether everything that an instrument sees at a configuration
-            is measured there: an image is many corners. Contacts and relative distances
-            have one target all the same.
+            at once is measured there: an image is many corners, a beam meets one plane
+            all the same.
         noise: Standard deviation of every component [m, rad, px]; default that of the
             setup, or of the model. Zero leaves the values exact and without sigmas.
         repeats: Readings per configuration.
@@ -128,7 +128,7 @@ def simulate(
     found = []
     for number, one in enumerate(keys):
         declared = problem.parts[one].measurement.declaration
-        every = per_configuration and declared.plannable
+        every = per_configuration and declared.at_once
         if q is None:
             assert count is not None
             share = len(range(number, count, len(keys)))

@@ -73,6 +73,7 @@ class CameraModel(DeclaredModel):
         components=("u", "v"),
         quantities=(Quantity("pixel", "px", slice(0, 2), 0.5),),
         external=True,
+        at_once=True,
         naming=Naming("point", "every"),
         inference=Inference("pixels", complete=True),
         yardstick="the size of the board's squares ('targets')",

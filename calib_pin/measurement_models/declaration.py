@@ -101,6 +101,9 @@ class Declaration:
             own. Then the base frame is unknown unless the setup says otherwise.
         tracks: Part of the tool that an external instrument follows, or empty. One
             that follows nothing (a camera) has frames of its own among others.
+        at_once: Whether all targets that the instrument sees at a configuration are
+            measured there, as the corners of a board are in an image; others have one
+            at a time, such as the plane that a beam meets.
         naming: Meaning of `target`.
         inference: How columns show this model; None where only its name does.
         yardstick: Where measured lengths come from; empty where none are measured.
@@ -116,6 +119,7 @@ class Declaration:
     relative: bool = False
     external: bool = False
     tracks: Literal["", "point", "pose"] = ""
+    at_once: bool = False
     naming: Naming = Naming()
     inference: Inference | None = None
     yardstick: str = ""

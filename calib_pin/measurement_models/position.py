@@ -43,6 +43,7 @@ class Position(PointModel):
         components=("x", "y", "z"),
         quantities=(Quantity("position", "m", slice(0, 3), 1e-4),),
         external=True,
+        at_once=True,
         tracks="point",
         naming=Naming("point of the tool"),
         inference=Inference("a position"),

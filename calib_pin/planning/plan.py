@@ -2,34 +2,35 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, require_known
 from calib_pin.estimation.identifiability import Structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.pose import Pose
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Indices, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
+from calib_pin.planning.aims import Aim, Aims, require_plannable
 from calib_pin.planning.criteria import CRITERIA, Prediction
 from calib_pin.planning.ordering import shortest_order
 from calib_pin.planning.planned_problem import (
     STRUCTURE,
     Predicted,
     TipTests,
-    assumes_tool,
+    assumed_tools,
     identification,
+    planned_keys,
     planned_problem,
     predict,
-    require_plannable,
 )
 from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import METHODS, Found, Progress, Search
@@ -79,8 +80,9 @@ class Plan:
 
     Attributes:
         problem: The problem at nominal geometry, without measurements.
-        q: Configurations in the order in which to visit them, shape (K, n) [rad, m].
-        target: Target of each.
+        q: Configurations in the order in which to visit them, shape (K, n) [rad, m];
+            those of one chain, station and tool after one another.
+        aims: What is measured at each.
         criterion: Name of the criterion.
         value: Its value for the set, with the measurements made before.
         random: Its median over random sets of the same size.
@@ -104,7 +106,7 @@ class Plan:
 
     problem: Problem
     q: Floats
-    target: tuple[str, ...]
+    aims: tuple[Aim, ...]
     criterion: str
     value: float
     random: float
@@ -123,17 +125,33 @@ class Plan:
     parameters: tuple[ParameterEstimate, ...]
     groups: tuple[CoupledGroup, ...]
 
+    @property
+    def target(self) -> tuple[str, ...]:
+        """Target of each configuration; empty where all that are seen count."""
+        return tuple(aim.target for aim in self.aims)
+
+    @property
+    def places(self) -> Mapping[str, tuple[str, ...]]:
+        """Chain, station and tool of each configuration, those that have a name."""
+        keys = [aim.key for aim in self.aims]
+        columns = {
+            "chain": tuple(key.chain for key in keys),
+            "station": tuple(key.station for key in keys),
+            "tool": tuple(key.tool for key in keys),
+        }
+        return {name: column for name, column in columns.items() if any(column)}
+
 
 @serial_blas
 def plan(
-    chain: Chain,
-    model: str,
+    chain: Chain | Chains,
+    model: str | Sequence[BlockKey],
     count: int,
     setup: Setup | None = None,
     *,
     criterion: str = "prediction",
     method: str = "auto",
-    measured: Measurements | None = None,
+    measured: Measurements | Observations | None = None,
     collisions: Collisions | None = None,
     candidates: int = 1000,
     distance: float = 0.0,
@@ -144,9 +162,11 @@ def plan(
     """Plan which configurations to measure.
 
     Args:
-        chain: The nominal chain.
-        model: Name of the measurement model.
-        count: Number K of configurations.
+        chain: The nominal chain, or several.
+        model: Name of the measurement model, or the blocks that are measured, each by
+            an instrument at a station that looks at a tool on a chain. Those of one
+            chain, station and tool measure together.
+        count: Number K of configurations, of all chains together.
         setup: Estimated and known quantities, limits, region, noise.
         criterion: `condition`, `O1` to `O5`, or `prediction`.
         method: One of `search.METHODS`.
@@ -157,7 +177,8 @@ def plan(
         distance: Least distance between configurations: the largest difference of a
             joint [rad, m].
         tests: Configurations at which the tip is to be accurate, shape (N, n)
-            [rad, m]; default candidates from all of the workspace.
+            [rad, m]; default candidates from all of the workspace. Of several chains
+            the mean counts.
         seed: Random seed.
         progress: Told the stage and the part of it that is done, 0 to 1; returns True
             to stop with the best set so far.
@@ -181,22 +202,36 @@ def plan(
         if number < 1:
             raise OptionError(f"{name} is too small", value=number, allowed="1 or more")
     rng = np.random.default_rng(seed)
-    require_plannable(model)
-    problem = planned_problem(chain, model, setup, measured)
-    point = problem.error.tool if measured is not None else frame_pose(setup.tool_frame)
-    workspace = Workspace.create(problem, collisions, distance, point)
+    data = None if measured is None else Observations.of(measured)
+    keys = planned_keys(model, data)
+    require_plannable(keys)
+    problem = planned_problem(chain, keys, setup, data)
+    assumed = assumed_tools(problem) if data is None else set()
+    # The region is that of the tip, until somebody says where the target sits.
+    points = {
+        key: frame_pose(part.scope.end) * part.scope.offset
+        for key, part in problem.parts.items()
+        if part.scope.tool in assumed
+    }
+    workspace = Workspace.create(
+        problem, collisions, distance, Aims.of(problem, keys), points
+    )
     # However few are to choose from, all that may be measured shows the structure.
     wanted = max(candidates, count, STRUCTURE)
     spread = workspace.candidates(wanted, rng, progress, least=count)
     spread.require(count)
     # A part of an even spread is one too.
     first = slice(max(candidates, count))
-    found = replace(spread, q=spread.q[first], target=spread.target[first])
-    structure, rows, known = identification(problem, spread, measured)
-    # Whatever is measured, the pose of the tool is what counts [m, rad].
-    pose = measurement_model(Pose.declaration.name, problem.setup)
-    tip = replace(rows, measurement=pose, sigma=np.ones(6))
-    at = TipTests.at(tip, spread.q[:TESTS] if tests is None else tests)
+    found = replace(spread, q=spread.q[first], aim=spread.aim[first])
+    structure, rows, known = identification(problem, workspace.aims, spread, data)
+    chain_of = np.array([aim.key.chain for aim in workspace.aims.each])[spread.aim]
+    at = TipTests.of(
+        rows,
+        {
+            name: spread.q[chain_of == name][:TESTS] if tests is None else tests
+            for name in dict.fromkeys(chain_of.tolist())
+        },
+    )
     search = Search(
         rows,
         workspace,
@@ -206,10 +241,10 @@ def plan(
         count,
         rng,
         progress,
-        measured=0 if measured is None else len(measured),
+        measured=0 if data is None else len(data),
     )
     best = search.run(method)
-    return _finished(search, best, structure, at, measured)
+    return _finished(search, best, structure, at, data)
 
 
 def _finished(
@@ -217,22 +252,22 @@ def _finished(
     best: Found,
     structure: Structure,
     tests: TipTests,
-    measured: Measurements | None,
+    measured: Observations | None,
 ) -> Plan:
     """Order a set and say what it will tell."""
     workspace, rows = search.workspace, search.rows
     assert isinstance(rows, IdentificationRows)
     problem = rows.problem
-    start = None if measured is None else measured.q[-1]
+    start = None if measured is None else measured.q[measured.in_order[-1]]
     blocked = None
     if workspace.collisions is not None:
         blocked = partial(_blocked, workspace.collisions)
-    order, closed = shortest_order(best.q, start, blocked)
-    target = tuple(best.target[k] for k in order)
-    q = _rounded(workspace, best.q[order], target)
+    order, closed = _ordered(best, workspace.aims.each, start, blocked)
+    aim = best.aim[order]
+    q = _rounded(workspace, best.q[order], aim)
 
-    assert workspace.allowed(q, target).all(), "methods only end in allowed sets"
-    information = search.information(rows.rows(q, target))
+    assert workspace.allowed(q, aim).all(), "methods only end in allowed sets"
+    information = search.information(rows.rows(q, aim))
     assert information is not None, "the search only ends in sets that determine all"
     rng = np.random.default_rng(0)  # A generator that nothing shares.
     draws = (
@@ -244,7 +279,7 @@ def _finished(
     return Plan(
         problem=problem,
         q=q,
-        target=target,
+        aims=tuple(workspace.aims.each[k] for k in aim),
         criterion=search.criterion.name,
         value=search.criterion.value(information, search.measured + len(q)),
         random=float(np.median([search.selection(chosen).value for chosen in draws])),
@@ -256,10 +291,8 @@ def _finished(
         tried=search.candidates.tried,
         checked=workspace.collisions is not None,
         blocked=closed,
-        unmeasurable=tuple(
-            name for name in workspace.targets if name not in search.candidates.target
-        ),
-        assumed_tool=measured is None and assumes_tool(problem),
+        unmeasurable=workspace.unmeasurable(search.candidates),
+        assumed_tool=measured is None and bool(assumed_tools(problem)),
         rank=rows.basis.shape[1],
         predicted=predicted,
         parameters=parameters,
@@ -267,12 +300,43 @@ def _finished(
     )
 
 
-def _rounded(workspace: Workspace, q: Floats, target: Sequence[str]) -> Floats:
+def _ordered(
+    best: Found,
+    among: Sequence[Aim],
+    start: Floats | None,
+    blocked: Callable[[Floats, Floats], bool] | None,
+) -> tuple[NDArray[np.intp], tuple[int, ...]]:
+    """Short travel, and a tool is mounted and an instrument placed only once.
+
+    Args:
+        best: The configurations.
+        among: What can be measured.
+        start: Where the robot stands before the first, shape (n,).
+        blocked: Whether the straight move between two configurations is blocked.
+
+    Returns:
+        The order, shape (K,), and the places in it to which the move is blocked.
+    """
+    places: dict[tuple[str, ...], list[int]] = {}
+    for k, aim in enumerate(best.aim):
+        places.setdefault(among[aim].key[1:], []).append(k)
+    order, closed = np.empty(0, np.intp), list[int]()
+    for members in places.values():
+        rows = np.array(members)
+        found, shut = shortest_order(best.q[rows], start, blocked)
+        closed += [len(order) + place for place in shut]
+        order = np.concatenate([order, rows[found]])
+        start = best.q[order[-1]]
+    return order, tuple(closed)
+
+
+def _rounded(workspace: Workspace, q: Floats, aim: Indices) -> Floats:
     """Positions as people write them, where that leaves a set allowed."""
     tidy = np.clip(np.round(q, DIGITS), workspace.lower, workspace.upper)
+    tidy = workspace.settled(tidy, aim)
     if workspace.distance == 0.0:
-        return np.where(workspace.inside(tidy, target)[:, None], tidy, q)
-    return tidy if workspace.allowed(tidy, target).all() else q
+        return np.where(workspace.inside(tidy, aim)[:, None], tidy, q)
+    return tidy if workspace.allowed(tidy, aim).all() else q
 
 
 def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
@@ -281,7 +345,7 @@ def _steps(search: Search, best: Found, tests: TipTests) -> tuple[Step, ...]:
     Members leave the set one by one, each time the one whose loss costs least; then
     the best candidates join it until it has doubled.
     """
-    own = search.rows.rows(best.q, best.target)
+    own = search.rows.rows(best.q, best.aim)
     table = np.concatenate([own, search.table])
     members = tuple(range(len(own)))
     tip = Prediction(tests.position)

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.directions import (
     WEAK,
     Directions,
@@ -16,17 +18,20 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.identifiability import Structure
+from calib_pin.estimation.model import Configured
 from calib_pin.estimation.nominal import register, structure_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MEASUREMENT_MODELS, declared, tracked
-from calib_pin.measurement_models.mixed import assumed_sigma
+from calib_pin.measurement_models import declared, measurement_model
 from calib_pin.measurement_models.plane_distance import PlaneDistance
-from calib_pin.observations import PLUS, Measurements
+from calib_pin.measurement_models.pose import Pose
+from calib_pin.observations import BlockKey, Indices, Labels, Observations
 from calib_pin.parameters import ParameterSet
+from calib_pin.planning.aims import Aims, Look
 from calib_pin.planning.information import Information
-from calib_pin.planning.rows import IdentificationRows
+from calib_pin.planning.rows import IdentificationRows, LookRows
 from calib_pin.planning.workspace import Candidates
 from calib_pin.setup import Setup
 from calib_pin.validation.assessment import registration_reason
@@ -38,77 +43,114 @@ ASSUMED_TOOL = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """Where a target sits in the tip that nobody has stated: beside the last axis [m]."""
 
 
-def require_plannable(model: str) -> None:
-    """Refuse models that do not measure one configuration at any pose.
+def planned_keys(
+    measured: str | Sequence[BlockKey], data: Observations | None
+) -> tuple[BlockKey, ...]:
+    """The blocks that are planned.
+
+    Args:
+        measured: Name of a measurement model, or the blocks themselves.
+        data: Measurements that are there already; they name the blocks of a model.
 
     Raises:
-        OptionError: If it is such a model.
+        OptionError: If there are none, or nothing shows yet where an instrument is.
     """
-    parts = model.split(PLUS)
-    if len(parts) > 1 or not declared(model).plannable:
+    if not isinstance(measured, str):
+        keys = tuple(measured)
+    elif data is None:
+        keys = (BlockKey(measured),)
+    else:
+        keys = tuple(key for key in data.keys if key.model == measured)
+    missing = [measured] if not keys else []
+    if data is not None:
+        missing += [str(key) for key in keys if key not in data.keys]
+    if missing:
         raise OptionError(
-            "configurations are planned for one instrument that measures each of them "
-            "by itself and without contact",
-            value=model,
-            allowed=", ".join(m for m in MEASUREMENT_MODELS if declared(m).plannable),
+            "there are no measurements of this kind to add to",
+            value=missing[0],
+            allowed="; ".join(map(str, data.keys)) if data is not None else None,
         )
+    return keys
 
 
 def planned_problem(
-    chain: Chain, model: str, setup: Setup, measured: Measurements | None
+    chains: Chain | Chains,
+    keys: Sequence[BlockKey],
+    setup: Setup,
+    measured: Observations | None,
 ) -> Problem:
-    """The problem about the frames of the setup, or those that rows show."""
+    """The problem about the frames of the setup, or those that measurements show."""
     if measured is not None:
-        problem = make_problem(chain, measured, setup)
+        problem = make_problem(chains, measured, setup)
         found, result = register(problem, np.zeros(len(problem.parameters)))
         if reason := registration_reason(found, result):
             raise InputError(f"the measurements to add to are too few: {reason}")
-        if isinstance(found.measurement, PlaneDistance):
-            # Rows may reach farther than the window that the setup states.
-            window = replace(found.measurement, reach=setup.ranger.range[1])
-            found = replace(found, measurement=window)
-        return found
-    problem = nominal_problem(chain, model, setup)
-    if len(setup.payloads) > 1:
-        heaviest = max(setup.payloads, key=lambda name: setup.payloads[name].mass)
-        problem = replace(problem, error=problem.error.carrying(heaviest))
-    if assumes_tool(problem):
-        error = problem.error
-        problem = replace(problem, error=error.with_frames(error.base, ASSUMED_TOOL))
-    return problem
+        # Rows may reach farther than the window that the setup states.
+        reach = setup.ranger.range[1]
+        return found.with_parts(
+            {
+                key: replace(part, measurement=replace(part.measurement, reach=reach))
+                if isinstance(part.measurement, PlaneDistance)
+                else part
+                for key, part in found.parts.items()
+            }
+        )
+    problem = nominal_problem(chains, keys, setup)
+    heaviest = max(
+        setup.payloads, key=lambda name: setup.payloads[name].mass, default=""
+    )
+    parts, assumed = {}, assumed_tools(problem)
+    for key, part in problem.parts.items():
+        error = part.error
+        if len(setup.payloads) > 1:
+            error = error.carrying(heaviest)
+        if part.scope.tool in assumed:
+            error = error.with_frames(error.base, ASSUMED_TOOL * part.scope.offset)
+        parts[key] = replace(part, error=error)
+    return problem.with_parts(parts)
 
 
-def assumes_tool(problem: Problem) -> bool:
-    """Whether a point on the tool must be assumed where nobody has stated it.
+def assumed_tools(problem: Problem) -> set[str]:
+    """The tools with a point that must be assumed since nobody has stated it.
 
     At the tip itself, on the last axis, it would tell less than a real target does.
     """
-    tool, measurement = problem.setup.tool_frame, problem.measurement
-    unknown = tool.xyz is None and tool.estimate is not False
-    unknown &= measurement.sees_tool and not measurement.targets
-    return unknown and tracked(measurement.name) == {"point"}
+    parts = [part for part in problem.parts.values() if part.measurement.sees_tool]
+    known = {
+        part.scope.tool
+        for part in parts
+        if part.scope.end.xyz is not None
+        or part.scope.end.estimate is False
+        or part.measurement.targets
+        or declared(part.key.model).tracks != "point"
+    }
+    return {part.scope.tool for part in parts} - known
 
 
 def identification(
-    problem: Problem, candidates: Candidates, measured: Measurements | None = None
+    problem: Problem,
+    aims: Aims,
+    candidates: Candidates,
+    measured: Observations | None = None,
 ) -> tuple[Structure, IdentificationRows, Floats]:
     """The structure, its rows, and the information that is there already.
 
     Args:
         problem: The problem at nominal geometry.
-        candidates: Measurements that may be made; only these are informative.
-        measured: Rows that are there already.
+        aims: What can be measured at a configuration.
+        candidates: Configurations where that may be done; only these are informative.
+        measured: Measurements that are there already.
 
     Returns:
         The structure, the rows of configurations in the identifiable subspace, and the
         information of measured rows and priors in the same columns, shape (m, m).
     """
     zero = np.zeros(len(problem.parameters))
-    q, target = candidates.q[:STRUCTURE], candidates.target[:STRUCTURE]
+    first = slice(STRUCTURE)
+    at = _looked_at(problem, aims, candidates.q[first], candidates.aim[first])
     if measured is not None:
-        few = measured.sample(STRUCTURE)
-        q, target = np.concatenate([q, few.q]), target + few.target
-    structure, J = structure_at(problem, zero, q, target)
+        at += measured.sample(STRUCTURE).blocks
+    structure, J = structure_at(problem, zero, at)
     nuisances = visible_nuisances(J, problem.parameters)
     robot = visible_directions(J, problem.parameters)
     if robot.shape[1] == 0:
@@ -117,20 +159,27 @@ def identification(
             "unobservable"
         )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
-    rows = IdentificationRows(
-        problem=problem,
-        basis=basis,
-        nuisances=nuisances.shape[1],
-        measurement=problem.measurement,
-        sigma=assumed_sigma(problem.measurement, problem.setup.noise),
-    )
+    rows = IdentificationRows(problem, basis, nuisances.shape[1], aims)
     if measured is None:
         # The problem's own rows only name the targets; priors count.
-        U = J[len(q) * problem.components :] @ basis
+        U = problem.further.jacobian(zero) @ basis
     else:
         _, derivative = problem.linearize_rows(zero)
         U = derivative @ basis
     return structure, rows, U.T @ U
+
+
+def _looked_at(
+    problem: Problem, aims: Aims, q: Floats, aim: Indices
+) -> list[Configured]:
+    """The configurations with all targets that each instrument measures in them."""
+    result: list[Configured] = []
+    for look in aims.looks:
+        rows = np.flatnonzero(look.of_aim[aim] >= 0)
+        where, which = np.nonzero(look.seen(q[rows], aim[rows]))
+        target = Labels(look.names, look.targets(aim[rows])[where, which])
+        result.append(asked(problem, look.part.key, q[rows[where]], target))
+    return result
 
 
 @dataclass(frozen=True)
@@ -146,14 +195,37 @@ class TipTests:
     orientation: Floats
 
     @staticmethod
-    def at(rows: IdentificationRows, q: Floats) -> TipTests:
+    def of(rows: IdentificationRows, tests: Mapping[str, Floats]) -> TipTests:
+        """Tests of the tips of chains, the mean of these.
+
+        Args:
+            rows: The rows, whose columns are those of the tests.
+            tests: Test configurations by chain, shape (N, n) [rad, m].
+        """
+        found = []
+        for chain, q in tests.items():
+            part = next(
+                look.part for look in rows.aims.looks if look.part.key.chain == chain
+            )
+            # Whatever is measured, the pose of the tool is what counts [m, rad].
+            pose = measurement_model(Pose.declaration.name, rows.problem.setup)
+            basis = rows.basis[part.index[: len(part.error.screws)]]
+            look = Look(replace(part, measurement=pose), ("",), True, np.zeros(1, int))
+            found.append(TipTests.at(LookRows(look, basis, np.ones(6)), q))
+        return TipTests(
+            np.mean([one.position for one in found], axis=0),
+            np.mean([one.orientation for one in found], axis=0),
+        )
+
+    @staticmethod
+    def at(rows: LookRows, q: Floats) -> TipTests:
         """Tests at configurations.
 
         Args:
             rows: Rows that tell the pose of the tool, with unit sigma.
-            q: Test configurations, shape (N, n) [rad, m].
+            q: Test configurations of all joints, shape (N, n) [rad, m].
         """
-        J = rows.rows(q, ("",) * len(q))
+        J = rows.rows(q, np.zeros(len(q), int))
         position, orientation = (
             np.einsum("ndi,ndj->ij", part, part, optimize=True) / len(q)
             for part in (J[:, :3], J[:, 3:])

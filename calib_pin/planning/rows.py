@@ -2,6 +2,8 @@
 
 The rows are whitened by the noise, their columns are scaled and reduced to the
 identifiable subspace, with the nuisances (base, tool, instrument) before the robot.
+Those of all that is measured at a configuration stand below one another.
+
 They can be differentiated by the configuration without new kinematics: if joint k turns
 behind the place of parameter p, the body twist V_p of the tool changes by the Lie
 bracket
@@ -14,7 +16,7 @@ the pose by the `curvature` of the measurement model.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property
 from typing import Protocol
@@ -23,11 +25,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
+from calib_pin.estimation.measured import assumed_sigma
 from calib_pin.estimation.model import linearized_at
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import CurvedModel, MeasurementModel
+from calib_pin.measurement_models import CurvedModel
+from calib_pin.observations import Indices, Labels
 from calib_pin.parameterizations.linearization import PoseLinearization
+from calib_pin.planning.aims import Aims, Look
 
 Pullback = Callable[[Floats], Floats]
 """Derivative by the rows, (N, d, m), to derivative by the configurations, (N, n)."""
@@ -44,30 +49,25 @@ class Rows(Protocol):
     def differentiable(self) -> bool:
         """Whether they have a derivative by the configuration."""
 
-    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
+    def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations, shape (N, n) -> (N, d, m)."""
 
-    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
+    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
         """Rows, and what carries derivatives by them back to the configurations."""
 
 
 @dataclass(frozen=True)
-class IdentificationRows:
-    """Rows of a problem at nominal geometry.
+class LookRows:
+    """Rows of an instrument, of L targets at a configuration.
 
     Attributes:
-        problem: The problem about its registered references.
-        basis: Columns in parameters, each a direction times the scales, shape (P, m).
-        nuisances: How many of them, the first ones, are directions of nuisances.
-        measurement: Measurement model, if not the problem's own: it gives the rows of
-            the tip's position, say, in the same columns.
+        look: The instrument, and which targets it measures.
+        basis: Columns in its parameters, shape (p, m).
         sigma: Standard deviation of each component, shape (d,).
     """
 
-    problem: Problem
+    look: Look
     basis: Floats
-    nuisances: int
-    measurement: MeasurementModel
     sigma: Floats
 
     @property
@@ -76,39 +76,49 @@ class IdentificationRows:
 
         Those of joint corrections are not there.
         """
-        curved = isinstance(self.measurement, CurvedModel)
-        return curved and self.problem.error.geometric
+        part = self.look.part
+        return isinstance(part.measurement, CurvedModel) and part.error.geometric
 
-    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
-        """Rows of configurations.
+    @property
+    def size(self) -> int:
+        """Rows of a configuration, no more than those that `rows` can be told by."""
+        return min(self.look.each * len(self.sigma), 6 + len(self._instrument))
+
+    def rows(self, q: Floats, aim: Indices) -> Floats:
+        """Rows of configurations, shape (N, size, m).
+
+        Where there are more measurements than unknowns that they depend on, the pose
+        of the tool and the instrument, rows with the same information stand for them.
 
         Args:
-            q: Configurations, shape (N, n) [rad, m].
-            target: Target of each.
+            q: Configurations of all joints, shape (N, n) [rad, m].
+            aim: What is measured at each, shape (N,).
+        """
+        poses, J, _ = self._linear(q, aim)
+        if self.size < J.shape[1]:
+            J = np.asarray(np.linalg.qr(J, mode="r"))
+        of_robot, of_instrument = self._bases
+        count = len(q) * self.size
+        rows = poses.derivative(J[:, :, :6]).reshape(count, -1) @ of_robot
+        rows += J[:, :, 6:].reshape(count, -1) @ of_instrument
+        return np.asarray(rows.reshape(len(q), self.size, -1))
+
+    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
+        """Rows of configurations, and what carries derivatives by them back.
+
+        Args:
+            q: Configurations of all joints, shape (N, n) [rad, m].
+            aim: What is measured at each, shape (N,).
 
         Returns:
-            Rows, shape (N, d, m).
-        """
-        poses, J_pose, J_instrument = self._linear(q, target)
-        count, size = J_pose.shape[:2]
-        of_robot, of_instrument = self._bases
-        rows = poses.derivative(J_pose).reshape(count * size, -1) @ of_robot
-        rows += J_instrument.reshape(count * size, -1) @ of_instrument
-        return np.asarray(rows.reshape(count, size, -1))
-
-    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
-        """Rows, and what carries derivatives by them back to the configurations.
-
-        Args:
-            q: Configurations, shape (N, n) [rad, m].
-            target: Target of each.
+            Rows target by target, shape (N, L d, m), and the derivative by all joints.
 
         Raises:
             OptionError: If the measurement or the error model has no second
                 derivatives.
         """
-        measurement = self.measurement
-        geometric = self.problem.error.geometric
+        part, each = self.look.part, self.look.each
+        measurement, geometric = part.measurement, part.error.geometric
         if not isinstance(measurement, CurvedModel) or not geometric:
             lacking = f"'{measurement.name}'" if geometric else "a joint correction"
             raise OptionError(
@@ -116,40 +126,48 @@ class IdentificationRows:
                 "the method 'gradient' needs",
                 allowed="exchange, greedy, pso, ga",
             )
-        poses, J_pose, J_instrument = self._linear(q, target)
+        poses, J, measured = self._linear(q, aim)
         of_robot, of_instrument = self._bases
         V = poses.derivative(np.tile(np.eye(6), (len(q), 1, 1)))
-        rows = J_pose @ (V @ of_robot) + J_instrument @ of_instrument
-        curvature = measurement.curvature(poses.T, self._instrument, target)
+        rows = J[:, :, :6] @ (V @ of_robot) + J[:, :, 6:] @ of_instrument
+        place, names = self._measured(aim, measured)
+        curvature = measurement.curvature(poses.T[place], self._instrument, names)
         xi = poses.joint_twists()
 
         def pullback(by_rows: Floats) -> Floats:
             G = by_rows @ of_robot.T
-            weighted = by_rows / self.sigma[:, None]
+            weighted = by_rows / np.tile(self.sigma, each)[:, None]
             # The instrument's rows change with the pose, whichever joint moves it.
             by_L = weighted @ np.swapaxes(V @ of_robot, 1, 2)
-            e = np.einsum("nab,nabc->nc", by_L, curvature.J_pose)
-            e += np.einsum(
-                "nak,nakc->nc", weighted @ of_instrument.T, curvature.J_instrument
+            by_K = weighted @ of_instrument.T
+            bent = np.einsum(
+                "nab,nabc->nc", self._each(by_L, measured), curvature.J_pose
             )
+            bent += np.einsum(
+                "nak,nakc->nc", self._each(by_K, measured), curvature.J_instrument
+            )
+            e = np.zeros((len(q), 6))
+            np.add.at(e, place, bent)
             # F . [V, xi] = xi . (F_v x w + 0, F_v x v + F_w x w) with V = (v, w).
-            F = np.swapaxes(J_pose, 1, 2) @ G
+            F = np.swapaxes(J[:, :, :6], 1, 2) @ G
             by_place = np.cumsum(_coadjoint(V, F), axis=2)
             ahead = np.concatenate([np.zeros_like(by_place[:, :, :1]), by_place], 2)
-            e = e[:, :, None] + ahead[:, :, self._carried]
-            return np.asarray(np.einsum("nck,nck->nk", xi, e))
+            by_joints = e[:, :, None] + ahead[:, :, self._carried]
+            result = np.zeros(q.shape)
+            result[:, part.columns] = np.einsum("nck,nck->nk", xi, by_joints)
+            return result
 
         return np.asarray(rows), pullback
 
     @property
     def _instrument(self) -> Floats:
-        return np.zeros(len(self.measurement.parameters))
+        return np.zeros(len(self.look.part.measurement.parameters))
 
-    @cached_property
+    @property
     def _bases(self) -> tuple[Floats, Floats]:
         """Rows of the basis that belong to the error model and to the instrument."""
-        count = len(self.problem.error.screws)
-        return self.basis[:count], self.basis[count : count + len(self._instrument)]
+        count = len(self.look.part.error.screws)
+        return self.basis[:count], self.basis[count:]
 
     @cached_property
     def _carried(self) -> NDArray[np.intp]:
@@ -157,22 +175,167 @@ class IdentificationRows:
 
         A joint traversed from child to parent turns before its own placement does.
         """
-        error = self.problem.error
+        error = self.look.part.error
         places = [screw.frame for screw in error.screws]
         joints = np.arange(1, len(error.chain.joints) + 1)
         return np.searchsorted(places, joints - error.chain.reversed, side="right")
 
     def _linear(
-        self, q: Floats, target: Sequence[str]
-    ) -> tuple[PoseLinearization, Floats, Floats]:
-        """Poses with the whitened derivatives by the pose and by the instrument."""
-        error, measurement = self.problem.error, self.measurement
-        poses = error.linearize(q, np.zeros(len(error.screws)))
+        self, q: Floats, aim: Indices
+    ) -> tuple[PoseLinearization, Floats, Indices]:
+        """Poses, and the whitened derivatives by the pose and by the instrument.
+
+        Returns:
+            The poses, the derivatives target by target, shape (N, L d, 6 + K), zero of
+            targets that are not seen, and the positions of those that are measured,
+            counted target by target.
+        """
+        part, each, size = self.look.part, self.look.each, len(self.sigma)
+        own = q[:, part.columns]
+        poses = part.error.linearize(own, np.zeros(len(part.error.screws)))
+        # Where only one is measured, `Workspace` allows only what sees it.
+        measured = np.arange(len(q))
+        if self.look.at_once:
+            measured = np.flatnonzero(self.look.seen(q, aim))
+        place, names = self._measured(aim, measured)
         linear = linearized_at(
-            error.chain, measurement, poses.T, self._instrument, q, target
+            part.error.chain,
+            part.measurement,
+            poses.T[place],
+            self._instrument,
+            own[place],
+            names,
         )
-        weight = self.sigma[:, None]
-        return poses, linear.J_pose / weight, linear.J_instrument / weight
+        J = np.zeros((len(q) * each, size, 6 + len(self._instrument)))
+        both = np.concatenate([linear.J_pose, linear.J_instrument], axis=2)
+        J[measured] = both / self.sigma[:, None]
+        return poses, J.reshape(len(q), each * size, J.shape[2]), measured
+
+    def _measured(self, aim: Indices, measured: Indices) -> tuple[Indices, Labels]:
+        """Configuration and target of what is measured."""
+        codes = self.look.targets(aim).reshape(-1)[measured]
+        return measured // self.look.each, Labels(self.look.names, codes)
+
+    def _each(self, by_rows: Floats, measured: Indices) -> Floats:
+        """Rows (N, L d, ...) as those of what is measured, (n, d, ...)."""
+        count = by_rows.shape[0] * self.look.each
+        return by_rows.reshape(count, len(self.sigma), by_rows.shape[2])[measured]
+
+
+@dataclass(frozen=True)
+class IdentificationRows:
+    """Rows of all that is measured at a configuration, at nominal geometry.
+
+    Attributes:
+        problem: The problem about its registered references.
+        basis: Columns in parameters, each a direction times the scales, shape (P, m).
+        nuisances: How many of them, the first ones, are directions of nuisances.
+        aims: What can be measured at a configuration.
+    """
+
+    problem: Problem
+    basis: Floats
+    nuisances: int
+    aims: Aims
+
+    @property
+    def differentiable(self) -> bool:
+        """Whether all instruments and error models have second derivatives."""
+        return all(look.differentiable for look in self._looks)
+
+    def rows(self, q: Floats, aim: Indices) -> Floats:
+        """Rows of configurations.
+
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            aim: Position of what is measured there among `aims`, shape (N,).
+
+        Returns:
+            Rows, shape (N, d, m), zero where fewer are measured.
+        """
+        found = [
+            (where, look.rows(q[where], aim[where]))
+            for look, where in self._looking(aim)
+        ]
+        result, _ = self._stacked(len(q), found, self._most)
+        if result.shape[1] > result.shape[2]:
+            result = np.asarray(np.linalg.qr(result, mode="r"))
+        return result
+
+    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
+        """Rows, one for each measured value, and what carries derivatives back.
+
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            aim: Position of what is measured there among `aims`, shape (N,).
+
+        Raises:
+            OptionError: If a measurement or an error model has no second derivatives.
+        """
+        found = [
+            (where, *look.linearize(q[where], aim[where]))
+            for look, where in self._looking(aim)
+        ]
+        rows, columns = self._stacked(len(q), [(at, rows) for at, rows, _ in found])
+        n = q.shape[1]
+        ends = self.problem.chains.follow(np.concatenate([np.zeros((1, n)), np.eye(n)]))
+
+        def pullback(by_rows: Floats) -> Floats:
+            total = np.zeros(q.shape)
+            for (where, _, back), of_look in zip(found, columns, strict=True):
+                total[where] += back(by_rows[where[:, None], of_look])
+            # A mimic joint moves with its leader, and not by itself.
+            return np.asarray(total @ (ends[1:] - ends[0]).T)
+
+        return rows, pullback
+
+    @cached_property
+    def _looks(self) -> list[LookRows]:
+        """The rows of each instrument."""
+        setup = self.problem.setup
+        return [
+            LookRows(look, self.basis[look.part.index], assumed_sigma(look.part, setup))
+            for look in self.aims.looks
+        ]
+
+    @cached_property
+    def _most(self) -> int:
+        """Largest number of rows of a configuration."""
+        counts = [(one.look.of_aim >= 0) * one.size for one in self._looks]
+        return int(np.sum(counts, axis=0).max())
+
+    def _looking(self, aim: Indices) -> Iterator[tuple[LookRows, NDArray[np.intp]]]:
+        """The rows of each instrument, and the configurations where it measures."""
+        for look in self._looks:
+            where = np.flatnonzero(look.look.of_aim[aim] >= 0)
+            if len(where):
+                yield look, where
+
+    def _stacked(
+        self,
+        count: int,
+        found: Sequence[tuple[NDArray[np.intp], Floats]],
+        most: int | None = None,
+    ) -> tuple[Floats, list[Indices]]:
+        """Rows of all instruments below one another, and where those of each stand.
+
+        Args:
+            count: Number N of configurations.
+            found: Configurations of each instrument, and its rows there.
+            most: Number d of rows of a configuration; default as many as there are.
+
+        Returns:
+            Rows, shape (N, d, m), and by instrument positions below d, shape (k, d').
+        """
+        used, columns = np.zeros(count, np.int64), []
+        for where, rows in found:
+            columns.append(used[where, None] + np.arange(rows.shape[1]))
+            used[where] += rows.shape[1]
+        most = int(used.max(initial=0)) if most is None else most
+        result = np.zeros((count, most, self.basis.shape[1]))
+        for (where, rows), of_look in zip(found, columns, strict=True):
+            result[where[:, None], of_look] = rows
+        return result, columns
 
 
 def _coadjoint(V: Floats, F: Floats) -> Floats:

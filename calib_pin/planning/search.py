@@ -9,13 +9,14 @@ from __future__ import annotations
 
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cached_property
+from functools import cached_property, partial
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError, require_known
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Indices
 from calib_pin.planning.criteria import CRITERIA, Criterion
 from calib_pin.planning.information import Information
 from calib_pin.planning.rows import Rows
@@ -59,14 +60,14 @@ class Found:
 
     Attributes:
         q: Configurations, shape (K, n) [rad, m].
-        target: Target of each.
+        aim: Position of what is measured at each among those of the workspace, (K,).
         cost: Their cost.
         method: The method.
         status: How it ended.
     """
 
     q: Floats
-    target: tuple[str, ...]
+    aim: Indices
     cost: float
     method: str
     status: Status
@@ -109,7 +110,7 @@ class Search:
         self.rows, self.workspace, self.criterion = rows, workspace, criterion
         self.known, self.candidates, self.count = known, candidates, count
         self.measured = measured
-        self.table = rows.rows(candidates.q, candidates.target)
+        self.table = rows.rows(candidates.q, candidates.aim)
         self.stopped = False
         self._rng, self._progress, self._starts = rng, progress, starts
         self._bounds = np.column_stack([workspace.lower, workspace.upper])
@@ -134,9 +135,9 @@ class Search:
         nuisances, criterion = self.rows.nuisances, self.criterion
         return selection(table, nuisances, criterion, self.known, chosen, self.measured)
 
-    def cost(self, q: Floats, target: Sequence[str]) -> float:
+    def cost(self, q: Floats, aim: Indices) -> float:
         """Cost of a set of configurations."""
-        return self._cost_of(self.rows.rows(q, target))
+        return self._cost_of(self.rows.rows(q, aim))
 
     def information(self, rows: Floats) -> Information | None:
         """Information of rows (..., m) together with what is known."""
@@ -179,13 +180,13 @@ class Search:
     def by_swarm(self) -> Found:
         """The improved particle swarm on the configurations themselves (case C)."""
         options = ParticleSwarm()
-        # All particles look at the same targets, those of a set that determines all.
-        target = tuple(self.candidates.target[k] for k in self._determined)
+        # All particles measure the same, what a set does that determines all.
+        aim = self.candidates.aim[list(self._determined)]
         n = len(self.workspace.lower)
-        starts = [self._drawn(target) for _ in range(options.particles)]
+        starts = [self._drawn(aim) for _ in range(options.particles)]
 
         def costs(members: Floats) -> Floats:
-            return self._costs_of_sets(members.reshape(-1, self.count, n), target)
+            return self._costs_of_sets(members.reshape(-1, self.count, n), aim)
 
         result = particle_swarm(
             costs,
@@ -197,8 +198,8 @@ class Search:
         )
         if not result.fun < FORBIDDEN:
             return self._of("pso", self._determined, result.status)
-        q = result.x.reshape(self.count, n)
-        return Found(q, target, result.fun, "pso", result.status)
+        q = self.workspace.settled(result.x.reshape(self.count, n), aim)
+        return Found(q, aim, result.fun, "pso", result.status)
 
     def by_gradient(self) -> Found:
         """Descents along the gradient from random sets of candidates."""
@@ -217,23 +218,23 @@ class Search:
             best: The first of these sets; the others are drawn among the candidates.
         """
         variables = self.count * len(self.workspace.lower)
-        of, size = np.array(self.candidates.target), len(self.candidates.q)
-        sets = [(best.q, best.target)]
+        size = len(self.candidates.q)
+        sets = [(best.q, best.aim)]
         for _ in range(min(self._starts, max(1, VARIABLES // variables))):
             chosen = self._rng.choice(size, self.count, replace=False)
-            sets.append((self.candidates.q[chosen], tuple(of[chosen].tolist())))
+            sets.append((self.candidates.q[chosen], self.candidates.aim[chosen]))
         stages = self.criterion.sharpnesses
         total = len(sets) + FINALISTS * len(stages)
         found = [
-            self._descent(q, target, stages[0], EXPLORING, k / total)
-            for k, (q, target) in enumerate(sets)
+            self._descent(q, aim, stages[0], EXPLORING, k / total)
+            for k, (q, aim) in enumerate(sets)
         ]
         part = len(sets)
         for finalist in sorted(found, key=lambda one: one.cost)[:FINALISTS]:
             refined = finalist
             for sharpness in stages:
                 refined = self._descent(
-                    refined.q, refined.target, sharpness, REFINING, part / total
+                    refined.q, refined.aim, sharpness, REFINING, part / total
                 )
                 best = min(best, finalist, refined, key=lambda one: one.cost)
                 part += 1
@@ -242,19 +243,21 @@ class Search:
     def _descent(
         self,
         q: Floats,
-        target: tuple[str, ...],
+        aim: Indices,
         sharpness: float,
         limits: tuple[float, int],
         part: float,
     ) -> Found:
         """Go down from a set; what it may not reach it does not."""
-        cost = self.cost(q, target)
-        start = Found(q, target, cost, "gradient", Status.STALLED)
+        cost = self.cost(q, aim)
+        start = Found(q, aim, cost, "gradient", Status.STALLED)
         if self.told("gradient", part) or not np.isfinite(cost):
             return start
 
+        settled = partial(self.workspace.settled, aim=aim)
+
         def smooth(q: Floats) -> tuple[float, Floats]:
-            rows, pullback = self.rows.linearize(q, target)
+            rows, pullback = self.rows.linearize(settled(q), aim)
             found = self.information(rows)
             if found is None:
                 return np.inf, np.zeros_like(q)
@@ -265,16 +268,16 @@ class Search:
             smooth,
             self._bounds,
             q,
-            allowed=lambda q: self.workspace.allowed(q, target),
+            allowed=lambda q: self.workspace.allowed(settled(q), aim),
             callback=lambda nit, x, fun: self.told("gradient", part),
             tolerance=limits[0],
             max_iterations=limits[1],
         )
-        cost = self.cost(result.x, target)
+        q = settled(result.x)
         # Points that were held up may have come too close to others that moved.
-        if not self.workspace.allowed(result.x, target).all():
+        if not self.workspace.allowed(q, aim).all():
             return start
-        return Found(result.x, target, cost, "gradient", result.status)
+        return Found(q, aim, self.cost(q, aim), "gradient", result.status)
 
     def _greedy(self, stage: str) -> tuple[int, ...]:
         """The set that grows by the best candidate; where stopped, `_determined`."""
@@ -325,17 +328,19 @@ class Search:
             allowed=allowed,
         )
 
-    def _costs_of_sets(self, sets: Floats, target: tuple[str, ...]) -> Floats:
-        """Costs of sets of configurations that look at given targets, (S, K, n)."""
+    def _costs_of_sets(self, sets: Floats, aim: Indices) -> Floats:
+        """Costs of sets of configurations with given aims, shape (S, K, n)."""
         size, count, n = sets.shape
-        allowed = self.workspace.inside(sets.reshape(-1, n), target * size)
+        aims = np.tile(aim, size)
+        sets = self.workspace.settled(sets.reshape(-1, n), aims).reshape(sets.shape)
+        allowed = self.workspace.inside(sets.reshape(-1, n), aims)
         bad = ~allowed.reshape(size, count)
         bad |= ~np.array([self.workspace.apart(q) for q in sets])
         # The fewer are forbidden the better, however bad the set is otherwise.
         costs = FORBIDDEN + bad.sum(axis=1, dtype=float)
         good = np.flatnonzero(~bad.any(axis=1))
         if len(good):
-            rows = self.rows.rows(sets[good].reshape(-1, n), target * len(good))
+            rows = self.rows.rows(sets[good].reshape(-1, n), np.tile(aim, len(good)))
             rows = rows.reshape(len(good), -1, rows.shape[2])
             costs[good] = [self._cost_of(member) for member in rows]
         return np.asarray(costs)
@@ -344,11 +349,11 @@ class Search:
         found = self.information(rows)
         return np.inf if found is None else self.criterion.cost(found)
 
-    def _drawn(self, target: Sequence[str]) -> list[int]:
-        """Random candidates that look at given targets; twice only if there are few."""
-        of, result = np.array(self.candidates.target), list[int]()
-        for name in target:
-            fitting = np.flatnonzero(of == name)
+    def _drawn(self, aim: Indices) -> list[int]:
+        """Random candidates with given aims; twice only if there are few."""
+        result = list[int]()
+        for one in aim:
+            fitting = np.flatnonzero(self.candidates.aim == one)
             fresh = np.setdiff1d(fitting, result)
             result.append(int(self._rng.choice(fresh if len(fresh) else fitting)))
         return result
@@ -359,7 +364,7 @@ class Search:
         chosen = list(chosen)
         return Found(
             q=self.candidates.q[chosen],
-            target=tuple(self.candidates.target[k] for k in chosen),
+            aim=self.candidates.aim[chosen],
             cost=self.selection(chosen).cost,
             method=method,
             status=status,

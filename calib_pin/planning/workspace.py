@@ -2,8 +2,10 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Sequence
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
+from types import MappingProxyType
 
 import numpy as np
 import pinocchio as pin
@@ -13,9 +15,9 @@ from calib_pin.errors import InputError, OptionError, RobotError, nearest
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey, Booleans, Indices
 from calib_pin.parameters import matching
-
-Booleans = NDArray[np.bool_]
+from calib_pin.planning.aims import Aims
 
 DRAWS = 400
 """Quasi-random configurations tried for each candidate that is wanted."""
@@ -29,15 +31,6 @@ MARGIN = 0.01
 TIDY = 1e6
 """Reciprocal of the last digit of planned joint positions [1/rad, 1/m]."""
 
-SWAY = np.array(
-    [
-        pin.exp6(sway * twist).homogeneous
-        for twist in np.eye(6)
-        for sway in (-0.02, 0.02)
-    ]
-)
-"""Motions of the tool by 20 mm or 20 mrad, more than a robot's errors, (12, 4, 4)."""
-
 BLOCK = 1000
 """Configurations that are tried at once."""
 
@@ -48,12 +41,12 @@ class Candidates:
 
     Attributes:
         q: Joint positions, shape (C, n) [rad, m].
-        target: Target of each.
+        aim: Position of what is measured there among those of the workspace, (C,).
         tried: Number of configurations within the limits that were tried for them.
     """
 
     q: Floats
-    target: tuple[str, ...]
+    aim: Indices
     tried: int
 
     def require(self, count: int) -> None:
@@ -75,10 +68,12 @@ class Workspace:
     """The configurations that may be measured.
 
     Attributes:
-        problem: Chain, frames and instrument.
+        problem: Chains, frames and instruments.
         lower: Lower position limits, shape (n,) [rad, m].
         upper: Upper position limits, shape (n,) [rad, m].
-        point: The measured point in the tip, whose place the region limits, SE3.
+        aims: What can be measured at a configuration.
+        points: The measured point in the tip, whose place the region limits, by the
+            block of an aim; default the origin of the tool.
         collisions: Collisions to avoid; None if no shapes are known.
         distance: Least distance between two configurations of a set: the largest
             difference of a joint [rad, m].
@@ -87,7 +82,8 @@ class Workspace:
     problem: Problem
     lower: Floats
     upper: Floats
-    point: pin.SE3
+    aims: Aims
+    points: Mapping[BlockKey, pin.SE3]
     collisions: Collisions | None = None
     distance: float = 0.0
 
@@ -96,15 +92,17 @@ class Workspace:
         problem: Problem,
         collisions: Collisions | None = None,
         distance: float = 0.0,
-        point: pin.SE3 | None = None,
+        aims: Aims | None = None,
+        points: Mapping[BlockKey, pin.SE3] = MappingProxyType({}),
     ) -> Workspace:
         """The workspace of a problem, with the limits of its setup.
 
         Args:
-            problem: Chain, frames and instrument.
+            problem: Chains, frames and instruments.
             collisions: Collisions to avoid.
             distance: Least distance between configurations [rad, m].
-            point: The measured point in the tip; default the origin of the tool.
+            aims: What can be measured at a configuration; default by all instruments.
+            points: The measured points, see `points`.
 
         Raises:
             RobotError: If limits of the URDF cross.
@@ -118,29 +116,34 @@ class Workspace:
                 allowed="0 or more",
             )
         lower, upper = _limits(problem)
-        point = problem.error.tool if point is None else point
-        return Workspace(problem, lower, upper, point, collisions, distance)
+        aims = aims or Aims.of(problem, tuple(problem.parts))
+        return Workspace(problem, lower, upper, aims, points, collisions, distance)
 
-    @property
-    def targets(self) -> tuple[str, ...]:
-        """The targets that configurations look at in turn."""
-        return tuple(self.problem.measurement.targets) or ("",)
+    def settled(self, q: Floats, aim: Indices) -> Floats:
+        """Configurations where other chains rest and mimic joints follow.
 
-    def inside(self, q: Floats, target: Sequence[str]) -> Booleans:
+        Args:
+            q: Configurations, shape (N, n) [rad, m].
+            aim: What is measured at each, shape (N,).
+        """
+        moving, rest = self._moving
+        return self.problem.chains.follow(np.where(moving[aim], q, rest))
+
+    def inside(self, q: Floats, aim: Indices) -> Booleans:
         """Whether each configuration may be measured.
 
         Args:
             q: Configurations, shape (N, n) [rad, m].
-            target: Target of each.
+            aim: What is measured at each, shape (N,).
 
         Returns:
             True for those within the limits, measurable and free, shape (N,).
         """
-        return np.asarray(sum(self._refusals(q, target).values()) == 0)
+        return np.asarray(sum(self._refusals(q, aim).values()) == 0)
 
-    def allowed(self, q: Floats, target: Sequence[str]) -> Booleans:
+    def allowed(self, q: Floats, aim: Indices) -> Booleans:
         """The same as `inside`, for a set that must also keep its distances."""
-        return self.inside(q, target) & self.apart(q)
+        return self.inside(q, aim) & self.apart(q)
 
     def apart(self, q: Floats) -> Booleans:
         """Whether each configuration of a set keeps its distance from all others.
@@ -175,9 +178,9 @@ class Workspace:
         """
         n = len(self.lower)
         shift, taken = rng.random(n), 0
-        found, targets = np.empty((0, n)), list[str]()
+        found, aim = np.empty((0, n)), np.empty(0, np.int64)
         refused: dict[str, int] = {}
-        names, budget = self.targets, max(LEAST_DRAWS, DRAWS * count)
+        budget = max(LEAST_DRAWS, DRAWS * count)
         # Where nothing is allowed, more of the same would be a loop.
         while len(found) < count and taken < (budget if len(found) else LEAST_DRAWS):
             part = max(len(found) / count, taken / budget)
@@ -187,9 +190,10 @@ class Workspace:
             q = self.lower + _quasi_random(shift, taken, BLOCK) * (
                 self.upper - self.lower
             )
-            target = [names[(taken + k) % len(names)] for k in range(BLOCK)]
+            looked = (taken + np.arange(BLOCK)) % len(self.aims.each)
+            q = self.settled(q, looked)
             taken += BLOCK
-            refusals = self._refusals(q, target)
+            refusals = self._refusals(q, looked)
             for reason, rows in refusals.items():
                 refused[reason] = refused.get(reason, 0) + int(rows.sum())
             free = np.flatnonzero(sum(refusals.values()) == 0)
@@ -197,7 +201,7 @@ class Workspace:
                 free = self._spread(q, free, found, count)
             free = free[: count - len(found)]
             found = np.concatenate([found, q[free]])
-            targets += [target[k] for k in free]
+            aim = np.concatenate([aim, looked[free]])
         if not len(found):
             reasons = ", ".join(f"{n} {why}" for why, n in refused.items() if n)
             raise InputError(
@@ -205,34 +209,65 @@ class Workspace:
                 f"planned: {reasons}",
                 allowed="wider limits, a larger region, or fewer obstacles",
             )
-        return Candidates(found, tuple(targets), taken)
+        return Candidates(found, aim, taken)
 
-    def _refusals(self, q: Floats, target: Sequence[str]) -> dict[str, Booleans]:
+    def unmeasurable(self, candidates: Candidates) -> tuple[str, ...]:
+        """The targets that no candidate can measure."""
+        shown: dict[str, bool] = {}
+        for look in self.aims.looks:
+            rows = np.flatnonzero(look.of_aim[candidates.aim] >= 0)
+            aim = candidates.aim[rows]
+            found = look.targets(aim)[look.seen(candidates.q[rows], aim)]
+            for k, name in enumerate(look.names):
+                shown[name] = shown.get(name, False) or k in found
+        return tuple(name for name, some in shown.items() if not some)
+
+    def _refusals(self, q: Floats, aim: Indices) -> dict[str, Booleans]:
         """Configurations by what first refuses them, each of shape (N,)."""
-        problem, error = self.problem, self.problem.error
-        of_robot, instrument = problem.split(np.zeros(len(problem.parameters)))
         beyond = np.asarray(((q < self.lower) | (q > self.upper)).any(axis=1))
         refusals: dict[str, Booleans] = {"beyond the limits": beyond}
         left = ~beyond
-        F = error.tip_poses(q, of_robot)
-        if problem.setup.region is not None:
-            measured = F @ self.point.homogeneous
-            within = problem.setup.region.contains(measured[:, :3, 3])
-            refusals["outside the region"] = left & ~within
-            left &= within
-        T = error.base.homogeneous @ F @ error.tool.homogeneous
-        # The real robot must be seen there too, and it is not quite where it should be.
-        swaying = (T[:, None] @ SWAY).reshape(-1, 4, 4)
-        repeated = [name for name in target for _ in SWAY]
-        each = problem.measurement.observable(swaying, instrument, repeated)
-        seen = np.asarray(each.reshape(-1, len(SWAY)).all(axis=1))
-        refusals["not measurable"] = left & ~seen
-        left &= seen
+        if self.problem.setup.region is not None:
+            refusals["outside the region"] = left & ~self._within(q, aim)
+            left &= ~refusals["outside the region"]
+        visible = np.zeros(len(q), bool)
+        for look in self.aims.looks:
+            rows = np.flatnonzero(look.of_aim[aim] >= 0)
+            some = look.seen(q[rows], aim[rows]).any(axis=1)
+            # One that measures a certain target must see that; of others any will do.
+            visible[rows] = visible[rows] | some if look.at_once else some
+        refusals["not measurable"] = left & ~visible
+        left &= visible
         if self.collisions is not None:
             free = np.ones(len(q), bool)
             free[left] = self.collisions.free(q[left])
             refusals["in collision"] = ~free
         return refusals
+
+    def _within(self, q: Floats, aim: Indices) -> Booleans:
+        """Whether the measured points are in the region, shape (N,)."""
+        within, region = np.ones(len(q), bool), self.problem.setup.region
+        assert region is not None
+        for key in dict.fromkeys(one.key for one in self.aims.each):
+            error = self.problem.parts[key].error
+            rows = np.flatnonzero([self.aims.each[k].key == key for k in aim])
+            own = q[rows][:, self.problem.parts[key].columns]
+            F = error.tip_poses(own, np.zeros(len(error.screws)))
+            points = F @ self.points.get(key, error.tool).homogeneous
+            within[rows] = region.contains(points[:, :3, 3])
+        return within
+
+    @cached_property
+    def _moving(self) -> tuple[Booleans, Floats]:
+        """Whether each joint moves for each aim, (A, n), and where it rests, (n,)."""
+        chains = self.problem.chains
+        moving = np.zeros((len(self.aims.each), len(chains.joints)), bool)
+        for row, aim in zip(moving, self.aims.each, strict=True):
+            row[self.problem.parts[aim.key].columns] = True
+            for name, mimic in chains.mimics.items():
+                if row[chains.joints.index(name)]:
+                    row[chains.joints.index(mimic.leader)] = True
+        return moving, np.clip(0.0, self.lower, self.upper)
 
     def _spread(
         self, q: Floats, free: NDArray[np.intp], found: Floats, count: int
@@ -252,11 +287,12 @@ class Workspace:
 
 
 def _limits(problem: Problem) -> tuple[Floats, Floats]:
-    """Joint limits of the chain, narrowed by the setup."""
-    chain, setup = problem.error.chain, problem.setup
-    if chain.inverted:
+    """Joint limits of the chains, narrowed by the setup."""
+    chain, setup = problem.chains, problem.setup
+    inverted = [joint for name in chain.names for joint in chain[name].inverted]
+    if inverted:
         raise RobotError(
-            f"inverted limits of joint '{chain.inverted[0]}': lower is above upper",
+            f"inverted limits of joint '{inverted[0]}': lower is above upper",
             file=chain.robot.file,
         )
     # Controllers complain at the very limit.

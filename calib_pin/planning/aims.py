@@ -1,0 +1,173 @@
+"""What is measured at one configuration.
+
+A tracker sees all its reflectors and an image shows all corners of a board, while a
+beam meets one plane and a wire hangs on one anchor. Instruments of different kinds that
+stand at one station and look at one tool measure together.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.errors import OptionError
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.system import Part
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MEASUREMENT_MODELS, MeasurementModel, declared
+from calib_pin.observations import BlockKey, Booleans, Indices, Labels
+
+SWAY = np.array(
+    [
+        pin.exp6(sway * twist).homogeneous
+        for twist in np.eye(6)
+        for sway in (-0.02, 0.02)
+    ]
+)
+"""Motions of the tool by 20 mm or 20 mrad, more than a robot's errors, (12, 4, 4)."""
+
+
+class Aim(NamedTuple):
+    """What is measured at a configuration.
+
+    Attributes:
+        key: The first block of those of a chain, a station and a tool.
+        target: The target of an instrument that measures one at a time, or the only one
+            that there is; else empty.
+    """
+
+    key: BlockKey
+    target: str
+
+
+@dataclass(frozen=True)
+class Look:
+    """An instrument and its targets, all that it sees at once or one at a time.
+
+    Attributes:
+        part: The instrument before its chain, about its references.
+        names: The L targets.
+        at_once: Whether all that it sees are measured at a configuration.
+        of_aim: Position of the target of each aim, zero for all at once, -1 for aims
+            without this instrument.
+    """
+
+    part: Part
+    names: tuple[str, ...]
+    at_once: bool
+    of_aim: Indices
+
+    @property
+    def each(self) -> int:
+        """Largest number of targets that are measured at a configuration."""
+        return len(self.names) if self.at_once else 1
+
+    def targets(self, aim: Indices) -> Indices:
+        """Positions of the targets that may be measured, (N,) -> (N, each)."""
+        if self.at_once:
+            return np.tile(np.arange(self.each), (len(aim), 1))
+        return self.of_aim[aim][:, None]
+
+    def seen(self, q: Floats, aim: Indices) -> Booleans:
+        """Which targets are seen, from wherever the real tool may be as well.
+
+        The real robot is not quite where it should be.
+
+        Args:
+            q: Configurations of all joints, shape (N, n) [rad, m].
+            aim: What is measured at each, shape (N,).
+
+        Returns:
+            True for targets that are seen, shape (N, each).
+        """
+        part, shape = self.part, (len(q), len(SWAY), self.each)
+        if type(part.measurement).observable is MeasurementModel.observable:
+            return np.ones((len(q), self.each), bool)
+        T = part.error.poses(q[:, part.columns], np.zeros(len(part.error.screws)))
+        swaying = np.repeat((T[:, None] @ SWAY).reshape(-1, 4, 4), self.each, axis=0)
+        looked = np.repeat(self.targets(aim), len(SWAY), axis=0).reshape(-1)
+        instrument = np.zeros(len(part.measurement.parameters))
+        visible = part.measurement.observable(
+            swaying, instrument, Labels(self.names, looked)
+        )
+        return np.asarray(visible.reshape(shape).all(axis=1))
+
+
+@dataclass(frozen=True)
+class Aims:
+    """What can be measured at one configuration, and with what.
+
+    Attributes:
+        each: The aims.
+        looks: The instruments; those that measure one target at a time are last.
+    """
+
+    each: tuple[Aim, ...]
+    looks: tuple[Look, ...]
+
+    @staticmethod
+    def of(problem: Problem, keys: Sequence[BlockKey]) -> Aims:
+        """The aims of blocks.
+
+        Args:
+            problem: Chains, frames and instruments.
+            keys: The blocks that are planned; of what stands still nothing is.
+
+        Raises:
+            OptionError: If none of them is of a chain that moves.
+        """
+        places: dict[tuple[str, ...], dict[BlockKey, tuple[str, ...]]] = {}
+        for key in keys:
+            part = problem.parts[key]
+            if part.error.chain.joints:
+                names = tuple(part.measurement.targets) or ("",)
+                places.setdefault(key[1:], {})[key] = names
+        if not places:
+            raise OptionError("nothing that is measured moves with the robot")
+        aims: list[Aim] = []
+        members: dict[BlockKey, dict[int, int]] = {}
+        for group in places.values():
+            first = next(iter(group))
+            shared = [key for key in group if declared(key.model).at_once]
+            single = [
+                (key, name) for key in group if key not in shared for name in group[key]
+            ]
+            distinct = {name for key in shared for name in group[key]}
+            only = distinct.pop() if len(distinct) == 1 else ""
+            for key, name in single or [(first, only)]:
+                for other in shared:
+                    members.setdefault(other, {})[len(aims)] = 0
+                if single:
+                    place = group[key].index(name)
+                    members.setdefault(key, {})[len(aims)] = place
+                aims.append(Aim(first, name))
+        looks = []
+        for key, of_aim in members.items():
+            codes = np.full(len(aims), -1)
+            codes[list(of_aim)] = list(of_aim.values())
+            names, at_once = places[key[1:]][key], declared(key.model).at_once
+            looks.append(Look(problem.parts[key], names, at_once, codes))
+        looks.sort(key=lambda look: not look.at_once)
+        return Aims(tuple(aims), tuple(looks))
+
+
+def require_plannable(keys: Sequence[BlockKey]) -> None:
+    """Refuse instruments that do not measure one configuration at any pose.
+
+    Raises:
+        OptionError: If there is one.
+    """
+    for key in keys:
+        if not declared(key.model).plannable:
+            raise OptionError(
+                "configurations are planned for instruments that measure each of them "
+                "by itself and without contact",
+                value=str(key),
+                allowed=", ".join(
+                    m for m in MEASUREMENT_MODELS if declared(m).plannable
+                ),
+            )

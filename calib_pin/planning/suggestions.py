@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 from typing import Any
 
@@ -13,15 +13,16 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import nominal_problem, restricted
 from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models import tracked
-from calib_pin.measurement_models.mount import Frame
+from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.pinhole import Camera
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
+from calib_pin.observations import BlockKey
 from calib_pin.parameterizations import frame_pose, frame_setup
-from calib_pin.setup import Setup
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.assessment import identify
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.result import Identification
 
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
@@ -52,20 +53,39 @@ class Suggestion:
 
 def calibrated_setup(model: CalibratedModel) -> Setup:
     """The setup of a calibration, with everything where the fit has found it."""
-    sections: dict[str, Any] = {}
-    camera = model.setup.camera
-    for reference in model.measurement.references:
-        if isinstance(reference, Camera):
-            camera = reference.stated()
-        elif not isinstance(reference, Frame):
-            sections.setdefault(reference.section, {})[reference.name] = (
-                reference.stated()
-            )
-    free = model.error.parameters.free
+    setup, sections = model.setup, dict[str, Any]()
+    camera, base, tool = setup.camera, setup.base_frame, setup.tool_frame
+    stations, tools = dict(setup.stations), dict(setup.tools)
+    for part in model.parts.values():
+        for reference in part.measurement.references:
+            if isinstance(reference, Camera):
+                camera = reference.stated()
+            else:
+                named = sections.setdefault(reference.section, {})
+                named[reference.name] = reference.stated()
+        free = part.error.parameters.free
+        theta = model.theta[part.index[: len(part.error.screws)]]
+        mounted = CalibratedChain(part.error, theta, setup).tool
+        stands = frame_setup(part.error.base, known=not free[:6].any())
+        sits = frame_setup(
+            mounted * part.scope.offset.inverse(), known=not free[-6:].any()
+        )
+        owner, _, kind = part.scope.station.rpartition(".")
+        if kind == "station":
+            stations[owner] = stands
+        else:
+            base = stands
+        owner, _, kind = part.scope.tool.rpartition(".")
+        if kind == "tool":
+            tools[owner] = ToolSetup(sits.xyz, sits.rpy, sits.estimate)
+        else:
+            tool = sits
     return replace(
-        model.setup,
-        base_frame=frame_setup(model.error.base, known=not free[:6].any()),
-        tool_frame=frame_setup(model.tool, known=not free[-6:].any()),
+        setup,
+        base_frame=base,
+        tool_frame=tool,
+        stations=stations,
+        tools=tools,
         camera=camera,
         **sections,
     )
@@ -73,13 +93,18 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
 
 @serial_blas
 def suggestions(
-    chain: Chain, model: str, setup: Setup, found: Identification, *, seed: int = 0
+    chains: Chain | Chains,
+    measured: str | Sequence[BlockKey],
+    setup: Setup,
+    found: Identification,
+    *,
+    seed: int = 0,
 ) -> tuple[Suggestion, ...]:
     """Changes by which more errors of the robot could be known, from the structure.
 
     Args:
-        chain: The nominal chain.
-        model: Name of the measurement model.
+        chains: The nominal chain, or several.
+        measured: Name of the measurement model, or the blocks that are measured.
         setup: Estimated and known quantities; of a fit see `calibrated_setup`.
         found: The identifiability now.
         seed: Seed of the random configurations.
@@ -87,11 +112,12 @@ def suggestions(
     Returns:
         Those that gain anything; all that a measurement of the tool can tell is last.
     """
+    keys = (BlockKey(measured),) if isinstance(measured, str) else tuple(measured)
     known = {p.name for p in found.parameters if p.status == "identifiable"}
     now = found.identifiability.robot_rank
     others = {}
-    for words, measured, stated in _changes(model, setup, found):
-        other = _identified(chain, measured, stated, setup.fixed, seed)
+    for words, blocks, stated in _changes(keys, setup, found):
+        other = _identified(chains, blocks, stated, setup.fixed, seed)
         if other is not None and other.identifiability.robot_rank > now:
             others[words] = other
     most = max((o.identifiability.robot_rank for o in others.values()), default=now)
@@ -112,63 +138,113 @@ def suggestions(
 
 
 def _changes(
-    model: str, setup: Setup, found: Identification
-) -> Iterator[tuple[str, str, Setup]]:
-    """Possible changes: words, measurement model, and setup."""
+    keys: Sequence[BlockKey], setup: Setup, found: Identification
+) -> Iterator[tuple[str, Sequence[BlockKey], Setup]]:
+    """Possible changes: words, what is measured, and setup."""
     free = [p.name.rsplit(".", 2) for p in found.parameters if p.status != "fixed"]
-    owners = {f"{owner}.{kind}" for owner, kind, _ in free}
-    points = any(kind == "target" for _, kind, _ in free)
-    base, tool = "base.frame" not in owners, "tool.frame" not in owners
-    stand, place = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
+    kinds = {owner if kind == "frame" else kind for owner, kind, _ in free}
+    points = "target" in kinds
+    base, tool = not kinds & {"base", "station"}, not kinds & {"tool"}
     plain = Setup(
         parameters=setup.parameters,
-        base_frame=frame_setup(stand, known=base),
-        tool_frame=frame_setup(place, known=tool and not points),
+        base_frame=setup.base_frame,
+        tool_frame=setup.tool_frame,
+        stations=setup.stations,
+        tools=setup.tools,
         gravity=setup.gravity,
         payloads=setup.payloads,
         gear_ratios=setup.gear_ratios,
     )
-    followed = tracked(model)
+    plain = _held(keys, plain, base=base, tool=tool and not points)
+    followed = {declared(key.model).tracks for key in keys}
     position, pose = Position.declaration.name, Pose.declaration.name
     if followed == {""}:
-        tracker = replace(plain, base_frame=frame_setup(stand, known=False))
-        yield "measure positions of the tool point", position, tracker
-        yield POSES, pose, tracker
+        tracker = _held(keys, plain, base=False)
+        words = "measure positions of the tool point"
+        yield words, _with(position, keys), tracker
+        yield POSES, _with(pose, keys), tracker
     else:
         if "pose" not in followed:
             if not setup.targets:
-                beside = frame_setup(place * BESIDE, known=tool)
                 words = "mount the target off the last axis"
-                yield words, model, replace(setup, tool_frame=beside)
-            yield POSES, pose, plain
+                yield words, keys, _held(keys, setup, tool=tool, aside=BESIDE)
+            yield POSES, _with(pose, keys), plain
         if not base:
             words = "state the pose of the base link in the measurement frame"
-            held = frame_setup(stand, known=True)
-            yield f"{words} (frames.base)", model, replace(setup, base_frame=held)
+            where = "stations" if "station" in kinds else "frames.base"
+            yield f"{words} ({where})", keys, _held(keys, setup, base=True)
         if points:
             words = "state the positions of the points on the tool (targets)"
-            held = frame_setup(place, known=True)
             targets = {
                 name: replace(point, estimate=False)
                 for name, point in setup.targets.items()
             }
-            yield words, model, replace(setup, targets=targets, tool_frame=held)
+            held = _held(keys, setup, tool=True)
+            yield words, keys, replace(held, targets=targets)
         elif not tool:
-            words = "state the pose of the tool on the robot (frames.tool)"
-            held = frame_setup(place, known=True)
-            yield words, model, replace(setup, tool_frame=held)
-    at_ends = (frame_setup(stand, known=True), frame_setup(place, known=True))
-    yield EVERYTHING, pose, replace(plain, base_frame=at_ends[0], tool_frame=at_ends[1])
+            several = len({key.tool for key in keys}) > 1
+            words = "state the pose of the tool on the robot"
+            where = "tools" if several else "frames.tool"
+            yield f"{words} ({where})", keys, _held(keys, setup, tool=True)
+    yield EVERYTHING, _with(pose, keys), _held(keys, plain, base=True, tool=True)
+
+
+def _with(model: str, keys: Sequence[BlockKey]) -> tuple[BlockKey, ...]:
+    """The blocks, each measured in another way."""
+    return tuple(dict.fromkeys(key._replace(model=model) for key in keys))
+
+
+def _held(
+    keys: Sequence[BlockKey],
+    setup: Setup,
+    *,
+    base: bool | None = None,
+    tool: bool | None = None,
+    aside: pin.SE3 | None = None,
+) -> Setup:
+    """A setup whose stations and tools are known, or not.
+
+    Args:
+        keys: The blocks, which name them.
+        setup: The setup.
+        base: Whether stations are known; None to leave them as they are.
+        tool: The same of tools.
+        aside: Motion of the tools first.
+    """
+    if base is not None:
+        stations = {key.station: FrameSetup() for key in keys if key.station}
+        setup = replace(
+            setup,
+            base_frame=frame_setup(frame_pose(setup.base_frame), known=base),
+            stations={
+                name: frame_setup(frame_pose(frame), known=base)
+                for name, frame in {**stations, **setup.stations}.items()
+            },
+        )
+    if tool is not None:
+        moved = aside or pin.SE3.Identity()
+        tools = {key.tool: ToolSetup() for key in keys if key.tool} | dict(setup.tools)
+        for name, stated in tools.items():
+            if stated.on is None:
+                held = frame_setup(frame_pose(stated) * moved, known=tool)
+                tools[name] = ToolSetup(held.xyz, held.rpy, held.estimate)
+        end = frame_setup(frame_pose(setup.tool_frame) * moved, known=tool)
+        setup = replace(setup, tool_frame=end, tools=tools)
+    return setup
 
 
 def _identified(
-    chain: Chain, model: str, setup: Setup, fixed: tuple[str, ...], seed: int
+    chains: Chain | Chains,
+    keys: Sequence[BlockKey],
+    setup: Setup,
+    fixed: tuple[str, ...],
+    seed: int,
 ) -> Identification | None:
     """The identifiability then; None where the setup does not suffice to say."""
     stated = replace(setup, learned=None, fixed=(), bounds={}, prior={})
     try:
-        names = nominal_problem(chain, model, stated).parameters.names
+        names = nominal_problem(chains, keys, stated).parameters.names
         stated = restricted(replace(stated, fixed=fixed), names)
-        return identify(chain, model, stated, seed=seed)
+        return identify(chains, keys, stated, seed=seed)
     except CalibPinError:
         return None

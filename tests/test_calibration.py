@@ -24,7 +24,7 @@ def measured(
     problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
     rng = np.random.default_rng(seed)
     truth = size * calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=noise)
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=noise).only
     return chain, replace(rows, sigma=None)
 
 
@@ -220,8 +220,8 @@ def test_the_tool_carries_an_error_behind_the_last_joint() -> None:
     theta = problem.parameters.vector({"arm_7_joint.dh.alpha": 0.01})
     model = CalibratedModel.create(problem, theta)
     assert not model.urdf_corrections()
-    assert model.tool_carries_tip
-    assert np.linalg.norm(model.tool.rotation - np.eye(3)) > 0.01
+    assert model.of().tool_carries_tip
+    assert np.linalg.norm(model.of().tool.rotation - np.eye(3)) > 0.01
 
 
 def test_identify_needs_a_plane() -> None:
@@ -347,11 +347,15 @@ def test_distances_beyond_those_of_a_simulation() -> None:
         planes={"wall": PlaneSetup((0.2, 1.0, 0.3), -20.0)},
     )
     problem = nominal_problem(chain, "plane-distance", far)
-    reaching = replace(problem, measurement=replace(problem.measurement, reach=60.0))
+    far_sighted = {
+        key: replace(part, measurement=replace(part.measurement, reach=60.0))
+        for key, part in problem.parts.items()
+    }
+    reaching = problem.with_parts(far_sighted)
     rng = np.random.default_rng(0)
     truth = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(reaching, truth, rng, count=80, noise=1e-4)
-    assert rows.values.min() > 10.0
+    assert rows.only.values.min() > 10.0
     assert calib_pin.calibrate(chain, rows, far).verdict == "good"
 
 
@@ -359,5 +363,5 @@ def test_a_partly_fixed_frame_is_about_the_setup() -> None:
     chain, rows = measured(60)
     setup = Setup(fixed=("base.frame.r*",))
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
-    assert np.allclose(result.model.error.base.rotation, np.eye(3), atol=1e-15)
-    assert np.allclose(result.reference.error.base.homogeneous, np.eye(4), atol=1e-15)
+    assert np.allclose(result.model.of().error.base.rotation, np.eye(3), atol=1e-15)
+    assert np.allclose(result.reference.of().error.base.homogeneous, np.eye(4), atol=1e-15)

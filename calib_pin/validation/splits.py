@@ -262,7 +262,9 @@ def split(
                     f"cannot check '{', '.join(training.models)}' measurements with "
                     f"'{model}' ones"
                 )
-        _require_fitted(training, validation, "no {} was fitted, but there is to check")
+        _require_fitted(
+            training, validation, "these cannot be checked: no {} is fitted"
+        )
         return training, validation, "file"
     if holdout is not None:
         mask = _held_out(training, setup, holdout, seed)
@@ -320,4 +322,4 @@ def _require_fitted(training: Observations, left: Observations, why: str) -> Non
             kind = f"'{model}' measurement"
             kind += f" of the chain '{chain}'" if chain else ""
             kind += f" with the tool '{tool}'" if tool else ""
-            raise block.error(0, why.format(kind), column="set")
+            raise block.error(0, why.format(kind))

@@ -7,20 +7,20 @@ from typing import Any, cast
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 
 import calib_pin
 from calib_pin.estimation.evidence import Gain
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import registered as start_of
 from calib_pin.estimation.solve import least_squares
 from calib_pin.estimation.statistics.distributions import student_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.side_by_side import concatenate
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.gains import gains, press, press_check
 from calib_pin.validation.model_errors import ModelErrors, predicted_variance
@@ -50,7 +50,7 @@ def test_numbers_of_a_gain() -> None:
     rng = np.random.default_rng(1)
     before, after = 3e-4 * rng.normal(size=(8, 6)), 2e-4 * rng.normal(size=(8, 6))
     label = np.array([0, 0, 1, 2, 2, 2, 3, 4])
-    found = gains("set", problem, problem.data, [part(before, after)], label)
+    found = gains("set", problem, [part(before, after)], label)
     assert [(g.method, g.quantity) for g in found] == [
         ("set", "all"),
         ("set", "position"),
@@ -73,12 +73,12 @@ def test_rows_that_are_set_aside_do_not_count() -> None:
     before, after = np.full((6, 6), 2e-4), np.full((6, 6), 1e-4)
     after[2] = 1.0
     weight = np.array([1.0, 1.0, 0.0, 1.0, 1.0, 1.0])
-    rows = replace(problem.data, weight=weight)
     label = np.arange(6)
-    for g in gains("set", problem, rows, [part(before, after)], label):
+    some = replace(problem, data=problem.data.weighted(weight))
+    for g in gains("set", some, [part(before, after)], label):
         assert g.configurations == 5 and g.mean > 0.0 and g.ratio == pytest.approx(1.0)
-    nothing = replace(rows, weight=np.zeros(6))
-    assert gains("set", problem, nothing, [part(before, after)], label) == ()
+    nothing = replace(problem, data=problem.data.weighted(np.zeros(6)))
+    assert gains("set", nothing, [part(before, after)], label) == ()
 
 
 def test_what_cannot_be_predicted_settles_it() -> None:
@@ -88,7 +88,7 @@ def test_what_cannot_be_predicted_settles_it() -> None:
     label = np.arange(4)
 
     def first(before: Floats, after: Floats) -> Gain:
-        return gains("set", problem, problem.data, [part(before, after)], label)[0]
+        return gains("set", problem, [part(before, after)], label)[0]
 
     assert first(finite, lost).worse == 0.0
     assert first(lost, finite).better == 0.0
@@ -98,12 +98,10 @@ def test_what_cannot_be_predicted_settles_it() -> None:
 
 def test_rows_of_a_mix_count_by_what_they_have() -> None:
     poses, points = measured(5).data, measured(7, "position").data
-    mixed = concatenate([points, poses])
-    setup = replace(SETUP, tool_frame=FrameSetup((0.05, 0.08, 0.1)))
-    problem = nominal_problem(calib_pin.load_chain("space6"), mixed.model, setup)
-    problem = replace(problem, data=mixed)
-    errors = np.where(np.isfinite(problem.sigma), 1e-4, np.nan)
-    found = gains("set", problem, mixed, [part(2.0 * errors, errors)], np.arange(12))
+    mixed = Observations.of(points, poses)
+    problem = make_problem(calib_pin.load_chain("space6"), mixed, SETUP)
+    errors = problem.layout.table(np.full(51, 1e-4), 12)
+    found = gains("set", problem, [part(2.0 * errors, errors)], np.arange(12))
     counts = {g.quantity: g.configurations for g in found}
     assert counts["all"] == 12 and sorted(counts.values()) == [5, 5, 7, 12]
     assert all(g.mean > 0.0 and g.ratio == pytest.approx(1.0) for g in found)
@@ -116,7 +114,7 @@ def test_probabilities_without_a_gain_are_uniform() -> None:
     for _ in range(400):
         before, after = 1e-4 * rng.normal(size=(2, 20, 6))
         label = np.arange(20)
-        found.append(gains("set", problem, problem.data, [part(before, after)], label))
+        found.append(gains("set", problem, [part(before, after)], label))
     better = np.array([every[0].better for every in found])
     for level in (0.05, 0.2, 0.5):
         # Four standard deviations of a binomial of 400.
@@ -133,7 +131,7 @@ def simulated(
     model: str = "position",
     repeats: int = 1,
     noise: float = NOISE,
-) -> tuple[Problem, Floats, Measurements]:
+) -> tuple[Problem, Floats, Observations]:
     """A problem of `space6`, its true errors and rows that state their noise."""
     problem = nominal_problem(calib_pin.load_chain("space6"), model, SETUP)
     rng = np.random.default_rng(seed)
@@ -144,7 +142,7 @@ def simulated(
     return problem, truth, rows
 
 
-def fitted_to(problem: Problem, rows: Measurements) -> Fit:
+def fitted_to(problem: Problem, rows: Observations) -> Fit:
     return fit(replace(problem, data=rows), np.random.default_rng(0))
 
 
@@ -153,7 +151,7 @@ def test_press_of_refits(model: str, repeats: int) -> None:
     problem, _, rows = simulated(12, model=model, repeats=repeats, noise=0.1 * NOISE)
     fitted = fitted_to(problem, rows)
     labels = rows.groups()
-    found = press_check(fitted, rows, labels)
+    found = press_check(fitted, labels)
     # Errors of an expected size hold what positions tell poorly, here and there.
     known, _, moved = fitted.held
     assert (known.expected is not None) == (model == "position")
@@ -166,13 +164,16 @@ def test_press_of_refits(model: str, repeats: int) -> None:
         # The errors are of 1e-5; curvature enters with their square, 1e-10, times the
         # leverage: ten times the noise leaves a hundred times as much.
         np.testing.assert_allclose(
-            found.after[left], there.errors(theta), rtol=0, atol=1e-8
+            found.after[left], error_table(there, theta), rtol=0, atol=1e-8
         )
         rest = start_of(rest, np.zeros(len(theta)))
         registered = register(rest, np.zeros(len(theta)))
         nominal = replace(registered[0], data=rows.rows(left))
         np.testing.assert_allclose(
-            found.before[left], nominal.errors(registered[1].x), rtol=0, atol=2e-5
+            found.before[left],
+            error_table(nominal, registered[1].x),
+            rtol=0,
+            atol=2e-5,
         )
 
 
@@ -195,19 +196,26 @@ class Line:
     """What PRESS asks of a problem, for a line through points."""
 
     data: Points
-    components = 1
     parameters = ("offset", "slope")
 
     @property
+    def layout(self) -> Line:
+        return self
+
+    @property
+    def row(self) -> NDArray[np.int64]:
+        return np.arange(len(self.data))
+
+    @property
     def sigma(self) -> Floats:
-        return np.full((len(self.data), 1), 0.5)
+        return np.full(len(self.data), 0.5)
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
         J = np.column_stack([np.ones(len(self.data)), self.data.x]) / 0.5
         return J @ theta - self.data.y / 0.5, J
 
-    def masked_errors(self, theta: Floats) -> Floats:
-        return 0.5 * self.linearize_rows(theta)[0][:, None]
+    def errors(self, theta: Floats) -> Floats:
+        return 0.5 * self.linearize_rows(theta)[0]
 
 
 def test_press_is_exact_where_the_problem_is_linear() -> None:
@@ -233,22 +241,22 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
         left = labels == label
         theta, C = solved(~left)
         np.testing.assert_allclose(
-            errors[left], line.masked_errors(theta)[left], rtol=1e-9
+            errors[left], line.errors(theta)[left], rtol=1e-9
         )
         expected = 0.25 * (1.0 + np.sum(J[left] @ C * J[left], axis=1))
-        np.testing.assert_allclose(variance[left, 0], expected, rtol=1e-9)
+        np.testing.assert_allclose(variance[left], expected, rtol=1e-9)
 
 
 def test_rows_that_are_set_aside_keep_their_errors() -> None:
     problem, _, rows = simulated(14)
     weight = np.ones(14)
     weight[3] = 0.0
-    rows = replace(rows, weight=weight)
+    rows = rows.weighted(weight)
     fitted = fitted_to(problem, rows)
-    found = press_check(fitted, rows, rows.groups())
+    found = press_check(fitted, rows.groups())
     assert np.isinf(found.variance[3]).all()
     assert np.isfinite(np.delete(found.variance, 3, axis=0)).all()
-    plain = fitted.problem.errors(fitted.theta)
+    plain = error_table(fitted.problem, fitted.theta)
     np.testing.assert_allclose(found.after[3], plain[3], rtol=1e-9)
 
 

@@ -13,8 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.side_by_side import concatenate
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import exact_problem
 from calib_pin.validation.held_out import check
@@ -25,7 +24,7 @@ CHAIN = calib_pin.load_chain("space6")
 
 def simulated(
     count: int, seed: int = 1, model: str = "position", repeats: int = 1
-) -> Measurements:
+) -> Observations:
     """Rows of one robot; the seed chooses its configurations and the noise."""
     problem = nominal_problem(CHAIN, model, SETUP)
     truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(7))
@@ -35,7 +34,7 @@ def simulated(
     )
 
 
-def fitted_to(rows: Measurements) -> FittedModel:
+def fitted_to(rows: Observations) -> FittedModel:
     return fit_model(CHAIN, rows, SETUP, 0)
 
 
@@ -47,24 +46,24 @@ def test_a_copy_of_what_was_fitted_checks_nothing() -> None:
     assert [f.code for f in found.findings] == ["repeated-validation"]
     assert {g.method for g in found.gains} == {"press"}
     # Some of it does not spoil the rest.
-    mixed = concatenate([rows.rows(np.arange(5)), new])
+    mixed = Observations.of(rows.rows(np.arange(5)), new)
     found = check(CHAIN, rows, SETUP, model, 0, validation=mixed, method="file")
     (part,) = found.parts
     np.testing.assert_array_equal(part.positions, np.arange(5, 17))
     assert found.findings[0].message.startswith("5 of 17 ")
     assert found.gains[0].configurations == 12
-    few = concatenate([rows, new.rows(np.arange(4))])
+    few = Observations.of(rows, new.rows(np.arange(4)))
     assert check(CHAIN, rows, SETUP, model, 0, validation=few).method == "none"
 
 
 def test_set_aside_rows_stay_out() -> None:
     """Out of the fits of the folds, and out of every accuracy."""
-    rows = simulated(40)
+    rows = simulated(40).only
     values = rows.values.copy()
     values[[3, 20]] += 0.05
     weight = np.ones(40)
     weight[[3, 20]] = 0.0
-    spoiled = replace(rows, values=values, weight=weight)
+    spoiled = Observations.of(replace(rows, values=values, weight=weight))
     found = check(CHAIN, spoiled, SETUP, fitted_to(spoiled), 0)
     assert found.method == "5-fold"
     positions = np.concatenate([part.positions for part in found.parts])
@@ -101,7 +100,7 @@ def test_five_poses_are_no_check_however_often() -> None:
     assert check(CHAIN, many, SETUP, model, 0, validation=unseen).method == "none"
 
 
-def jogged() -> Measurements:
+def jogged() -> Observations:
     """Positions on straight lines from one random configuration to the next."""
     problem = nominal_problem(CHAIN, "position", SETUP)
     rng = np.random.default_rng(5)
@@ -109,9 +108,9 @@ def jogged() -> Measurements:
     ends = rng.uniform(-2.0, 2.0, (13, 6))
     part = np.linspace(0.0, 1.0, 10, endpoint=False)[:, None]
     q = np.concatenate([a + part * (b - a) for a, b in pairwise(ends)])
-    data = exact_problem(problem, truth, q, ("",) * len(q)).data
+    data = exact_problem(problem, truth, q, ("",) * len(q)).data.only
     noise = 5e-5 * rng.normal(size=data.values.shape)
-    return replace(data, values=data.values + noise)
+    return Observations.of(replace(data, values=data.values + noise))
 
 
 def test_a_path_is_folded_by_stretch() -> None:
@@ -128,8 +127,9 @@ def test_a_path_is_folded_by_stretch() -> None:
     assert np.count_nonzero(np.diff(left.astype(int))) < 16
 
 
-def moved(rows: Measurements, by: float) -> Measurements:
-    return replace(rows, values=rows.values + by * np.array([0.6, -0.5, 0.62]))
+def moved(rows: Observations, by: float) -> Observations:
+    values = rows.only.values + by * np.array([0.6, -0.5, 0.62])
+    return Observations.of(replace(rows.only, values=values))
 
 
 @pytest.mark.parametrize("by", [0.05, 3.0])
@@ -166,13 +166,13 @@ def test_where_the_stand_is_known_meters_are_no_check() -> None:
 
 
 def test_a_model_with_no_row_to_fit_is_refused() -> None:
-    points, poses = simulated(30), simulated(10, seed=2, model="pose")
+    points, poses = simulated(30), simulated(10, seed=2, model="pose").only
     poses = replace(
         poses,
         validate=np.ones(10, bool),
         files=("poses.csv",) * 10,
         lines=np.arange(2, 12),
     )
-    both = concatenate([points, poses])
+    both = Observations.of(points, poses)
     with pytest.raises(InputError, match=r"poses.csv:2: no 'pose' measurement"):
         calib_pin.calibrate(CHAIN, both, SETUP)

@@ -10,8 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.measurement_models.side_by_side import concatenate
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.validation.accuracy import Accuracy
@@ -32,7 +31,7 @@ def measured(model: str, count: int = 45) -> tuple[Chain, Measurements]:
     problem = nominal_problem(chain, model, setup)
     rng = np.random.default_rng(5)
     truth = calib_pin.draw_errors(problem.parameters, rng)
-    return chain, calib_pin.simulate(problem, truth, rng, count=count)
+    return chain, calib_pin.simulate(problem, truth, rng, count=count).only
 
 
 @pytest.fixture(scope="module")
@@ -73,14 +72,14 @@ def test_points_and_displacements_are_in_the_base_link(
     position: CalibrationResult,
 ) -> None:
     """A tracker that stands elsewhere must not turn the picture."""
-    rows, chain = position.fitted, position.model.chain
+    rows, chain = position.fitted, position.model.of().chain
     found = rows.displacements
     assert found is not None
     tool = frame_pose(TOOL).homogeneous
     near = (chain.poses(rows.rows.q) @ tool)[:, :3, 3]
     np.testing.assert_allclose(rows.points, near, atol=0.05)
-    base = position.model.error.base
-    seen = rows.rows.values @ base.rotation - base.rotation.T @ base.translation
+    base = position.model.of().error.base
+    seen = rows.rows.only.values @ base.rotation - base.rotation.T @ base.translation
     np.testing.assert_allclose(rows.points - found[1], seen, atol=1e-9)
     assert np.abs(rows.points - found[0] - seen).max() > 1e-3
 
@@ -98,7 +97,7 @@ def test_of_distances_there_are_no_displacements() -> None:
 def test_a_mix_has_the_displacements_of_what_measures_positions() -> None:
     chain, positions = measured("position")
     _, distances = measured("plane-distance", 10)
-    mixed = concatenate([positions, replace(distances, sigma=None)])
+    mixed = Observations.of(positions, distances)
     setup = Setup(planes=WALL, parameters=("joint-offset",))
     result = calib_pin.calibrate(chain, mixed, setup, validate=False)
     found = result.fitted.displacements

@@ -1,9 +1,8 @@
-"""Folds, places, stretches of a path, and errors of held-out measurements."""
+"""Folds, places, and errors of held-out measurements."""
 
 from __future__ import annotations
 
 from dataclasses import replace
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -14,22 +13,22 @@ import calib_pin
 from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chain import Chain
-from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.progress import portion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.validation import splits
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import fitted_errors, model_errors
-from calib_pin.validation.splits import FOLDS, Grouping, places, stretches
+from calib_pin.validation.splits import FOLDS, Grouping, places
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
 
 def measured_rows(
     setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
-) -> tuple[Chain, Measurements]:
+) -> tuple[Chain, Observations]:
     """Positions of `space6`; the readings of a configuration differ by noise."""
     chain = calib_pin.load_chain("space6")
     problem = nominal_problem(chain, "position", setup)
@@ -39,13 +38,13 @@ def measured_rows(
         problem, truth, rng, count=count, noise=5e-5, repeats=repeats
     )
     # Readings of one configuration need not stand side by side.
-    return chain, rows.rows(rng.permutation(len(rows)))
+    return chain, Observations.of(rows.only.rows(rng.permutation(len(rows))))
 
 
 # Folds.
 
 
-def folds(rows: Measurements, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
+def folds(rows: Observations, fitted: Fit, seed: int) -> list[NDArray[np.bool_]]:
     return splits.folds(Grouping.of(rows, fitted.problem.setup), fitted, seed)
 
 
@@ -117,18 +116,25 @@ def test_every_plane_stays_in_every_part() -> None:
 # Places.
 
 
-def at_places(*names: str, model: str = "fixed-point") -> Measurements:
-    """One row for each socket, which nobody looks at closer."""
-    q = np.arange(len(names), dtype=float)[:, None]
-    width = 3 if "position" in model else 0
-    values = np.zeros((len(names), width))
-    sigma = np.ones((len(names), 6)) if width else None
-    return Measurements(("j",), q, model, values, sigma, target=names)
+def at_places(*names: str, positions: int = 0, station: str = "") -> Observations:
+    """One row for each socket, which nobody looks at closer, and some positions."""
+    q = np.arange(len(names) + positions, dtype=float)[:, None]
+    count = len(names)
+    none = np.zeros((count, 0))
+    return Observations.of(
+        Measurements(
+            ("j",), q[:count], "fixed-point", none, target=names, station=station
+        ),
+        Measurements(("j",), q[count:], "position", np.zeros((positions, 3))),
+    )
 
 
-def labels(*names: str, model: str = "fixed-point", apart: Any = ()) -> list[int]:
+def labels(*names: str, apart: Any = ()) -> list[int]:
+    return labels_of(at_places(*names), apart)
+
+
+def labels_of(rows: Observations, apart: Any = ()) -> list[int]:
     distances = tuple(DistanceSetup(pair, 0.1, 1e-5) for pair in apart)
-    rows = at_places(*names, model=model)
     return places(rows, Setup(distances=distances)).tolist()
 
 
@@ -158,11 +164,18 @@ def test_too_few_places_are_none() -> None:
 
 
 def test_other_rows_are_at_no_place() -> None:
-    mixed = [f"fixed-point:{name}/0" for name in "abc"]
-    names = ("position:", *mixed, "position:")
-    assert labels(*names, model="position+fixed-point") == [-1, 0, 1, 2, -1]
+    assert labels_of(at_places("a/0", "b/0", "c/0", positions=2)) == [0, 1, 2, -1, -1]
     _, rows = measured_rows(count=5)
     assert (places(rows, SETUP) == -1).all()
+
+
+def test_sockets_of_two_stations_are_at_other_places() -> None:
+    names = ("a/0", "a/1", "back", "back")
+    rows = Observations.of(at_places(*names), at_places(*names, station="hall"))
+    assert labels_of(rows) == [0, 0, 1, 1, 2, 2, 3, 3]
+    apart = [("a/0", "back"), ("hall/a/0", "back")]
+    assert labels_of(rows, apart[:1]) == [-1] * 8
+    assert labels_of(rows, [("hall/a/0", "hall/back")]) == [0, 0, 1, 1, 2, 2, 2, 2]
 
 
 AT = {
@@ -181,7 +194,7 @@ IN_SOCKETS = Setup(parameters=("joint-offset",), distances=FIFTY)
 
 
 @pytest.fixture(scope="module")
-def in_sockets() -> tuple[Chain, Measurements]:
+def in_sockets() -> tuple[Chain, Observations]:
     """A ball in two sockets at each of three places, 50 mm apart."""
     chain = calib_pin.load_chain("space6")
     setup = replace(IN_SOCKETS, sockets=SOCKETS, tool_frame=BALL)
@@ -192,7 +205,7 @@ def in_sockets() -> tuple[Chain, Measurements]:
     return chain, rows
 
 
-def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Measurements]) -> None:
+def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Observations]) -> None:
     chain, rows = in_sockets
     fitted = fit_model(chain, rows, IN_SOCKETS, 0).fit
     masks = folds(rows, fitted, 0)
@@ -210,33 +223,30 @@ def test_places_are_left_out_as_a_whole(in_sockets: tuple[Chain, Measurements]) 
 
 
 @pytest.mark.parametrize(
-    ("names", "model", "count", "expected"),
+    ("names", "positions", "count", "expected"),
     [
-        ("abc", "fixed-point", 3, "leave-one-place-out"),
-        ("abcdefg", "fixed-point", 7, "leave-one-place-out"),
-        ("abcdefg", "fixed-point", 5, "5-fold by place"),
-        ("ab", "fixed-point", 5, "5-fold"),
-        ("abc", "position+fixed-point", 5, "5-fold by place"),
-        ("abc", "fixed-point", 0, "none"),
+        ("abc", 0, 3, "leave-one-place-out"),
+        ("abcdefg", 0, 7, "leave-one-place-out"),
+        ("abcdefg", 0, 5, "5-fold by place"),
+        ("ab", 0, 5, "5-fold"),
+        ("abc", 1, 5, "5-fold by place"),
+        ("abc", 0, 0, "none"),
     ],
 )
 def test_names_of_a_validation(
-    names: str, model: str, count: int, expected: str
+    names: str, positions: int, count: int, expected: str
 ) -> None:
-    targets = [f"{name}/0" for name in names]
-    if "position" in model:
-        targets = ["position:", *(f"fixed-point:{name}" for name in targets)]
-    rows = at_places(*targets, model=model)
+    rows = at_places(*(f"{name}/0" for name in names), positions=positions)
     assert Grouping.of(rows, Setup()).validation_name(count) == expected
 
 
-def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) -> None:
+def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Observations]) -> None:
     """They are where their rows put them, and their distance is there to be found."""
     chain, rows = in_sockets
     of_back = np.array([name.startswith("back") for name in rows.target])
     trained = fit_model(chain, rows.rows(~of_back), IN_SOCKETS, 0)
-    known = [reference.name for reference in trained.problem.measurement.references]
-    assert set(known) == set(SOCKETS) - {"back/0", "back/1"}
+    known = {name for _, name in trained.problem.references}
+    assert known == set(SOCKETS) - {"back/0", "back/1"}
     unseen = model_errors(trained, rows.rows(of_back), np.flatnonzero(of_back))
     np.testing.assert_array_equal(unseen.positions, np.flatnonzero(of_back))
     sizes = [np.linalg.norm(e, axis=1).mean() for e in (unseen.before, unseen.after)]
@@ -262,12 +272,12 @@ def test_sockets_that_were_not_fitted(in_sockets: tuple[Chain, Measurements]) ->
     of_others = np.flatnonzero(~of_back)
     seen = model_errors(trained, rows.rows(~of_back), of_others)
     assert seen.distances == ()
-    errors = trained.fit.problem.errors(trained.fit.theta)
+    errors = error_table(trained.fit.problem, trained.fit.theta)
     np.testing.assert_allclose(seen.after, errors, rtol=0, atol=1e-9)
 
 
 def test_a_known_distance_to_a_new_socket_fits_nothing(
-    in_sockets: tuple[Chain, Measurements],
+    in_sockets: tuple[Chain, Observations],
 ) -> None:
     """What is there to be found must not be put in before."""
     chain, rows = in_sockets
@@ -303,9 +313,9 @@ def test_unseen_rows_are_not_fitted() -> None:
         assert part.before.shape == part.after.shape == (mask.sum(), 3)
         assert np.abs(part.after).max() < 3e-4 < np.abs(part.before).max()
     # Whatever the left-out values are, the model that meets them is the same.
-    values = rows.values.copy()
+    values = rows.only.values.copy()
     values[masks[2]] += 0.01
-    spoiled = replace(rows, values=values)
+    spoiled = Observations.of(replace(rows.only, values=values))
     (_, _, third, *_) = cross_validate(chain, spoiled, SETUP, masks, 0, alike)
     np.testing.assert_allclose(third.after, parts[2].after - 0.01, rtol=0, atol=1e-15)
 
@@ -334,85 +344,3 @@ def test_a_portion_never_goes_back() -> None:
         part(done)
     np.testing.assert_allclose(told, [0.2, 0.4, 0.4, 0.6, 0.6])
     assert portion(None, 0.0, 1.0) is None
-
-
-def rows(q: Floats, files: tuple[str, ...] = ()) -> Measurements:
-    joints = tuple(f"j{k}" for k in range(q.shape[1]))
-    values = np.zeros((len(q), 3))
-    return Measurements(joints, q, "position", values, files=files)
-
-
-def jogged(rng: np.random.Generator, points: int = 20, steps: int = 10) -> Floats:
-    """Straight lines in joint space from one random configuration to the next."""
-    ends = rng.uniform(-2.0, 2.0, (points + 1, 6))
-    part = np.linspace(0.0, 1.0, steps, endpoint=False)[:, None]
-    lines = [a + part * (b - a) for a, b in pairwise(ends)]
-    return np.concatenate(lines)
-
-
-def test_random_order_is_no_path() -> None:
-    rng = np.random.default_rng(0)
-    for _ in range(300):
-        count, joints = int(rng.integers(2, 80)), int(rng.integers(1, 8))
-        q = rng.uniform(-2.0, 2.0, (count, joints))
-        assert (stretches(rows(q)) == -1).all()
-
-
-def test_a_jogged_file_is_cut_into_blocks() -> None:
-    rng = np.random.default_rng(1)
-    q = jogged(rng)
-    label = stretches(rows(q))
-    sizes = np.bincount(label)
-    assert 10 <= len(sizes) <= 40 and sizes.min() >= 2
-    # They are contiguous.
-    assert (np.diff(label) >= 0).all()
-    # In random order the same configurations are as any others.
-    assert (stretches(rows(q[rng.permutation(len(q))])) == -1).all()
-
-
-def test_a_joint_that_stands_still_and_units_do_not_matter() -> None:
-    q = jogged(np.random.default_rng(1))
-    label = stretches(rows(q))
-    still = np.column_stack([q * [1.0, 1.0, 1e-3, 1.0, 1.0, 5.0], np.ones(len(q))])
-    np.testing.assert_array_equal(stretches(rows(still)), label)
-    assert (stretches(rows(np.ones((30, 6)))) == -1).all()
-
-
-def test_a_slow_sweep_is_cut_into_few_blocks() -> None:
-    t = np.linspace(0.0, 1.0, 120)[:, None]
-    q = np.sin(2.0 * np.pi * t * np.linspace(0.5, 1.0, 6))
-    assert 5 <= stretches(rows(q)).max() + 1 <= 10
-
-
-def test_clusters_are_cut_at_their_jumps() -> None:
-    rng = np.random.default_rng(3)
-    q = np.repeat(rng.uniform(-2.0, 2.0, (30, 6)), 8, axis=0)
-    q += 0.05 * rng.normal(size=q.shape)
-    label = stretches(rows(q)).reshape(30, 8)
-    whole = (label == label[:, :1]).all(axis=1)
-    assert whole.mean() > 0.8
-
-
-def test_repetitions_belong_to_the_first() -> None:
-    q = jogged(np.random.default_rng(1))
-    label = stretches(rows(q))
-    home = np.concatenate([q, q[:5], q[100:103]])
-    again = stretches(rows(home))
-    np.testing.assert_array_equal(again[: len(q)], label)
-    np.testing.assert_array_equal(
-        again[len(q) :], label[[0, 1, 2, 3, 4, 100, 101, 102]]
-    )
-
-
-def test_files_are_cut_apart() -> None:
-    rng = np.random.default_rng(2)
-    q = jogged(rng, 10)
-    names = ("a",) * 37 + ("b",) * 63
-    label = stretches(rows(q, names))
-    assert not set(label[:37]) & set(label[37:])
-
-
-@pytest.mark.parametrize("count", [0, 1, 5, 9])
-def test_few_rows_tell_nothing(count: int) -> None:
-    q = np.linspace(0.0, 1.0, max(count, 1))[:count, None] * np.ones(6)
-    assert stretches(rows(q)).tolist() == [-1] * count

@@ -157,7 +157,10 @@ def _parameters(document: Json, names: Sequence[str], frames: Json) -> Json:
             ):
                 entry = result[f"{name}.{end}.{component}"]
                 entry |= {"name": f"{key}.{component}", "value": value}
-                if covariance is not None and entry["sigma"] is not None:
+                behind = entries[f"{end}.frame.{component}"]
+                if behind.get("status", "fixed") not in ("fixed", "identifiable"):
+                    entry |= {"status": behind["status"], "sigma": None}
+                elif covariance is not None and entry["sigma"] is not None:
                     k = order.index(f"{name}.{end}.{component}")
                     entry["sigma"] = float(np.sqrt(covariance[k, k]))
     return {

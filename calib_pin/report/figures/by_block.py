@@ -24,9 +24,9 @@ def errors_by_block(result: CalibrationResult) -> Drawn | None:
     lines: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
     for name, block in zip(block_names(keys_of(result)), result.blocks, strict=True):
         for error in block.errors:
-            sizes = error.before.rms, error.after.rms
+            pair = error.before.rms, error.after.rms
             of = error.name.partition(" (")[0], error.unit
-            lines.setdefault(of, []).append((shortened(name), *sizes))
+            lines.setdefault(of, []).append((shortened(name), *pair))
     lines = {of: _worst(own) for of, own in lines.items()}
     count = sum(map(len, lines.values()))
     height = HEAD + LINE * (count + len(lines)) + FOOT * len(lines)

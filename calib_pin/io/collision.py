@@ -18,6 +18,7 @@ from calib_pin.io.urdf import locate_mesh, locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
 from calib_pin.kinematics.chain import Chain, Robot
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.collision import Collisions
 from calib_pin.setup import Obstacle
 
@@ -34,7 +35,7 @@ are built so."""
 
 
 def load_collisions(
-    chain: Chain,
+    chain: Chain | Chains,
     obstacles: Sequence[Obstacle] = (),
     *,
     srdf: str | Path | None = None,
@@ -51,8 +52,8 @@ def load_collisions(
     configuration are only kept from touching; obstacles always keep it.
 
     Args:
-        chain: The chain whose joints move.
-        obstacles: Obstacles around the robot.
+        chain: The chain whose joints move, or several.
+        obstacles: Obstacles around the robot, placed in the base link of the chains.
         srdf: File that says which links need no check.
         package_dirs: Folders that hold the packages of `package://` meshes; then come
             those of ROS and the folders above the URDF.
@@ -75,7 +76,8 @@ def load_collisions(
         True
     """
     tell = notice or (lambda line: None)
-    robot = chain.robot
+    chains = Chains.of(chain)
+    robot = chains.robot
     apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
     geometry = _solids(robot, package_dirs)
     if geometry.ngeoms == 0:
@@ -84,7 +86,7 @@ def load_collisions(
         return None
     links = geometry.ngeoms
     for k, obstacle in enumerate(obstacles, 1):
-        geometry.addGeometryObject(_obstacle(chain, obstacle, k, file))
+        geometry.addGeometryObject(_obstacle(chains, obstacle, k, file))
     solids = [
         (solid.parentJoint, robot.model.frames[solid.parentFrame].name)
         for solid in geometry.geometryObjects
@@ -96,35 +98,35 @@ def load_collisions(
             second >= links or frozenset((link, other)) not in apart
         ):
             geometry.addCollisionPair(pin.CollisionPair(first, second))
-    collisions = Collisions(chain, geometry, clearance)
+    collisions = Collisions(chains, geometry, clearance)
     if not collisions.pairs:
         tell(
             "no two solids that may not touch move against each other, so "
             "no collision is checked"
         )
-    return _as_built(chain, collisions, srdf is None, tell)
+    return _as_built(chains, collisions, srdf is None, tell)
 
 
 def _as_built(
-    chain: Chain, collisions: Collisions, guess: bool, tell: Callable[[str], None]
+    chains: Chains, collisions: Collisions, guess: bool, tell: Callable[[str], None]
 ) -> Collisions:
     """The collisions without clearances that a robot's links never have.
 
     Args:
-        chain: The chain of the robot.
+        chains: The chains of the robot.
         collisions: All pairs that may not touch.
         guess: Whether links that touch at nearly every configuration are left out.
         tell: Called with one line for each change.
     """
     # The same pairs come out at every run, whatever the seed of the plan.
-    q = chain.random_configurations(SAMPLES, np.random.default_rng(0))
+    q = chains.random_configurations(SAMPLES, np.random.default_rng(0))
     contacts, clearances = collisions.contacts(q), collisions.clearances.copy()
-    close = _by_design(collisions.pairs, contacts, chain.robot)
+    close = _by_design(collisions.pairs, contacts, chains.robot)
     places = [k for k, pair in enumerate(collisions.pairs) if pair in close]
     # What touches by design does so without any clearance, however large it is.
     bare = collisions.only(places, np.zeros(len(clearances)))
     touches = bare.contacts(q)
-    touching = _by_design(bare.pairs, touches, chain.robot)
+    touching = _by_design(bare.pairs, touches, chains.robot)
     left_out = touching if guess else []
     if left_out:
         tell(
@@ -199,11 +201,11 @@ def _link_error(
 
 
 def _obstacle(
-    chain: Chain, obstacle: Obstacle, number: int, file: str
+    chains: Chains, obstacle: Obstacle, number: int, file: str
 ) -> pin.GeometryObject:
-    """An obstacle as a solid of the chain's base link."""
-    model = chain.robot.model
-    base = model.getFrameId(chain.base, pin.FrameType.BODY)
+    """An obstacle as a solid of the base link."""
+    model = chains.robot.model
+    base = model.getFrameId(chains.base, pin.FrameType.BODY)
     frame = model.frames[base]
     placement = pin.SE3(pin.rpy.rpyToMatrix(*obstacle.rpy), np.array(obstacle.xyz))
     return pin.GeometryObject(

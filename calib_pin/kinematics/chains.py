@@ -97,6 +97,11 @@ class Chains:
             self.robot, self._base, self._tip, self._stated, names, self._chains
         )
 
+    @property
+    def base(self) -> str:
+        """The link at which chains start that do not state another."""
+        return self._base or self.robot.root
+
     def __getitem__(self, name: str) -> Chain:
         """The chain of a name."""
         return self._chains[name]

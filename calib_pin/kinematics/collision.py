@@ -15,6 +15,7 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.tree import Configurations
 
@@ -34,15 +35,15 @@ THICKNESS = 1e-6
 
 
 class Collisions:
-    """Self-collision of a robot and its collisions with obstacles, along one chain.
+    """Self-collision of a robot and its collisions with obstacles.
 
-    Joints outside the chain stand at zero. Meshes are surfaces: a solid wholly within
+    Joints outside the chains stand at zero. Meshes are surfaces: a solid wholly within
     one does not touch it.
 
     Args:
-        chain: The chain whose joints move.
+        chain: The chain whose joints move, or several.
         geometry: The solids on `chain.robot.model`, and the pairs of them that may
-            not touch; those that the chain does not move against each other are left
+            not touch; those that it does not move against each other are left
             out. The pairs that touch most often come first for speed.
         clearance: Distance that is kept [m]: one of all pairs, or one of each.
 
@@ -62,7 +63,7 @@ class Collisions:
 
     def __init__(
         self,
-        chain: Chain,
+        chain: Chain | Chains,
         geometry: pin.GeometryModel,
         clearance: float | Sequence[float] | Floats = 0.0,
     ) -> None:
@@ -95,7 +96,7 @@ class Collisions:
         """Configurations where no pair is closer than its clearance.
 
         Args:
-            q: Joint positions, shape (N, n) [rad, m].
+            q: Positions of the joints of all chains, shape (N, n) [rad, m].
 
         Returns:
             True for configurations without a collision, shape (N,).

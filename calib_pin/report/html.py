@@ -23,6 +23,7 @@ from calib_pin.io.result_file import read_suggestions, read_written
 from calib_pin.planning.suggestions import Suggestion, calibrated_setup, suggestions
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
+from calib_pin.report.breakdown import parts, told
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import ranks, remedied, unknown
 from calib_pin.report.tables import (
@@ -52,6 +53,7 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
         "Accuracy",
         (
             "errors-per-measurement",
+            "errors-by-block",
             "error-vectors",
             "errors-in-workspace",
             "model-ladder",
@@ -203,14 +205,18 @@ def _tiles(result: CalibrationResult) -> Iterator[_Tile]:
             remark=f"95 % below {quantity(after.p95, unit).text}, "
             f"largest {quantity(after.max, unit).text} {DISPLAY[unit][0]}",
         )
-    if result.accuracy.workspace is not None and result.verdict != "no-gain":
-        yield _Tile(
-            label="expected tool-point error over the workspace, rms",
-            before=quantity(result.accuracy.workspace.nominal[0], "m"),
-            after=quantity(result.accuracy.workspace.calibrated[0], "m"),
-            unit=DISPLAY["m"][0],
-            remark=f"better than nominal: {percent(result.accuracy.workspace.better)}",
-        )
+    for chain, tool in result.accuracies.items():
+        found = tool.workspace
+        if found is not None and result.verdict != "no-gain":
+            several = len(result.accuracies) > 1
+            of = f" of {chain or 'the robot'}" if several else ""
+            yield _Tile(
+                label=f"expected tool-point error{of} over the workspace, rms",
+                before=quantity(found.nominal[0], "m"),
+                after=quantity(found.calibrated[0], "m"),
+                unit=DISPLAY["m"][0],
+                remark=f"better than nominal: {percent(found.better)}",
+            )
 
 
 def _sections(
@@ -222,6 +228,7 @@ def _sections(
     blocks: dict[str, list[Block]] = {
         "accuracy": [
             *accuracy(result),
+            *parts(result),
             *moves(result),
             *expected(result),
             *beyond(result),
@@ -249,6 +256,7 @@ def _known(
     result: CalibrationResult, suggestions: Sequence[Suggestion]
 ) -> Iterator[Block]:
     yield ranks(result, fitted=True)
+    yield from told(result)
     if result.groups:
         yield group_table(result.groups)
     yield from unknown(result)

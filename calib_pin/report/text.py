@@ -8,6 +8,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.planning.suggestions import Suggestion
 from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
+from calib_pin.report.breakdown import parts, told
 from calib_pin.report.identification import identified
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
@@ -48,12 +49,14 @@ def report(
     yield subject(result)
     yield from findings(result)
     yield from accuracy(result)
+    yield from parts(result)
     yield from moves(result)
     yield from expected(result)
     yield from beyond(result)
     yield from noise(result)
     yield from statistics(result)
     yield from outliers(result)
+    yield from told(result)
     yield from identified(result, fitted=True, suggestions=suggestions)
     yield from listed("at a bound", result.solver.at_bounds)
     yield from correlated(result)

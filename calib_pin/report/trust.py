@@ -69,11 +69,13 @@ def advised(finding: Finding) -> str:
 
 def expected(result: CalibrationResult) -> Iterator[Block]:
     """The expected error of the tool point, at the measurements and elsewhere."""
+    several = len(result.accuracies) > 1
     known = [
-        (where, accuracy)
+        (f"{chain or 'robot'}, {where}" if several else where, accuracy)
+        for chain, found in result.accuracies.items()
         for where, accuracy in (
-            ("where measured", result.accuracy.measured),
-            ("over the workspace", result.accuracy.workspace),
+            ("where measured", found.measured),
+            ("over the workspace", found.workspace),
         )
         if accuracy is not None
     ]

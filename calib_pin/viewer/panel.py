@@ -10,10 +10,11 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.report.breakdown import block_names
 from calib_pin.units import DISPLAY
 from calib_pin.viewer.controls import STAGES, Controls, put, scale, swatch, text
 from calib_pin.viewer.errors import StageErrors
-from calib_pin.viewer.scene import Plan, Rows, Scene, block_names
+from calib_pin.viewer.scene import Plan, Rows, Scene
 from calib_pin.viewer.stage import RowsDrawing, Stage
 
 if TYPE_CHECKING:

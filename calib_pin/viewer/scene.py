@@ -22,9 +22,10 @@ from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats, invert
-from calib_pin.observations import BlockKey, Observations
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import NOTHING
 from calib_pin.parameterizations.error_model import ErrorModel
+from calib_pin.report.breakdown import block_names
 from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.viewer.errors import StageErrors, base_poses
 from calib_pin.viewer.shapes import Shape, box
@@ -264,15 +265,6 @@ def drawn_link(chains: Chains) -> str:
     """The link in which everything is drawn: the base of the chains, or the root."""
     bases = {chains[name].base for name in chains.names if chains[name].joints}
     return bases.pop() if len(bases) == 1 else chains.robot.root
-
-
-def block_names(keys: Sequence[BlockKey]) -> list[str]:
-    """Names of blocks: as much of their keys as tells them apart."""
-    differ = [len(set(values)) > 1 for values in zip(*keys, strict=True)]
-    return [
-        ", ".join(name or "-" for name, told in zip(key, differ, strict=True) if told)
-        for key in keys
-    ]
 
 
 def tip_paths(

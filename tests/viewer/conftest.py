@@ -10,10 +10,12 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib_pin.estimation.system import Part, Scope, assembled
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models import MeasurementModel
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Labels, Measurements, Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -37,34 +39,42 @@ def calibrated() -> Callable[..., CalibratedModel]:
         rng = np.random.default_rng(1)
         setup = Setup(parameters=names or ("placement",), **settings)
         error = ErrorModel.create(chain, setup.parameters, setup=setup)
-        theta = error.parameters.scales * rng.uniform(-1.0, 1.0, len(error.screws))
-        theta[error.parameters.nuisance] = 0.0
+        drawn = rng.uniform(-1.0, 1.0, len(error.screws))
         frames = (pin.exp6(rng.normal(size=6)) for _ in range(2))
-        return CalibratedModel(error.with_frames(*frames), measurement, theta, setup)
+        chains, key = Chains.of(chain), BlockKey(measurement.declaration.name)
+        columns, index = chains.columns(""), np.zeros(0, np.intp)
+        error = error.with_frames(*frames)
+        part = Part(error, measurement, key, Scope(), columns, index)
+        parts, given = assembled([part])
+        theta = np.append(drawn, np.zeros(len(given) - len(drawn))) * given.scales
+        theta[given.nuisance] = 0.0
+        return CalibratedModel(chains, parts, given, theta, setup)
 
     return make
 
 
 @pytest.fixture
-def measured_rows() -> Callable[..., Measurements]:
+def measured_rows() -> Callable[..., Observations]:
     """Rows of a calibration, off by a millimeter: `measured_rows(model, count)`."""
 
     def make(
         model: CalibratedModel, count: int, target: tuple[str, ...] = ()
-    ) -> Measurements:
+    ) -> Observations:
         rng = np.random.default_rng(2)
-        chain, measurement = model.chain, model.measurement
-        q = chain.random_configurations(count, rng)
+        chain, measurement = model.of(), model.only.measurement
+        q = chain.chain.random_configurations(count, rng)
         target = target or ("",) * count
         instrument = np.zeros(len(measurement.parameters))
-        values = measurement.predict(model.poses(q), instrument, target)
+        values = measurement.predict(chain.poses(q), instrument, Labels.of(target))
         noise = 1e-3 * rng.normal(size=(count, measurement.quantities[-1].columns.stop))
-        return Measurements(
-            joints=chain.joints,
-            q=q,
-            model=measurement.name,
-            values=measurement.disturb(values, noise),
-            target=target,
+        return Observations.of(
+            Measurements(
+                joints=chain.chain.joints,
+                q=q,
+                model=model.only.key.model,
+                values=measurement.disturb(values, noise),
+                target=Labels.of(target),
+            )
         )
 
     return make

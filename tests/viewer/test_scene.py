@@ -10,31 +10,35 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.system import assembled
 from calib_pin.io.results import write_urdf
 from calib_pin.io.urdf import load_chain, load_robot
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import invert
-from calib_pin.measurement_models import Mixed
 from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.plane_distance import PlaneDistance
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.measurement_models.position import Position
 from calib_pin.measurement_models.references import Plane, Point
-from calib_pin.measurement_models.side_by_side import concatenate
-from calib_pin.observations import Measurements
-from calib_pin.setup import Payload
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import ChainSetup, Payload, Setup
+from calib_pin.simulation import simulate
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.evaluation import prepared
+from calib_pin.validation.evaluation import Prepared, prepared
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import MAGNIFICATIONS, first_magnification
 from calib_pin.viewer.scene import (
     Plan,
+    Rows,
     Scene,
     Skeleton,
     bodies_of,
+    drawn_link,
     floor_height,
-    tip_path,
+    tip_paths,
 )
 from calib_pin.viewer.shapes import robot_shapes
 from calib_pin.viewer.stage import sight
@@ -102,9 +106,10 @@ def test_links_are_those_of_the_corrected_urdf(
             np.testing.assert_allclose(T, expected[link], atol=1e-12)
     # The tip is where the model has it, but for what no URDF holds.
     places = [skeleton.joints.index(joint) for joint in chain.joints]
-    pose = invert(model.error.base.homogeneous) @ model.poses(q[None, places])[0]
+    arm = model.of()
+    pose = invert(arm.error.base.homogeneous) @ arm.poses(q[None, places])[0]
     tip_pose = corrected.placements(q)[skeleton.links.index(chain.tip)]
-    np.testing.assert_allclose(tip_pose @ model.tool.homogeneous, pose, atol=1e-9)
+    np.testing.assert_allclose(tip_pose @ arm.tool.homogeneous, pose, atol=1e-9)
     assert chain.robot.model == before
 
 
@@ -120,10 +125,11 @@ def test_joint_corrections_turn_the_links(
     skeleton = corrected.skeleton
     q = skeleton.neutral + 0.2
     places = [skeleton.joints.index(joint) for joint in panda.joints]
+    arm = model.of()
     tip = skeleton.links.index(panda.tip)
     found = {}
     for payload, carried in (("heavy", "heavy"), ("light", "light"), ("", "none")):
-        expected = model.error.tip_poses(q[None, places], model.theta, (carried,))[0]
+        expected = arm.error.tip_poses(q[None, places], arm.theta, (carried,))[0]
         found[payload] = corrected.placements(q, payload)[tip]
         np.testing.assert_allclose(found[payload], expected, atol=1e-9)
     assert np.abs(found["heavy"] - found[""]).max() > 1e-4
@@ -154,15 +160,16 @@ def test_fingers_follow_those_that_they_mimic(urdf_of: Callable[..., str]) -> No
 def test_vectors_end_where_the_robot_has_its_point(
     panda: Chain,
     calibrated: Callable[..., CalibratedModel],
-    measured_rows: Callable[..., Measurements],
+    measured_rows: Callable[..., Observations],
 ) -> None:
     for measurement in (Position(), Pose()):
         model = calibrated(panda, measurement)
         rows = measured_rows(model, 12)
-        errors = stage_errors(prepared(model, rows))
-        to_base = model.error.base.inverse()
-        measured = rows.values[:, :3] @ to_base.rotation.T + to_base.translation
-        predicted = (to_base.homogeneous @ model.poses(rows.q))[:, :3, 3]
+        errors = stage_errors(prepared(model, rows), panda.base)
+        arm = model.of()
+        to_base = arm.error.base.inverse()
+        measured = rows.only.values[:, :3] @ to_base.rotation.T + to_base.translation
+        predicted = (to_base.homogeneous @ arm.poses(rows.q))[:, :3, 3]
         np.testing.assert_allclose(errors.measured, measured, atol=1e-12)
         np.testing.assert_allclose(errors.points, predicted, atol=1e-12)
         sizes = errors.quantities["position"]
@@ -175,14 +182,14 @@ def test_vectors_end_where_the_robot_has_its_point(
 def test_the_nominal_robot_is_registered(
     panda: Chain,
     calibrated: Callable[..., CalibratedModel],
-    measured_rows: Callable[..., Measurements],
+    measured_rows: Callable[..., Observations],
 ) -> None:
     model = calibrated(panda, Position())
     rows = measured_rows(model, 30)
     ready = prepared(panda, rows, model.setup)
-    before, reason = stage_errors(ready), ready.reason
+    before, reason = stage_errors(ready, panda.base), ready.reason
     assert reason == ""
-    after = stage_errors(prepared(model, rows))
+    after = stage_errors(prepared(model, rows), panda.base)
     sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
     assert sizes[0] > 1.3 * sizes[1]
     # The tracker stands where the nominal robot puts it, within its own errors.
@@ -194,20 +201,20 @@ def test_the_nominal_robot_is_registered(
 def test_named_points_and_sockets(
     panda: Chain,
     calibrated: Callable[..., CalibratedModel],
-    measured_rows: Callable[..., Measurements],
+    measured_rows: Callable[..., Observations],
 ) -> None:
     probe = Point("probe", "target", np.array([0.0, 0.1, 0.2]))
     model = calibrated(panda, Position(points=(probe,), origin=False))
     rows = measured_rows(model, 5, ("probe",) * 5)
-    errors = stage_errors(prepared(model, rows))
+    errors = stage_errors(prepared(model, rows), panda.base)
     np.testing.assert_allclose(np.linalg.norm(errors.vectors, axis=1), 1e-3, atol=5e-3)
     ball = Point("ball", "target", np.array([0.0, 0.0, 0.1]))
     places = tuple(Point(k, "socket", np.array([0.4, y, 0.3])) for k, y in SOCKETS)
     model = calibrated(panda, FixedPoint(points=(ball,), sites=places))
-    rows = replace(measured_rows(model, 4, TARGETS), model="fixed-point")
-    errors = stage_errors(prepared(model, rows))
+    rows = measured_rows(model, 4, TARGETS)
+    errors = stage_errors(prepared(model, rows), panda.base)
     centers = np.array([place.xyz for place in places])[[0, 1, 1, 0]]
-    to_base = model.error.base.inverse()
+    to_base = model.of().error.base.inverse()
     np.testing.assert_allclose(
         errors.measured, centers @ to_base.rotation.T + to_base.translation, atol=1e-12
     )
@@ -216,28 +223,61 @@ def test_named_points_and_sockets(
 def test_other_measurements_have_sizes_only(
     panda: Chain,
     calibrated: Callable[..., CalibratedModel],
-    measured_rows: Callable[..., Measurements],
+    measured_rows: Callable[..., Observations],
 ) -> None:
     wall = Plane("wall", np.array([1.0, 0.0, 0.0]), -2.0)
     ranger = calibrated(panda, PlaneDistance((wall,)))
     rows = measured_rows(ranger, 200, ("wall",) * 200)
-    errors = stage_errors(prepared(ranger, rows))
+    errors = stage_errors(prepared(ranger, rows), panda.base)
     assert np.isnan(errors.vectors).all()
     (sizes,) = errors.quantities.values()
     assert sizes.shown.any() and sizes.unit == "m"
-    mixed = Mixed.create({"position": Position(), "plane-distance": ranger.measurement})
-    model = replace(ranger, measurement=mixed)
+    tracker = replace(ranger.only, measurement=Position(), key=BlockKey("position"))
+    parts, given = assembled([tracker, ranger.only])
+    model = replace(ranger, parts=parts, given=given)
     seen = rows.rows(sizes.shown).rows(np.arange(3))
-    tracked = measured_rows(replace(ranger, measurement=Position()), 4)
-    errors = stage_errors(prepared(model, concatenate([tracked, seen])))
+    tracked = measured_rows(replace(model, parts={tracker.key: tracker}), 4)
+    both = Observations.of(tracked, seen)
+    errors = stage_errors(prepared(model, both), panda.base)
     assert np.isfinite(errors.vectors).all(axis=1).tolist() == [True] * 4 + [False] * 3
     position, distance = errors.quantities.values()
     assert position.shown.tolist() == [True] * 4 + [False] * 3
     assert distance.shown.tolist() == [False] * 4 + [True] * 3
-    expected = ranger.poses(seen.q)[:, :3, 3]
-    base = ranger.error.base
+    expected = ranger.of().poses(seen.q)[:, :3, 3]
+    base = ranger.of().error.base
     found = errors.points[4:] @ base.rotation.T + base.translation
     np.testing.assert_allclose(found, expected, atol=1e-12)
+
+
+def test_several_chains_are_drawn_in_the_root() -> None:
+    robot = load_robot("example:talos_reduced")
+    hands = {side: f"gripper_{side}_base_link" for side in ("left", "right")}
+    stated = {name: ChainSetup(link) for name, link in hands.items()}
+    # What the left hand carries looks at the right one: its base moves.
+    stated["touch"] = ChainSetup(hands["right"], hands["left"])
+    chains = Chains(robot, stated=stated, names=("left", "touch"))
+    keys = [BlockKey("position", "left"), BlockKey("position", "touch")]
+    problem = nominal_problem(chains, keys, Setup())
+    theta, rng = np.zeros(len(problem.parameters)), np.random.default_rng(4)
+    data = simulate(problem, theta, rng, count=6, noise=0.0)
+    ready = Prepared(replace(problem, data=data), theta, False, "", ())
+    link = drawn_link(chains)
+    assert link == robot.root
+    errors = stage_errors(ready, link)
+    np.testing.assert_allclose(errors.vectors, 0.0, atol=1e-12)
+    paths = tip_paths(chains, data.q, link)
+    for k, q in enumerate(data.q):
+        T = link_poses(robot, dict(zip(chains.joints, q, strict=True)), link)
+        tips = [T[hands["left"]][:3, 3], T[hands["right"]][:3, 3]]
+        np.testing.assert_allclose(errors.points[k], tips[k // 3], atol=1e-12)
+        for path, tip in zip(paths, tips, strict=True):
+            np.testing.assert_allclose(path[20 * k], tip, atol=1e-12)
+    rows = Rows(data, {"before": errors})
+    assert {name: mask.sum() for name, mask in rows.blocks.items()} == {
+        "all": 6,
+        "left": 3,
+        "touch": 3,
+    }
 
 
 # --- plan, camera, floor -----------------------------------------------------------
@@ -247,17 +287,20 @@ def test_the_path_goes_through_the_plan(
     panda: Chain, calibrated: Callable[..., CalibratedModel]
 ) -> None:
     q = panda.random_configurations(4, np.random.default_rng(5))
-    path = tip_path(panda, q)
+    chains = Chains.of(panda)
+    (path,) = tip_paths(chains, q, panda.base)
     assert len(path) == 61
     np.testing.assert_allclose(path[::20], panda.poses(q)[:, :3, 3], atol=1e-12)
     model = calibrated(panda, Position())
-    expected = model.error.tip_poses(q, model.theta)[:, :3, 3]
-    np.testing.assert_allclose(tip_path(model, q)[::20], expected, atol=1e-12)
-    plan = Plan(q, path)
+    arm = model.of()
+    expected = arm.error.tip_poses(q, arm.theta)[:, :3, 3]
+    (found,) = tip_paths(chains, q, panda.base, model)
+    np.testing.assert_allclose(found[::20], expected, atol=1e-12)
+    plan = Plan(q, [path])
     assert plan.at(3.0).tolist() == q[3].tolist()
     np.testing.assert_allclose(plan.at(1.25), 0.75 * q[1] + 0.25 * q[2])
-    assert len(tip_path(panda, q[:1])) == 1
-    assert len(tip_path(panda, np.tile(q, (1500, 1)))) == 6000
+    assert len(tip_paths(chains, q[:1], panda.base)[0]) == 1
+    assert len(tip_paths(chains, np.tile(q, (1500, 1)), panda.base)[0]) == 6000
 
 
 def test_all_is_in_view() -> None:

@@ -23,7 +23,7 @@ from calib_pin.validation.evaluation import prepared
 from calib_pin.viewer.controls import STAGES, Controls, scaled
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import Joints, Player
-from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_path
+from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.server import Window
 from calib_pin.viewer.shapes import Shape, Surface
 from calib_pin.viewer.stage import Stage, lines
@@ -164,16 +164,16 @@ def scene(
     """Triangles for links: what is asked for is not their looks."""
     model = calibrated(panda, Position())
     rows = measured_rows(model, 6)
-    errors = stage_errors(prepared(model, rows))
+    errors = stage_errors(prepared(model, rows), panda.base)
     q = rows.q[:3]
     small = Surface(np.eye(3), np.array([[0, 1, 2]]))
     return Scene(
         title="arm",
         shapes=tuple(Shape(link, np.eye(4), small) for link in panda.robot.links[:9]),
         bodies=tuple(bodies_of(panda.robot, panda.base, model)),
-        chain=panda,
+        chains=model.chains,
         rows=Rows(rows, {"before": errors, "after": errors}),
-        plan=Plan(q, tip_path(model, q)),
+        plan=Plan(q, tip_paths(model.chains, q, panda.base, model)),
     )
 
 
@@ -193,7 +193,7 @@ def test_the_plan_is_played(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> No
     assert scene.plan is not None
     shown: list[Any] = []
     monkeypatch.setattr(
-        Stage, "pose", lambda stage, q, payload: shown.append(q[scene.places])
+        Stage, "pose", lambda stage, q, payload: shown.append(q[scene.moved[1]])
     )
     server = viser.ViserServer("127.0.0.1", 0, verbose=False)
     stage, controls = Stage(server, scene), Controls(server.gui)

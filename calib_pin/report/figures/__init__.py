@@ -8,6 +8,7 @@ from typing import TypeVar
 from matplotlib.figure import Figure
 
 from calib_pin.planning.plan import Plan
+from calib_pin.report.figures.by_block import errors_by_block
 from calib_pin.report.figures.canvas import COLORS, Drawn, drawing
 from calib_pin.report.figures.estimates import parameter_intervals
 from calib_pin.report.figures.identifiability import correlations, singular_values
@@ -40,6 +41,7 @@ __all__ = [
 
 OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     errors_per_measurement,
+    errors_by_block,
     error_vectors,
     residuals,
     singular_values,
@@ -60,6 +62,7 @@ OF_PLAN: tuple[Callable[[Plan], Drawn | None], ...] = (
 NAMES: Mapping[str, tuple[str, ...]] = {
     "calibration": (
         "errors-per-measurement",
+        "errors-by-block",
         "error-vectors",
         "errors-in-workspace",
         "residuals",

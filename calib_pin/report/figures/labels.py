@@ -8,11 +8,16 @@ from typing import Literal
 import numpy as np
 from matplotlib.axes import Axes
 from matplotlib.ticker import MaxNLocator, NullLocator
+from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.units import DISPLAY
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
+
+STATIONS = 4
+"""Stations up to which colors tell them apart."""
 
 DECADES = 18
 """Decades below the largest value that a log axis shows at most."""
@@ -33,6 +38,19 @@ def shortened(name: str, length: int = 40) -> str:
         return name
     end = length // 2
     return f"{name[: length - end - 1]}…{name[-end:]}"
+
+
+def stations_of(rows: Observations) -> tuple[list[str], NDArray[np.intp]]:
+    """Names of the stations that colors tell apart, and that of each row, (N,).
+
+    One without a name where there is one, or more than there are colors.
+    """
+    names = [key.station for key in rows.keys]
+    distinct = list(dict.fromkeys(names))
+    if not 1 < len(distinct) <= STATIONS:
+        return [""], np.zeros(len(rows), np.intp)
+    places = np.array([distinct.index(name) for name in names], np.intp)
+    return [name or "-" for name in distinct], places[rows.block_of]
 
 
 def unit_of(unit: str) -> tuple[str, float]:

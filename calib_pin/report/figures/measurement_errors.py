@@ -15,6 +15,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
+    GROUPS,
     INK,
     WIDTH,
     Drawn,
@@ -22,7 +23,13 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
-from calib_pin.report.figures.labels import log_axis, log_limits, unit_of
+from calib_pin.report.figures.labels import (
+    log_axis,
+    log_limits,
+    shortened,
+    stations_of,
+    unit_of,
+)
 from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.report.tables import number
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -52,6 +59,9 @@ SIGNS: dict[str, dict[str, Any]] = {
 }
 """Signs of the errors before and after."""
 
+OF_STATIONS = (GROUPS[0], *GROUPS[2:])
+"""Colors of the errors after by station; orange is for those before."""
+
 RING = marks(INK, "o", 10.0, hollow=True)
 
 
@@ -68,6 +78,8 @@ class _Pane:
         counted: The measurements that were not set aside, shape (N,).
         drawn: Positions of those that are drawn, ascending, shape (M,).
         rings: Positions of the outliers among them, shape (K,).
+        stations: Names of the stations that colors tell apart.
+        station: The station of each measurement, shape (N,).
     """
 
     rows: str
@@ -77,6 +89,8 @@ class _Pane:
     counted: NDArray[np.bool_]
     drawn: NDArray[np.intp]
     rings: NDArray[np.intp]
+    stations: Sequence[str]
+    station: NDArray[np.intp]
 
     @property
     def means(self) -> list[float]:
@@ -98,7 +112,7 @@ def errors_per_measurement(result: CalibrationResult) -> Drawn | None:
     figure = Figure(figsize=(WIDTH, HEAD + ROW * len(rows) + FOOT))
     entries = {
         "before (nominal robot)": SIGNS["before"],
-        "after (calibrated)": SIGNS["after"],
+        **{name: sign for name, sign, _ in _after(rows[0][0])},
     }
     key(
         figure,
@@ -127,12 +141,14 @@ def _panes(name: str, rows: MeasurementErrors, outliers: Sequence[int]) -> list[
         len(rows), LIMIT, [size for pair in sizes for size in pair], outliers
     )
     rings = np.intersect1d(drawn, np.asarray(outliers, np.intp))
+    stations = stations_of(rows.rows)
     panes = []
     for quantity, (before, after) in zip(rows.quantities, sizes, strict=True):
         unit, factor = unit_of(quantity.unit)
         shown = factor * before, factor * after
         counted = rows.rows.weight > 0.0
-        panes.append(_Pane(name, quantity.name, unit, shown, counted, drawn, rings))
+        of = name, quantity.name, unit
+        panes.append(_Pane(*of, shown, counted, drawn, rings, *stations))
     return panes
 
 
@@ -152,16 +168,16 @@ def _points(axes: Axes, pane: _Pane) -> None:
     """Errors before and after; those no log axis can show stand at its ends."""
     count = len(pane.sizes[0])
     width = float(np.clip(50.0 / np.sqrt(count), 1.8, 4.5))
-    for (stage, sign), sizes in zip(SIGNS.items(), pane.sizes, strict=True):
-        shown, style = sizes[pane.drawn], {**sign, "markersize": width}
+    before = "before", SIGNS["before"], pane.drawn
+    for stage, sign, drawn in (before, *_after(pane)):
+        sizes = pane.sizes[0 if stage == "before" else 1]
+        shown, style = sizes[drawn], {**sign, "markersize": width}
         inside = np.isfinite(shown) & (shown > 0.0)
-        points = Marks(pane.drawn[inside] + 1, shown[inside], **style, label=stage)
+        points = Marks(drawn[inside] + 1, shown[inside], **style, label=stage)
         points.set_rasterized(bool(inside.sum() > VECTORS))
         axes.add_line(points)
-        _at_end(
-            axes, pane.drawn[np.isposinf(shown)] + 1, {**style, "marker": "^"}, 0.97
-        )
-        _at_end(axes, pane.drawn[shown == 0.0] + 1, {**style, "marker": "v"}, 0.03)
+        _at_end(axes, drawn[np.isposinf(shown)] + 1, {**style, "marker": "^"}, 0.97)
+        _at_end(axes, drawn[shown == 0.0] + 1, {**style, "marker": "v"}, 0.03)
     ringed = pane.sizes[1][pane.rings]
     inside = np.isfinite(ringed) & (ringed > 0.0)
     if inside.any():
@@ -173,6 +189,22 @@ def _points(axes: Axes, pane: _Pane) -> None:
     if pane.means:
         means = " → ".join(map(number, pane.means))
         axes.set_title(f"{pane.rows}: mean {means} {pane.unit}")
+
+
+def _after(pane: _Pane) -> list[tuple[str, dict[str, Any], NDArray[np.intp]]]:
+    """The errors after by station: name, sign, and positions of those drawn."""
+    if len(pane.stations) < 2:
+        return [("after (calibrated)", SIGNS["after"], pane.drawn)]
+    return [
+        (
+            f"after, {shortened(station, 16)}",
+            {**SIGNS["after"], "color": color},
+            pane.drawn[pane.station[pane.drawn] == k],
+        )
+        for k, (station, color) in enumerate(
+            zip(pane.stations, OF_STATIONS, strict=False)
+        )
+    ]
 
 
 def _at_end(

@@ -20,6 +20,7 @@ from calib_pin.report.figures.canvas import (
     marks,
     panels,
 )
+from calib_pin.report.figures.labels import shortened, stations_of
 from calib_pin.report.figures.strokes import Marks
 from calib_pin.validation.result import CalibrationResult
 
@@ -66,20 +67,24 @@ def residuals(result: CalibrationResult) -> Drawn | None:
 def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
     """Residuals in their standard deviations by quantity, ascending, (N,) each.
 
-    Empty where these are not known.
+    A few stations are told apart. Empty where standard deviations are not known.
     """
     rows = result.fitted
     if not result.statistics.noise:
         return {}
+    stations, of_row = stations_of(rows.rows)
     found = {}
     for quantity in rows.quantities:
-        # What a row lacks has an infinite sigma, and NaN for an error.
-        parts = (rows.after, rows.sigma)
-        after, sigma = (part[:, quantity.columns].ravel() for part in parts)
-        usable = np.isfinite(after) & np.isfinite(sigma)
-        values = np.sort(after[usable] / sigma[usable])
-        if len(values):
-            found[quantity.name] = values
+        for k, station in enumerate(stations):
+            parts = (rows.after, rows.sigma)
+            own = of_row == k
+            after, sigma = (part[own, quantity.columns].ravel() for part in parts)
+            usable = np.isfinite(after) & np.isfinite(sigma)
+            values = np.sort(after[usable] / sigma[usable])
+            if len(values):
+                several = len(stations) > 1
+                name = f"{quantity.name}, {station}" if several else quantity.name
+                found[name] = values
     return found
 
 
@@ -93,7 +98,7 @@ def _histogram(axes: Axes, values: Mapping[str, Floats]) -> None:
         density = counts / (len(sizes) * (edges[1] - edges[0]))
         highest = max(highest, float(density.max()))
         axes.stairs(density, edges, fill=True, color=color, alpha=0.3, linewidth=0.0)
-        axes.stairs(density, edges, color=color, linewidth=1.2, label=name)
+        axes.stairs(density, edges, color=color, linewidth=1.2, label=shortened(name))
     at = np.linspace(-EDGE, EDGE, 121)
     normal = np.exp(-(at**2) / 2.0) / np.sqrt(2.0 * np.pi)
     axes.plot(at, normal, color=INK, linewidth=1.2, label="normal")
@@ -112,7 +117,7 @@ def _normal_plot(axes: Axes, values: Mapping[str, Floats]) -> None:
         ranks = _shown_ranks(len(sizes))
         normal = [NormalDist().inv_cdf((k + 0.5) / len(sizes)) for k in ranks]
         style = marks(color, mark, 3.5, hollow=True)
-        axes.add_line(Marks(normal, sizes[ranks], **style, label=name))
+        axes.add_line(Marks(normal, sizes[ranks], **style, label=shortened(name)))
         ends += [normal[0], normal[-1]]
     line = [min(ends), max(ends)]
     axes.plot(line, line, color=INK, linewidth=1.0, label="normal", zorder=1.5)

@@ -1,0 +1,162 @@
+"""A calibration by its stations, tools, chains and blocks of measurements.
+
+All of it is shown only where there are several of them.
+"""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Sequence
+
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.report.blocks import Block, Cell, Column, Line, Names, Table, columns
+from calib_pin.report.tables import decimals, known, quantity, significant
+from calib_pin.units import DISPLAY
+from calib_pin.validation.accuracy import QuantityErrors
+from calib_pin.validation.breakdown import FrameSummary
+from calib_pin.validation.result import CalibrationResult
+
+
+def several(result: CalibrationResult) -> bool:
+    """Whether a calibration has more than one station, tool, chain or block."""
+    parts = (result.stations, result.tools, result.chains, result.blocks)
+    return any(len(part) > 1 for part in parts)
+
+
+def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
+    """Names of blocks: as much of their keys as tells them apart.
+
+    Example:
+        >>> block_names([("pose", "", "day1", "ball"), ("pose", "", "day2", "ball")])
+        ['day1', 'day2']
+    """
+    differ = [len(set(values)) > 1 for values in zip(*keys, strict=True)]
+    return [
+        ", ".join(name or "-" for name, told in zip(key, differ, strict=True) if told)
+        for key in keys
+    ]
+
+
+def keys_of(result: CalibrationResult) -> list[tuple[str, str, str, str]]:
+    """Model, chain, station and tool of each block."""
+    return [(b.model, b.chain, b.station, b.tool) for b in result.blocks]
+
+
+def parts(result: CalibrationResult) -> Iterator[Block]:
+    """Accuracy and noise by station, tool and chain, and where the frames are."""
+    if not several(result):
+        return
+    rows: list[Sequence[Cell]] = []
+    for kind, frames in (("station", result.stations), ("tool", result.tools)):
+        for frame in frames if len(frames) > 1 else ():
+            label = f"{kind} {frame.name}"
+            rows += _sizes(label, frame.measurements, frame.errors, frame.noise)
+    for chain in result.chains if len(result.chains) > 1 else ():
+        label = f"chain {chain.name}" if chain.name else f"chain to {chain.tip}"
+        rows += _sizes(label, chain.measurements, chain.errors, None)
+    if rows:
+        titles = ("measurements", "", "nominal", "calibrated", "noise", "unit")
+        kinds = {"": "word", "measurements": "number"}
+        of = columns("", titles, kinds)  # type: ignore[arg-type]
+        yield Table("Stations, tools and chains (rms of fitted measurements)", of, rows)
+    yield _frames([*result.stations, *result.tools])
+    yield Line(
+        "A station is where its link is in the measurement frame, a tool where it is "
+        "in its link, each with its standard deviations; angles as in a URDF, "
+        "deviations about x, y and z.",
+        "note",
+    )
+
+
+def _sizes(
+    label: str,
+    count: int,
+    errors: Sequence[QuantityErrors],
+    noise: Sequence[VarianceComponent] | None,
+) -> Iterator[Sequence[Cell]]:
+    """The rows of a part, one for each quantity."""
+    first = Cell(label), Cell(str(count), count)
+    for error in errors:
+        own = [n for n in noise or () if _plain(n.quantity) == _plain(error.name)]
+        # Of a tool that several stations look at there is no single noise.
+        size = own[0].estimate if len(own) == 1 else math.nan
+        yield (
+            *first,
+            Cell(error.name),
+            quantity(error.before.rms, error.unit),
+            quantity(error.after.rms, error.unit),
+            known(size, error.unit),
+            Cell(DISPLAY[error.unit][0]),
+        )
+        first = Cell(""), Cell("")
+
+
+def _plain(name: str) -> str:
+    """Name of a quantity without the model and the station it is told apart by."""
+    return name.partition(" (")[0]
+
+
+def _frames(frames: Sequence[FrameSummary]) -> Table:
+    rows = []
+    for frame in frames:
+        label = f"{frame.name} ({frame.link})" if frame.link else frame.name
+        sigma = frame.sigma or (math.nan,) * 6
+        halves = [
+            ("position", "m", frame.xyz, sigma[:3]),
+            ("rotation", "rad", frame.rpy, sigma[3:]),
+        ]
+        for name, unit, values, deviations in halves:
+            pairs = zip(values, deviations, strict=True)
+            cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
+            rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
+            label = ""
+    titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
+    of = (Column("", "name"), *titles, Column("unit", "word"))
+    return Table("Frames of stations and tools", of, rows)
+
+
+def _within(value: float, sigma: float, factor: float) -> str:
+    """A value with its standard deviation, such as `12.345 ± 0.012`."""
+    if not sigma > 0.0:
+        return f"{factor * value:.3f}"
+    places = max(decimals(factor * sigma), 0)
+    return f"{factor * value:.{places}f} ± {significant(factor * sigma)}"
+
+
+def told(result: CalibrationResult) -> Iterator[Block]:
+    """What each block tells of the robot, and what hangs together through it."""
+    if len(result.blocks) > 1:
+        names = block_names(keys_of(result))
+        rows: list[Sequence[Cell]] = []
+        for name, block in zip(names, result.blocks, strict=True):
+            ranks = [Cell(str(rank), rank) for rank in (block.rank, block.added)]
+            count = Cell(str(block.measurements), block.measurements)
+            for k, error in enumerate(block.errors):
+                size = quantity(error.after.rms, error.unit)
+                shown = size, Cell(DISPLAY[error.unit][0])
+                blank = [Cell("")] * 2
+                first = (Cell(""), Cell("")) if k else (Cell(name), count)
+                last = blank if k else ranks
+                rows.append((*first, Cell(error.name), *shown, *last))
+        titles = ("measurements", "", "rms", "unit", "rank", "added")
+        kinds = {"": "word", "measurements": "number"}
+        of = columns("", titles, kinds)  # type: ignore[arg-type]
+        yield Table("Blocks of measurements", of, rows)
+        yield Line(
+            "Rank: errors of the robot that the measurements of a block identify by "
+            "themselves. Added: those that the others do not identify without them.",
+            "note",
+        )
+        for name, block in zip(names, result.blocks, strict=True):
+            if block.ties:
+                groups = " with ".join(", ".join(group) for group in block.ties)
+                yield Line(f"Only the measurements of {name} connect {groups}.", "note")
+    if result.coupled_frames:
+        sentences = [coupled.sentence for coupled in result.coupled_frames]
+        yield Names("Frames that cannot be told apart", sentences)
+    for chain in result.chains:
+        if chain.still:
+            of_chain = f" of chain {chain.name}" if chain.name else ""
+            joints = f"joint{'s' if len(chain.still) > 1 else ''} "
+            joints += f"{', '.join(chain.still)}{of_chain}"
+            yield Line(f"No measurement moves {joints}: held at nominal.", "note")

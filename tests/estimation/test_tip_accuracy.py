@@ -43,7 +43,7 @@ def test_it_is_the_error_that_fits_have() -> None:
         tip = result.accuracy.tip
         assert tip is not None
         true = problem.only.error.poses(tip.q, problem.only.split(truth)[0])
-        found = result.model.poses(tip.q)
+        found = result.model.of().poses(tip.q)
         squares.append(np.sum((found[:, :3, 3] - true[:, :3, 3]) ** 2, axis=1).mean())
         R = np.swapaxes(true[:, :3, :3], 1, 2) @ found[:, :3, :3]
         w = 0.5 * np.stack(
@@ -92,7 +92,7 @@ def test_very_many_rows_are_sampled() -> None:
 def test_points_are_those_of_the_tool_in_the_base_link() -> None:
     *_, rows = simulated(3, 30)
     result = fit(rows)
-    tip, model = result.accuracy.tip, result.model
+    tip, model = result.accuracy.tip, result.model.of()
     assert tip is not None
     T = model.error.base.inverse().homogeneous @ model.poses(tip.q)
     np.testing.assert_allclose(tip.points, T[:, :3, 3], atol=1e-12)
@@ -115,7 +115,7 @@ def test_what_frames_absorb_is_taken_away() -> None:
         assert tip is not None
         assert tip.of_robot[0] < tip.rms[0]
         true = problem.only.error.poses(tip.q, problem.only.split(truth)[0])
-        moved = absorbed(true, result.model.poses(tip.q), left=True, right=True)
+        moved = absorbed(true, result.model.of().poses(tip.q), left=True, right=True)
         squares.append(np.sum((moved[:, :3, 3] - true[:, :3, 3]) ** 2, axis=1).mean())
         predicted.append(tip.of_robot[0])
     expected = np.sqrt(np.mean(np.square(predicted)))

@@ -40,7 +40,7 @@ class PopulationCost:
         >>> chain = calib_pin.load_chain("space6")
         >>> nominal = nominal_problem(chain, "position", Setup())
         >>> zero = np.zeros(len(nominal.parameters))
-        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)))
+        >>> problem = exact_problem(nominal, zero, np.zeros((5, 6)), [""] * 5)
         >>> PopulationCost(problem)(np.array([zero, zero + 1e-3])) > 1e-6
         array([False,  True])
     """

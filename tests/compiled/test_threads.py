@@ -129,7 +129,7 @@ for setup in (
     Setup(learned="gaussian-process", **few),
 ):
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
-    poses = result.model.poses(rows.q)
+    poses = result.model.of().poses(rows.q)
     print(poses.tobytes().hex(), result.covariance.tobytes().hex())
 """
 
@@ -163,7 +163,7 @@ def test_a_fit_is_the_same_with_any_number_of_blas_threads(solver: str) -> None:
         with threadpool_limits(count, user_api="blas"):
             result = calib_pin.calibrate(chain, rows, setup, validate=False)
         found.append(
-            (result.model.poses(rows.q).tobytes(), result.covariance.tobytes())
+            (result.model.of().poses(rows.q).tobytes(), result.covariance.tobytes())
         )
     assert found[0] == found[1]
 

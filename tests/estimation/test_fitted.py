@@ -14,6 +14,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.model_errors import predicted_variance
 
@@ -34,20 +35,29 @@ class Job:
 
     def deviations(self, q: Floats) -> tuple[Floats, Floats]:
         """Errors of the tool's position, and their standard deviations, (N, 3)."""
-        moved = self.posterior.problem.error
-        count, known = len(self.true.error.screws), len(moved.screws)
-        true = self.true.error.poses(q, self.theta[:count])
-        found = moved.poses(q, self.posterior.theta[:known])
+        true, found = (
+            poses(problem, theta, q)
+            for problem, theta in (
+                (self.true, self.theta),
+                (self.posterior.problem, self.posterior.theta),
+            )
+        )
         missed = found[:, :3, 3] - true[:, :3, 3]
         squares = np.sum(twists(self.posterior, q)[:, :3] ** 2, axis=2)
         return np.einsum("nji,nj->ni", found[:, :3, :3], missed), np.sqrt(squares)
 
 
+def poses(problem: Problem, theta: Floats, q: Floats) -> Floats:
+    """Poses of the tool, shape (N, 4, 4)."""
+    part = problem.only
+    return part.error.poses(q, part.split(theta)[0])
+
+
 def twists(found: Posterior, q: Floats) -> Floats:
     """Deviations of the tool, shape (N, 6, r + S)."""
-    error = found.problem.error
-    _, J = error.jacobian(q, found.theta[: len(error.screws)])
-    return found.twists(found.problem.rebased(found.theta)[0].error, q, J)
+    part = found.problem.only
+    _, J = part.error.jacobian(q, part.split(found.theta)[0])
+    return found.twists(found.problem.rebased(found.theta)[0].only, q, J)
 
 
 def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Job:
@@ -65,15 +75,14 @@ def job(seed: int, times: float, *, repeats: int = 1, noise: float = 2e-5) -> Jo
     away = [k for k, n in enumerate(names) if n in known or n.endswith("gain")]
     effects[away] = 0.0
     q = chain.random_configurations(50, rng)
-    T = [
-        true.error.poses(q, x[: len(true.error.screws)]) for x in (effects, 0 * effects)
-    ]
+    T = [poses(true, x, q) for x in (effects, 0 * effects)]
     size = np.sqrt(np.mean((T[0] - T[1])[:, :3, 3] ** 2))
     theta = geometry + times * noise / size * effects
     rows = calib_pin.simulate(
         true, theta, rng, count=150 // repeats, noise=noise, repeats=repeats
     )
-    problem = replace(plain, data=replace(rows, sigma=None))
+    data = Observations.of(replace(rows.only, sigma=None))
+    problem = replace(plain, data=data)
     fitted = with_effects(fit(problem, np.random.default_rng(0)))
     moved, at = fitted.problem.rebased(fitted.theta)
     return Job(true, theta, fitted, fitted.effects, posterior_about(fitted, moved, at))
@@ -105,7 +114,7 @@ def test_predicted_errors_of_the_tool_cover(times: float, repeats: int) -> None:
     rng, inside, ratios = np.random.default_rng(1), [], []
     for seed in range(40):
         found = job(seed, times, repeats=repeats)
-        q = found.true.error.chain.random_configurations(40, rng)
+        q = found.true.only.error.chain.random_configurations(40, rng)
         error, deviation = found.deviations(q)
         inside.append(np.mean(np.abs(error) < NORMAL * deviation))
         ratios.append(np.sum(error**2) / np.sum(deviation**2))
@@ -120,7 +129,8 @@ def test_new_rows_are_missed_by_what_is_predicted() -> None:
     found = job(2, 10.0)
     rng = np.random.default_rng(3)
     rows = calib_pin.simulate(found.true, found.theta, rng, count=300, noise=2e-5)
-    there = replace(found.posterior.problem, data=replace(rows, sigma=None))
+    data = Observations.of(replace(rows.only, sigma=None))
+    there = replace(found.posterior.problem, data=data)
     missed = there.errors(found.posterior.theta) / there.sigma
     fitted = found.fitted
     new = replace(fitted.problem, data=there.data)
@@ -133,7 +143,7 @@ def test_it_belongs_to_its_references() -> None:
     found = job(4, 10.0)
     fitted, q = (
         found.fitted,
-        found.true.error.chain.random_configurations(5, np.random.default_rng(0)),
+        found.true.only.error.chain.random_configurations(5, np.random.default_rng(0)),
     )
     every = fitted.posterior, found.posterior
     sizes = [np.sum(twists(p, q) ** 2, axis=2) for p in every]

@@ -181,4 +181,6 @@ def test_frames_absorb_what_they_can() -> None:
     result = calib_pin.calibrate(chain, rows)
     moved = [p.value for p in result.parameters if ".placement." in p.name]
     assert np.abs(moved).max() < 1e-10
-    assert np.allclose(result.model.error.base.homogeneous, base.homogeneous, atol=1e-9)
+    assert np.allclose(
+        result.model.of().error.base.homogeneous, base.homogeneous, atol=1e-9
+    )

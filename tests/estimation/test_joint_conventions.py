@@ -17,8 +17,9 @@ from calib_pin.estimation.joint_conventions import (
     suggest_conventions,
 )
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
@@ -27,7 +28,7 @@ SETUP = Setup(parameters=("joint-offset",), base_frame=KNOWN, tool_frame=TOOL)
 
 
 @pytest.fixture(scope="module")
-def arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
+def arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chains:
     """Three joints that turn and one that slides."""
     twists = [(0, 0, 0.4, 0, 0, 0), (0.1, 0, 0, 0.4, 0, 0.2), (0.5, 0, 0, 0, 0.3, 0)]
     joints = [
@@ -48,11 +49,11 @@ def arm(urdf_of: Callable[..., str], chain_of: Callable[..., Chain]) -> Chain:
             )
         )
     ]
-    return chain_of(urdf_of(*joints))
+    return Chains.of(chain_of(urdf_of(*joints)))
 
 
 @pytest.fixture(scope="module")
-def rows(arm: Chain) -> Measurements:
+def rows(arm: Chains) -> Observations:
     """Positions of a robot with errors."""
     problem = nominal_problem(arm, "position", SETUP)
     rng = np.random.default_rng(7)
@@ -60,10 +61,10 @@ def rows(arm: Chain) -> Measurements:
     return calib_pin.simulate(problem, truth, rng, count=30, noise=5e-5)
 
 
-def misread(rows: Measurements, change: Callable[[Floats], None]) -> Measurements:
+def misread(rows: Observations, change: Callable[[Floats], None]) -> Observations:
     q = rows.q.copy()
     change(q)
-    return replace(rows, q=q)
+    return Observations.of(replace(rows.only, q=q))
 
 
 def reverse(q: Floats) -> None:
@@ -108,8 +109,8 @@ def couple_one_and_reverse_another(q: Floats) -> None:
 def test_what_is_wrong_is_found(
     change: Callable[[Floats], None],
     readings: tuple[Reading, ...],
-    arm: Chain,
-    rows: Measurements,
+    arm: Chains,
+    rows: Observations,
 ) -> None:
     wrong = misread(rows, change)
     found = suggest_conventions(arm, wrong, SETUP)
@@ -122,23 +123,24 @@ def test_what_is_wrong_is_found(
         )
 
 
-def test_an_unknown_base_as_well(arm: Chain, rows: Measurements) -> None:
+def test_an_unknown_base_as_well(arm: Chains, rows: Observations) -> None:
     found = suggest_conventions(arm, misread(rows, couple), Setup())
     assert found is not None
     assert found.readings == (Reading(2, coupled=1),)
 
 
-def test_readings_that_are_right(arm: Chain, rows: Measurements) -> None:
+def test_readings_that_are_right(arm: Chains, rows: Observations) -> None:
     assert suggest_conventions(arm, rows, SETUP) is None
 
 
-def test_rows_of_something_else(arm: Chain, rows: Measurements) -> None:
+def test_rows_of_something_else(arm: Chains, rows: Observations) -> None:
     """Nothing helps decisively: better no advice than a wrong one."""
     order = np.random.default_rng(0).permutation(len(rows))
-    assert suggest_conventions(arm, replace(rows, q=rows.q[order]), SETUP) is None
+    mixed = Observations.of(replace(rows.only, q=rows.q[order]))
+    assert suggest_conventions(arm, mixed, SETUP) is None
 
 
-def test_without_a_measuring_frame(arm: Chain) -> None:
+def test_without_a_measuring_frame(arm: Chains) -> None:
     """Closed forms are poor there; the registration is fitted."""
     wire = {"w": AnchorSetup((1.5, 0.2, 0.4), estimate=False)}
     setup = Setup(anchors=wire, tool_frame=TOOL)
@@ -154,20 +156,21 @@ def test_without_a_measuring_frame(arm: Chain) -> None:
     )
 
 
-def test_starts_are_read_like_the_rows(arm: Chain) -> None:
+def test_starts_are_read_like_the_rows(arm: Chains) -> None:
     problem = nominal_problem(arm, "relative-distance", Setup(tool_frame=TOOL))
     rng = np.random.default_rng(7)
     zero = np.zeros(len(problem.parameters))
     rows = calib_pin.simulate(problem, zero, rng, count=40, noise=5e-5)
-    q, start = rows.q.copy(), rows.start.copy()
+    q, start = rows.q.copy(), rows.only.start.copy()
     couple(q), couple(start)
+    wrong = Observations.of(replace(rows.only, q=q, start=start))
     known = Setup(tool_frame=replace(TOOL, estimate=False))
-    found = suggest_conventions(arm, replace(rows, q=q, start=start), known)
+    found = suggest_conventions(arm, wrong, known)
     assert found is not None and found.after < 10.0
     assert found.readings == (Reading(2, coupled=1),)
 
 
-def test_progress(arm: Chain, rows: Measurements) -> None:
+def test_progress(arm: Chains, rows: Observations) -> None:
     told: list[float] = []
     suggest_conventions(arm, misread(rows, reverse), SETUP, told.append)
     assert told and told == sorted(told) and min(told) >= 0.0 and told[-1] < 1.0

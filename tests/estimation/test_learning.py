@@ -16,7 +16,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.residual_models import RESIDUAL_MODELS, TrainingRows
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.held_out import cross_validate
@@ -31,7 +31,7 @@ SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0
 
 def measured_rows(
     setup: Setup = SETUP, *, count: int = 40, repeats: int = 1
-) -> tuple[Chain, Measurements]:
+) -> tuple[Chain, Observations]:
     """Positions of `space6`; the readings of a configuration differ by noise."""
     chain = calib_pin.load_chain("space6")
     problem = nominal_problem(chain, "position", setup)
@@ -41,7 +41,7 @@ def measured_rows(
         problem, truth, rng, count=count, noise=5e-5, repeats=repeats
     )
     # Readings of one configuration need not stand side by side.
-    return chain, rows.rows(rng.permutation(len(rows)))
+    return chain, Observations.of(rows.only.rows(rng.permutation(len(rows))))
 
 
 FREE = ("position", "pose", "plane-distance")
@@ -72,12 +72,14 @@ def test_derivatives_with_named_points_and_places(
 def check_training_rows(problem: Problem, space: str) -> None:
     rng = np.random.default_rng(4)
     theta = 0.02 * rng.normal(size=len(problem.parameters))
-    directions = rng.normal(size=(len(problem.error.screws), 3))
+    error = problem.only.error
+    directions = np.zeros((len(theta), 3))
+    directions[: len(error.screws)] = rng.normal(size=(len(error.screws), 3))
     rows = training_rows(problem, theta, directions)
     assert rows.shifts == 3
     np.testing.assert_array_equal(rows.q, problem.data.q)
     np.testing.assert_array_equal(rows.groups, problem.data.groups())
-    chain = problem.error.chain
+    chain = error.chain
     np.testing.assert_array_equal(rows.revolute, chain.revolute)
     call = rows.by_joint if space == "joint" else rows.by_tip
     size = len(chain.joints) if space == "joint" else 6
@@ -110,7 +112,7 @@ def check_training_rows(problem: Problem, space: str) -> None:
         )
     # Nothing learned leaves the residual of the problem.
     plain = call(*still).residual
-    expected = problem.errors(theta) / problem.sigma
+    expected = problem.blocks[0].table(problem.errors(theta) / problem.sigma)
     np.testing.assert_allclose(plain, expected, rtol=0, atol=1e-9)
 
 
@@ -160,7 +162,7 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     plain = fit_model(chain, rows, SETUP, 3)
     learned = fit_model(chain, rows, replace(SETUP, learned="memory"), 3)
     np.testing.assert_array_equal(learned.fit.theta, plain.fit.theta)
-    assert learned.fit.problem.error.learned is None
+    assert learned.fit.problem.only.error.learned is None
     # It learned from what the fit has left, about the fitted frames.
     (given,) = memory.rows
     # Not those that turn the tool, which no position shows.
@@ -168,12 +170,15 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     zero = np.zeros((len(rows), 6)), np.zeros(given.shifts)
     sigma = plain.fit.problem.sigma
     left = plain.fit.problem.errors(plain.fit.theta) / sigma
-    np.testing.assert_allclose(given.by_joint(*zero).residual, left, rtol=0, atol=1e-8)
+    table = plain.fit.problem.blocks[0].table
+    np.testing.assert_allclose(
+        given.by_joint(*zero).residual, table(left), rtol=0, atol=1e-8
+    )
     # And it predicts.
     corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
     found = fitted_errors(learned, rows)
     before, after = found.before, found.after
-    np.testing.assert_allclose(after / sigma, corrected, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(table(after / sigma), corrected, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(before, fitted_errors(plain, rows).before)
 
 

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.configurations import asked, observable_configurations
+from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import jacobian_at, scale_deviation
 from calib_pin.setup import (
@@ -141,8 +141,7 @@ def deviation(**stated: Any) -> float:
     setup = Setup(**{**IN_SOCKETS, **stated})
     problem = nominal_problem(ARM, "fixed-point", setup)
     zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
-    q, target = observable_configurations(problem, zero, 80, rng)
-    at = asked(problem, q, target)
+    at = [observable_configurations(problem, problem.only.key, zero, 80, rng)]
     return scale_deviation(problem, zero, at, jacobian_at(problem, zero, at))
 
 

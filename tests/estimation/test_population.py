@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 
 from calib_pin.compiled.blocks import BLOCK
-from calib_pin.estimation.configurations import asked
+from calib_pin.estimation.configurations import asked, named_targets
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.population import PopulationCost
 from calib_pin.estimation.problem import Problem
@@ -19,13 +19,13 @@ from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS
-from calib_pin.measurement_models.mixed import absent
 from calib_pin.measurement_models.position import Position
-from calib_pin.measurement_models.side_by_side import by_part
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup
 
 Measured = Callable[..., Problem]
+
+SEVERAL = ("pose", "fixed-point", "relative-distance", "camera")
 
 
 class Unbatched(Position):
@@ -83,7 +83,8 @@ def test_a_model_without_a_batch_form_is_evaluated_in_a_loop(
     prior = {"*.placement.*": 1e-3}
     problem = measured(load_chain("space6"), "position", ["placement"], 40, prior=prior)
     theta = members(problem, 3)
-    plain = PopulationCost(replace(problem, measurement=Unbatched()))
+    unbatched = replace(problem.only, measurement=Unbatched())
+    plain = PopulationCost(problem.with_parts({unbatched.key: unbatched}))
     assert plain.evaluator == "loop"
     compiled = PopulationCost(problem)
     np.testing.assert_allclose(plain(theta), compiled(theta), rtol=1e-12, atol=0)
@@ -125,14 +126,15 @@ def test_joint_corrections(
         prior={"joint_2.*": 1e-3},
     )
     theta = members(problem, 4)
-    theta[1, problem.error.joint_corrections] *= 30.0
+    corrected = problem.only.index[problem.only.error.joint_corrections]
+    theta[1, corrected] *= 30.0
     costs = PopulationCost(problem)
     assert costs.evaluator == "kernel"
     expected = [problem.cost(member) for member in theta]
     np.testing.assert_allclose(costs(theta), expected, rtol=1e-12, atol=0)
     # The corrections do something.
     bare = theta.copy()
-    bare[:, problem.error.joint_corrections] = 0.0
+    bare[:, corrected] = 0.0
     assert (np.abs(costs(bare) - expected)[:-1] > 1.0).all()
 
 
@@ -142,35 +144,33 @@ def test_models_side_by_side(
     equipped: Setup,
     equipped_problem: Callable[..., Problem],
 ) -> None:
-    """Parts with frames of their own, starts of their own, and a known distance."""
+    """Blocks with frames of their own, starts of their own, and a known distance."""
     assert equipped.camera is not None
     problem = equipped_problem(
         load_chain("space6"),
-        "pose+fixed-point+relative-distance+camera",
+        [BlockKey(model) for model in SEVERAL],
         camera=replace(equipped.camera, mount=mount),
         parameters=("placement", "transmission"),
     )
-    zero = np.zeros(len(problem.parameters))
-    target = problem.data.target * 20
-    q = problem.error.chain.random_configurations(len(target), np.random.default_rng(5))
-    at = asked(problem, q, target)
-    nothing = Measurements(
-        joints=problem.data.joints,
-        q=q,
-        model=problem.data.model,
-        values=np.zeros((len(q), problem.measurement.width)),
-        sigma=absent(problem.measurement, target),
-        target=at.target,
-        payload=at.payload,
-        start=at.start,
-    )
-    problem = replace(problem, data=nothing)
-    # Points behind the camera have no pixel.
-    seen = np.isfinite(problem.errors(zero)).all(axis=1)
-    assert seen.mean() > 0.3 and set(by_part(problem.data)) == set(
-        by_part(problem.data.rows(seen))
-    )
-    problem = replace(problem, data=problem.data.rows(seen))
+    zero, rng, blocks = np.zeros(len(problem.parameters)), np.random.default_rng(5), []
+    for key in problem.parts:
+        names = named_targets(problem, key)
+        q = problem.chains.random_configurations(20 * len(names), rng)
+        at = asked(problem, key, q, names * 20)
+        # Points behind the camera have no pixel.
+        seen = np.isfinite(problem.predict(zero, at)).all(axis=1)
+        assert seen.mean() > 0.3
+        nothing = Measurements(
+            joints=problem.chains.joints,
+            q=q,
+            values=np.zeros((len(q), problem.parts[key].measurement.width)),
+            target=at.target,
+            payload=at.payload,
+            start=at.start,
+            **key._asdict(),
+        )
+        blocks.append(nothing.rows(seen))
+    problem = replace(problem, data=Observations(tuple(blocks)))
     theta = 0.1 * members(problem, 5)
     costs = PopulationCost(problem)
     assert costs.evaluator == "kernel"
@@ -181,8 +181,9 @@ def test_models_side_by_side(
 def test_what_was_learned_is_evaluated_in_a_loop(measured: Measured) -> None:
     problem = measured(load_chain("space6"), "position", ["placement"], 40)
     theta = members(problem, 3)
-    error = replace(problem.error, learned=Bent())
-    bent = replace(problem, error=error)
+    part = problem.only
+    learned = replace(part, error=replace(part.error, learned=Bent()))
+    bent = problem.with_parts({part.key: learned})
     costs = PopulationCost(bent)
     assert costs.evaluator == "loop"
     found = costs(theta)
@@ -216,13 +217,13 @@ def test_planes_in_any_order(measured: Measured) -> None:
     problem = measured(load_chain("space6"), "plane-distance", ["placement"], 400)
     names = problem.data.target
     assert sum(a != b for a, b in pairwise(names)) > 100
-    assert names.count("wall") % BLOCK and names.count("floor") % BLOCK
+    assert list(names).count("wall") % BLOCK and names.count("floor") % BLOCK
     theta = members(problem, 3)
     expected = PopulationCost(problem)(theta)
     order = np.random.default_rng(2).permutation(400)
-    shuffled = replace(problem, data=problem.data.rows(order))
-    sorted_ = replace(problem, data=problem.data.rows(np.argsort(names, kind="stable")))
-    for other in (shuffled, sorted_):
+    for again in (order, np.argsort(names, kind="stable")):
+        rows = Observations.of(problem.data.only.rows(again))
+        other = replace(problem, data=rows)
         np.testing.assert_allclose(PopulationCost(other)(theta), expected, rtol=1e-12)
 
 
@@ -249,8 +250,9 @@ def test_a_beam_along_the_plane(
         planes={"wall": PlaneSetup((1.0, 0.0, 0.0), offset)},
     )
     problem = nominal_problem(chain, "plane-distance", setup)
-    rows = problem.data.rows(np.zeros(3, int))
-    problem = replace(problem, data=replace(rows, values=np.ones((3, 1))))
+    rows = problem.data.only.rows(np.zeros(3, int))
+    data = Observations.of(replace(rows, values=np.ones((3, 1))))
+    problem = replace(problem, data=data)
     # The beam runs along z until the second member tilts it.
     tilted = problem.parameters.vector({"tool.frame.ry": 0.5, "j.placement.x": 0.1})
     found = PopulationCost(problem)(np.array([0.0 * tilted, tilted, 0.0 * tilted]))

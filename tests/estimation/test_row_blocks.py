@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
@@ -38,11 +39,17 @@ DISTANCES = (
 )
 
 
-def known(instrument: Floats | None = None) -> tuple[KnownDistances, Floats]:
-    count = sum(len(reference.parameters) for reference in REFERENCES)
-    return KnownDistances.of(DISTANCES, REFERENCES), np.zeros(
-        count
-    ) if instrument is None else instrument
+def distances_of(
+    stated: Sequence[DistanceSetup], references: Sequence[ReferenceObject]
+) -> tuple[KnownDistances, Floats]:
+    """Known distances between objects by their names, and zero for their parameters."""
+    names = [p.name for reference in references for p in reference.parameters]
+    named = {(reference.section, reference.name): reference for reference in references}
+    return KnownDistances.of(stated, named, names), np.zeros(len(names))
+
+
+def known() -> tuple[KnownDistances, Floats]:
+    return distances_of(DISTANCES, REFERENCES)
 
 
 def test_those_whose_ends_are_known() -> None:
@@ -71,9 +78,8 @@ def test_many_members_at_once() -> None:
 
 
 def test_none() -> None:
-    found = KnownDistances.of((), REFERENCES)
+    found, zero = distances_of((), REFERENCES)
     assert len(found) == 0
-    zero = known()[1]
     assert found.residual(zero).shape == found.lengths(zero).shape == (0,)
     assert found.jacobian(zero).shape == (0, len(zero))
 
@@ -97,11 +103,11 @@ def test_a_socket_goes_before_a_point_of_the_tool() -> None:
         Point("c", "target", np.array([0.0, 0.0, 7.0])),
     )
     for order in (references, references[::-1]):
-        found = KnownDistances.of((DistanceSetup(("a", "b"), 1.0),), order)
-        assert found.lengths(np.zeros(15)) == pytest.approx([0.5])
+        found, zero = distances_of((DistanceSetup(("a", "b"), 1.0),), order)
+        assert found.lengths(zero) == pytest.approx([0.5])
     # Two points of the tool, where no place has their names.
-    found = KnownDistances.of((DistanceSetup(("a", "c"), 1.0),), references[::4])
-    assert found.lengths(np.zeros(6)) == pytest.approx([7.0])
+    found, zero = distances_of((DistanceSetup(("a", "c"), 1.0),), references[::4])
+    assert found.lengths(zero) == pytest.approx([7.0])
 
 
 # In a problem.
@@ -143,9 +149,8 @@ def test_a_distance_weighs_by_its_sigma(sigma: float, left: float) -> None:
     wrong = (DistanceSetup(("s/0", "s/1"), apart + 1e-3, sigma),)
     told = replace(setup, distances=wrong)
     fitted = fit(make_problem(ARM, rows, told), rng)
-    places = fitted.problem.measurement.rebased(
-        fitted.problem.split(fitted.theta)[1]
-    ).sites
+    moved, _ = fitted.problem.rebased(fitted.theta)
+    places = moved.only.measurement.sites
     found = float(np.linalg.norm(places[0].xyz - places[1].xyz))
     assert abs(found - apart - 1e-3) <= 1.1 * left
     assert (abs(found - apart) < 2e-4) == (sigma == 1.0)

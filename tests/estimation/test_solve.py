@@ -43,7 +43,7 @@ def ranger_problem(
     largest = [length if p.unit == "m" else angle for p in parameters]
     truth = np.where(moved, rng.uniform(-1.0, 1.0, len(parameters)) * largest, 0.0)
     rows = calib_pin.simulate(nominal, truth, rng, count=count, noise=noise)
-    return make_problem(nominal.error.chain, rows, setup), truth
+    return make_problem(nominal.chains, rows, setup), truth
 
 
 def solved(problem: Problem, name: str, **evolution: str | float) -> Fit:
@@ -96,7 +96,7 @@ def test_two_steps_by_turns_reach_the_joint_solution(case: str, noise: float) ->
     rows = calib_pin.simulate(
         study.problem, truth, study.rng, count=CASES[case].rows, noise=noise
     )
-    problem = make_problem(study.problem.error.chain, rows, study.problem.setup)
+    problem = make_problem(study.problem.chains, rows, study.problem.setup)
     joint, turns = (solved(problem, name) for name in ("gauss-newton", "two-step"))
     assert (turns.problem.setup.solver.name, turns.solution.evaluator) == (
         "two-step",
@@ -142,9 +142,10 @@ class Unbatched(PlaneDistance):
 
 def test_without_a_kernel_its_poses_do_the_same() -> None:
     problem, _ = ranger_problem(0, length=1e-3, angle=1e-3, count=30)
-    known = problem.measurement
-    assert isinstance(known, PlaneDistance)
-    slow = replace(problem, measurement=Unbatched(known.planes))
+    (key, part), *_ = problem.parts.items()
+    assert isinstance(part.measurement, PlaneDistance)
+    unbatched = replace(part, measurement=Unbatched(part.measurement.planes))
+    slow = problem.with_parts({key: unbatched})
     options = {"population_size": 8, "maxiter": 3}
     fast, plain = (solved(p, "de", **options) for p in (problem, slow))
     assert (fast.solution.evaluator, plain.solution.evaluator) == ("kernel", "kernel")
@@ -153,7 +154,7 @@ def test_without_a_kernel_its_poses_do_the_same() -> None:
 
 def test_a_search_that_was_cut_short_is_not_trusted() -> None:
     problem, _ = ranger_problem(0, length=3e-3, angle=3e-3)
-    chain, rows = problem.error.chain, problem.data
+    chain, rows = problem.chains, problem.data
     short = replace(RANGER, solver=SolverSetup("de", {"maxiter": 5}))
     result = calib_pin.calibrate(chain, rows, short, validate=False)
     assert result.solver.status == Status.GENERATIONS.value
@@ -180,9 +181,7 @@ def test_a_population_that_met_far_from_a_minimum_is_not_trusted(
 ) -> None:
     problem, _ = ranger_problem(0, length=3e-3, angle=3e-3)
     setup = replace(RANGER, solver=SolverSetup("de", options))
-    result = calib_pin.calibrate(
-        problem.error.chain, problem.data, setup, validate=False
-    )
+    result = calib_pin.calibrate(problem.chains, problem.data, setup, validate=False)
     assert result.solver.status == Status.COLLAPSED.value
     assert result.verdict == "untrusted" and "hybrid" in result.reason
 
@@ -251,7 +250,7 @@ def test_progress_goes_from_stage_to_stage() -> None:
     setup = replace(RANGER, solver=SolverSetup("hybrid", {"population_size": 20}))
     seen: list[tuple[str, float]] = []
     calib_pin.calibrate(
-        problem.error.chain,
+        problem.chains,
         problem.data,
         setup,
         progress=lambda stage, part: seen.append((stage, part)),

@@ -26,11 +26,8 @@ def simulated(
     problem = nominal_problem(CHAIN, model, Setup(tool_frame=TOOL))
     truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(0))
     rng = np.random.default_rng(seed)
-    return (
-        problem,
-        truth,
-        calib_pin.simulate(problem, truth, rng, count=count, noise=noise),
-    )
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=noise)
+    return problem, truth, rows.only
 
 
 def fit(rows: Measurements) -> CalibrationResult:
@@ -45,8 +42,8 @@ def test_it_is_the_error_that_fits_have() -> None:
         result = fit(rows)
         tip = result.accuracy.tip
         assert tip is not None
-        true = problem.error.poses(tip.q, truth[: len(problem.error.screws)])
-        found = result.model.poses(tip.q)
+        true = problem.only.error.poses(tip.q, problem.only.split(truth)[0])
+        found = result.model.of().poses(tip.q)
         squares.append(np.sum((found[:, :3, 3] - true[:, :3, 3]) ** 2, axis=1).mean())
         R = np.swapaxes(true[:, :3, :3], 1, 2) @ found[:, :3, :3]
         w = 0.5 * np.stack(
@@ -95,7 +92,7 @@ def test_very_many_rows_are_sampled() -> None:
 def test_points_are_those_of_the_tool_in_the_base_link() -> None:
     *_, rows = simulated(3, 30)
     result = fit(rows)
-    tip, model = result.accuracy.tip, result.model
+    tip, model = result.accuracy.tip, result.model.of()
     assert tip is not None
     T = model.error.base.inverse().homogeneous @ model.poses(tip.q)
     np.testing.assert_allclose(tip.points, T[:, :3, 3], atol=1e-12)
@@ -117,8 +114,8 @@ def test_what_frames_absorb_is_taken_away() -> None:
         tip = result.accuracy.tip
         assert tip is not None
         assert tip.of_robot[0] < tip.rms[0]
-        true = problem.error.poses(tip.q, truth[: len(problem.error.screws)])
-        moved = absorbed(true, result.model.poses(tip.q), left=True, right=True)
+        true = problem.only.error.poses(tip.q, problem.only.split(truth)[0])
+        moved = absorbed(true, result.model.of().poses(tip.q), left=True, right=True)
         squares.append(np.sum((moved[:, :3, 3] - true[:, :3, 3]) ** 2, axis=1).mean())
         predicted.append(tip.of_robot[0])
     expected = np.sqrt(np.mean(np.square(predicted)))

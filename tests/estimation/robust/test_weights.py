@@ -19,7 +19,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.weights import LOSSES
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 
 GROSS = (5e-3, 1.0)
 """Sizes of gross errors, equally often in every factor [m, rad, kpx]."""
@@ -41,13 +41,15 @@ class Job:
 
     study: Study
     truth: Floats
-    rows: Measurements
+    rows: Observations
     bad: NDArray[np.bool_]
 
-    def fit(self, loss: str = "auto", rows: Measurements | None = None) -> Fit:
+    def fit(
+        self, loss: str = "auto", rows: Measurements | Observations | None = None
+    ) -> Fit:
         problem = self.study.problem
         setup = replace(problem.setup, loss=loss)
-        data = self.rows if rows is None else rows
+        data = Observations.of(self.rows if rows is None else rows)
         return fit(replace(problem, data=data, setup=setup), np.random.default_rng(0))
 
     def of_good(self) -> Fit:
@@ -82,30 +84,35 @@ def job(name: str, share: float, seed: int, size: float = 1.0, count: int = 0) -
     )
     number = round(share * rows.configurations)
     bad = np.isin(rows.groups(), rng.choice(rows.configurations, number, replace=False))
-    return Job(study, truth, spoiled(study.problem, rows, bad, rng), bad)
+    if bad.any():
+        rows = spoiled(study.problem, rows, bad, rng)
+    return Job(study, truth, rows, bad)
 
 
 def spoiled(
     problem: Problem,
-    rows: Measurements,
+    found: Observations,
     bad: NDArray[np.bool_],
     rng: np.random.Generator,
-) -> Measurements:
+) -> Observations:
     """Rows with gross errors in random directions in some of them, shape (N,)."""
-    if problem.measurement.declaration.contact:
+    measurement, rows = problem.only.measurement, found.only
+    if measurement.declaration.contact:
         sizes = np.exp(rng.uniform(*np.log(BENT), (len(rows), 1)))
         signs = rng.choice([-1.0, 1.0], rows.q.shape)
-        return replace(rows, q=np.where(bad[:, None], rows.q + sizes * signs, rows.q))
+        q = np.where(bad[:, None], rows.q + sizes * signs, rows.q)
+        return Observations.of(replace(rows, q=q))
     assert rows.sigma is not None
     errors = np.zeros(rows.sigma.shape)
-    for quantity in problem.measurement.quantities:
+    for quantity in measurement.quantities:
         drawn = rng.normal(size=(len(rows), errors[:, quantity.columns].shape[1]))
         drawn /= np.linalg.norm(drawn, axis=1)[:, None]
         sizes = np.exp(rng.uniform(*np.log(GROSS), (len(rows), 1)))
         sizes *= 1e3 if quantity.unit == "px" else 1.0
         errors[:, quantity.columns] = drawn * sizes
-    errors[~bad | np.isinf(rows.sigma).any(axis=1)] = 0.0
-    return replace(rows, values=problem.measurement.disturb(rows.values, errors))
+    errors[~bad] = 0.0
+    values = measurement.disturb(rows.values, errors)
+    return Observations.of(replace(rows, values=values))
 
 
 @pytest.mark.parametrize("loss", ["auto", "gnc"])
@@ -149,7 +156,8 @@ def test_spoiled_configurations_steer_nothing(
         assert not named[~found.bad].any()
         about_good = replace(good.problem, data=found.rows)
         z = about_good.errors(good.theta) / about_good.given_sigma
-        gross = found.bad & (np.linalg.norm(z, axis=1) > 10.0)
+        (block,) = about_good.blocks
+        gross = found.bad & (np.linalg.norm(block.table(z), axis=1) > 10.0)
         assert named[gross].all()
     assert np.median(ratios) <= 1.15
 
@@ -159,10 +167,10 @@ def test_spoiled_configurations_steer_nothing(
 def test_one_wrong_measurement_of_sixty(millimeters: float, stated: bool) -> None:
     """It steered the fit by 0.23 to 2.61 mm, and its sigma of 0.1 mm was believed."""
     found = job("position", 0.0, 4)
-    values = found.rows.values.copy()
+    values = found.rows.blocks[0].values.copy()
     values[17] += 1e-3 * millimeters * np.array([0.6, 0.0, 0.8])
     sigma = np.full(values.shape, 1e-4) if stated else None
-    rows = replace(found.rows, values=values, sigma=sigma)
+    rows = replace(found.rows.only, values=values, sigma=sigma)
     fitted = found.fit(rows=rows)
     assert [outlier.row for outlier in fitted.robust.outliers] == [17]
     # What it would be with it.
@@ -191,19 +199,20 @@ def test_what_has_no_majority_is_left_alone() -> None:
     """A joint that turns the other way: no solution holds most of the rows."""
     found = job("position", 0.0, 3)
     q = found.rows.q * [1.0, 1.0, -1.0, 1.0, 1.0, 1.0]
-    fitted = found.fit(rows=replace(found.rows, q=q))
+    fitted = found.fit(rows=replace(found.rows.only, q=q))
     assert (fitted.problem.data.weight == 1.0).all()
     assert fitted.robust.squared is None
 
 
 def causes(found: Job, values: Floats) -> dict[int, str]:
-    rows = replace(found.rows, values=values)
+    first, *others = found.rows.blocks
+    rows = Observations((replace(first, values=values), *others))
     return {o.row: o.cause for o in found.fit(rows=rows).robust.outliers}
 
 
 def test_exchanged_rows_are_named() -> None:
     found = job("position", 0.0, 5)
-    values = found.rows.values.copy()
+    values = found.rows.blocks[0].values.copy()
     values[[10, 20]] = values[[20, 10]]
     told = {10: "exchanged with row 20", 20: "exchanged with row 10"}
     assert causes(found, values) == told
@@ -211,7 +220,7 @@ def test_exchanged_rows_are_named() -> None:
 
 def test_a_stretch_of_the_file_is_named() -> None:
     found = job("position", 0.0, 5)
-    values = found.rows.values.copy()
+    values = found.rows.blocks[0].values.copy()
     values[30:40] += [0.05, 0.02, -0.01]
     assert causes(found, values) == dict.fromkeys(range(30, 40), "rows 30 to 39")
 
@@ -220,7 +229,7 @@ def test_a_target_is_named() -> None:
     found = job("named points", 0.0, 5)
     rng = np.random.default_rng(0)
     moved = np.array([name == "b" for name in found.rows.target])
-    values = found.rows.values + 0.01 * moved[:, None] * rng.normal(size=(60, 3))
+    values = found.rows.only.values + 0.01 * moved[:, None] * rng.normal(size=(60, 3))
     told = causes(found, values)
     assert set(told.values()) == {"target b"}
     # When all others are gone, the last one says where the target is.
@@ -230,8 +239,10 @@ def test_a_target_is_named() -> None:
 
 def test_a_configuration_fails_as_a_whole() -> None:
     found = job("position", 0.0, 5, count=30)
-    found = replace(found, rows=found.rows.rows(np.repeat(np.arange(30), 3)))
-    values = found.rows.values.copy()
+    found = replace(
+        found, rows=Observations.of(found.rows.only.rows(np.repeat(np.arange(30), 3)))
+    )
+    values = found.rows.blocks[0].values.copy()
     values[9] += [0.01, 0.0, 0.0]
     assert causes(found, values) == dict.fromkeys(
         range(9, 12), "configuration of row 9"
@@ -239,9 +250,8 @@ def test_a_configuration_fails_as_a_whole() -> None:
 
 
 def test_mixed_measurements_have_outliers() -> None:
-    """A comparison with NaN is false: they were never found."""
     found = job("position and fixed-point", 0.0, 5)
-    values = found.rows.values.copy()
+    values = found.rows.blocks[0].values.copy()
     values[0] += 0.05
     assert list(causes(found, values)) == [0]
 

@@ -13,6 +13,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import MOST, _candidates, systematic
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Payload, Setup
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
@@ -22,15 +23,15 @@ def problem_of(robot: str, setup: Setup | None = None, payload: str = "") -> Pro
     chain = calib_pin.load_chain(robot)
     setup = replace(setup or Setup(), tool_frame=TOOL)
     problem = nominal_problem(chain, "position", setup)
-    count = len(problem.data)
-    return replace(problem, data=replace(problem.data, payload=(payload,) * count))
+    rows = replace(problem.data.only, payload=(payload,) * len(problem.data))
+    return replace(problem, data=Observations.of(rows))
 
 
 def names(problem: Problem) -> list[str]:
     found = _candidates(problem)
     if found is None:
         return []
-    return [found.error.screws[k].parameter.name for k in found.columns]
+    return list(found.names)
 
 
 def test_what_is_estimated_is_no_random_effect() -> None:
@@ -70,13 +71,12 @@ def test_rows_are_those_of_the_parameters(model: str) -> None:
     assert effects is not None
     plain, true = replace(plain, data=rows), replace(true, data=rows)
     X = effects.rows(plain, np.zeros(len(plain.parameters)))
-    for k, column in enumerate(effects.columns):
-        name = effects.error.screws[column].parameter.name
+    for k, name in enumerate(effects.names):
         moved = np.zeros(len(true.parameters))
         moved[true.parameters.names.index(name)] = effects.sizes[k]
         change = 0.5 * (true.errors(moved) - true.errors(-moved)) / true.sigma
         # The amplitude of 3e-4 rad is the step: its square is left.
-        np.testing.assert_allclose(X[:, k], change.reshape(-1), atol=1e-5)
+        np.testing.assert_allclose(X[:, k], change, atol=1e-5)
 
 
 def test_effects_leave_no_more_than_is_found() -> None:
@@ -89,15 +89,15 @@ def test_effects_leave_no_more_than_is_found() -> None:
     )
     # Fifth harmonics within a small part of the workspace.
     q = 0.4 * rows.q
-    T = problem.error.poses(q, np.zeros(len(problem.error.screws)))
-    shifted = problem.error.poses(
-        q + 3e-4 * np.sin(5.0 * q), np.zeros(len(problem.error.screws))
-    )
+    error = problem.only.error
+    zero = np.zeros(len(error.screws))
+    T, shifted = (error.poses(p, zero) for p in (q, q + 3e-4 * np.sin(5.0 * q)))
     values: Floats = shifted[:, :3, 3] + 2e-5 * rng.normal(size=(150, 3))
     assert not np.allclose(T, shifted)
-    problem = replace(problem, data=replace(rows, q=q, values=values, sigma=None))
+    data = replace(rows.only, q=q, values=values, sigma=None)
+    problem = replace(problem, data=Observations.of(data))
     fitted = fit(problem, rng)
-    problem = replace(fitted.problem, units=np.full(3, fitted.sigma0))
+    problem = replace(fitted.problem, units=np.full(1, fitted.sigma0))
     found = systematic(problem, fitted.theta, fitted.directions)
     if found is not None:
         X = found.rows(problem, fitted.theta)

@@ -20,6 +20,7 @@ from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.statistics.variance_components import variance_components
 from calib_pin.estimation.unit_weights import balanced, bounded
 from calib_pin.kinematics.spatial import Floats, so3_exp, to_quaternion
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
@@ -56,7 +57,7 @@ def poses(
     problem = nominal_problem(CHAIN, "pose", OFFSETS)
     rng = np.random.default_rng(seed)
     truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=0.0)
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=0.0).only
     values = rows.values.copy()
     values[:, :3] += noise[0] * rng.normal(size=(count, 3))
     x, y, z, w = np.moveaxis(values[:, 3:], 1, 0)
@@ -70,7 +71,8 @@ def poses(
     turned = np.moveaxis(R, 2, 0) @ so3_exp(noise[1] * rng.normal(size=(count, 3)))
     values[:, 3:] = to_quaternion(turned)
     stated = None if sigma is None else np.full((count, 6), sigma)
-    return replace(problem, data=replace(rows, values=values, sigma=stated))
+    data = Observations.of(replace(rows, values=values, sigma=stated))
+    return replace(problem, data=data)
 
 
 def found(fitted: Fit) -> tuple[VarianceComponent, ...]:
@@ -124,14 +126,14 @@ def test_one_quantity_is_fitted_once() -> None:
     problem = nominal_problem(CHAIN, "position", OFFSETS)
     rng = np.random.default_rng(0)
     truth = calib_pin.draw_errors(problem.parameters, rng)
-    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4)
-    problem = replace(problem, data=replace(rows, sigma=None))
+    rows = calib_pin.simulate(problem, truth, rng, count=40, noise=3e-4).only
+    problem = replace(problem, data=Observations.of(replace(rows, sigma=None)))
     plain, solve = Solve()(problem), Solve()
     fitted = solve.balanced(problem)
     assert solve.calls == 1
     np.testing.assert_array_equal(fitted.theta, plain.theta)
     # The prior on offsets of 1 mrad says next to nothing of errors of 0.1 mrad.
-    assert fitted.problem.units == pytest.approx([plain.sigma0] * 3, rel=1e-5)
+    assert fitted.problem.units == pytest.approx([plain.sigma0], rel=1e-5)
     assert found(fitted)[0].estimate == pytest.approx(1e-4 * fitted.problem.units[0])
     # As if it had been fitted in these units.
     again = Solve()(replace(problem, units=fitted.problem.units))
@@ -162,15 +164,16 @@ def test_mixed_instruments_and_a_known_distance() -> None:
     )
     ratios = []
     for seed in range(6):
-        problem = nominal_problem(CHAIN, "position+plane-distance", setup)
+        keys = BlockKey("position"), BlockKey("plane-distance")
+        problem = nominal_problem(CHAIN, keys, setup)
         rng = np.random.default_rng(seed)
         truth = calib_pin.draw_errors(problem.parameters, rng)
         rows = calib_pin.simulate(problem, truth, rng, count=200, noise=0.0)
-        values = rows.values.copy()
-        part = np.array([name.startswith("position") for name in rows.target])
-        values[part, :3] += 5e-4 * rng.normal(size=(part.sum(), 3))
-        values[~part, 3] += 2e-5 * rng.normal(size=(~part).sum())
-        rows = replace(rows, values=values)
+        noisy = [
+            replace(b, values=b.values + noise * rng.normal(size=b.values.shape))
+            for b, noise in zip(rows.blocks, (5e-4, 2e-5), strict=True)
+        ]
+        rows = Observations(tuple(noisy))
         fitted = Solve().balanced(replace(problem, data=rows))
         ratios.append([c.estimate for c in found(fitted)])
     np.testing.assert_allclose(np.median(ratios, axis=0), [5e-4, 2e-5], rtol=0.1)
@@ -220,8 +223,8 @@ def test_a_posterior_is_no_wider_than_its_prior() -> None:
     rng = np.random.default_rng(1)
     rows = calib_pin.simulate(
         problem, np.zeros(len(problem.parameters)), rng, count=20, noise=2e-3
-    )
-    problem = replace(problem, data=replace(rows, sigma=None))
+    ).only
+    problem = replace(problem, data=Observations.of(replace(rows, sigma=None)))
     fitted = Solve().balanced(problem)
     half = half_covariance(
         fitted.result.jac, fitted.directions.basis, problem.parameters
@@ -246,14 +249,15 @@ def component(
     truth = calib_pin.draw_errors(problem.parameters, rng)
     rows = calib_pin.simulate(
         problem, truth, rng, count=40, noise=noise, repeats=repeats
-    )
+    ).only
     each = shared * rng.normal(size=(40, 3))
     rows = replace(
         rows,
         values=rows.values + each[rows.groups()],
         sigma=None if stated is None else np.full((len(rows), 3), stated),
     )
-    (found,) = fit(replace(problem, data=rows), np.random.default_rng(0)).noise
+    data = Observations.of(rows)
+    (found,) = fit(replace(problem, data=data), np.random.default_rng(0)).noise
     return found
 
 

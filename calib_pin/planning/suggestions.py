@@ -67,6 +67,7 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
         base_frame=frame_setup(model.error.base, known=not free[:6].any()),
         tool_frame=frame_setup(model.tool, known=not free[-6:].any()),
         camera=camera,
+        board=None,  # Its points stand among the targets.
         **sections,
     )
 

@@ -1,11 +1,11 @@
-"""Where the measured point may be."""
+"""Where the measured point may be, and the points of a board."""
 
 from __future__ import annotations
 
 import numpy as np
 import pytest
 
-from calib_pin.setup import Ball, Cone, Obstacle, RangerSetup, Region
+from calib_pin.setup import Ball, BoardSetup, Cone, Obstacle, RangerSetup, Region
 
 BOX = ((0.0, -1.0, 0.5), (1.0, 1.0, 0.75))
 SPHERE = Ball((1.0, 0.0, 0.5), 0.5)
@@ -82,3 +82,19 @@ def test_the_window_of_a_ranger() -> None:
 def test_the_kind_of_an_obstacle() -> None:
     assert Obstacle(sphere=0.1).kind == "sphere"
     assert Obstacle(mesh="table.stl", scale=(1e-3, 1e-3, 1e-3)).kind == "mesh"
+
+
+@pytest.mark.parametrize("kind", ["charuco", "chessboard"])
+def test_inner_corners_of_a_board(kind: str) -> None:
+    points = BoardSetup(kind, columns=4, rows=3, square=0.5).points
+    assert {name: point.xyz for name, point in points.items()} == {
+        **{"0": (0.0, 0.0, 0.0), "1": (0.5, 0.0, 0.0), "2": (1.0, 0.0, 0.0)},
+        **{"3": (0.0, 0.5, 0.0), "4": (0.5, 0.5, 0.0), "5": (1.0, 0.5, 0.0)},
+    }
+    assert all(point.estimate is False for point in points.values())
+
+
+def test_centers_of_circles() -> None:
+    points = BoardSetup("circles", columns=4, rows=3, square=0.5).points
+    assert list(points) == [str(k) for k in range(12)]
+    assert points["4"].xyz == (0.0, 0.5, 0.0) and points["11"].xyz == (1.5, 1.0, 0.0)

@@ -106,6 +106,12 @@ def read_setup(path: str | Path) -> Setup:
     _check_joints(tree, setup)
     _check_names(tree, setup)
     _check_tools(tree, setup)
+    if setup.board and setup.targets:
+        raise tree.error(
+            "'board' and 'targets' both say what the camera looks at",
+            ("board",),
+            allowed="one of them",
+        )
     _check_distances(tree, setup)
     # The result may be read from another folder than the setup file.
     folder = Path(path).absolute().parent

@@ -76,7 +76,7 @@ class CameraModel(DeclaredModel):
         at_once=True,
         naming=Naming("point", "every"),
         inference=Inference("pixels", complete=True),
-        yardstick="the size of the board's squares ('targets')",
+        yardstick="the size of the board's squares ('board' or 'targets')",
         unmeasurable="the point is behind the camera or outside its image",
     )
 
@@ -92,7 +92,8 @@ class CameraModel(DeclaredModel):
             OptionError: If there is no camera, or one without a focal length.
         """
         camera = Camera.from_setup(setup)
-        stated = setup.targets or dict.fromkeys(filter(None, targets), PointSetup())
+        given = setup.board.points if setup.board else setup.targets
+        stated = given or dict.fromkeys(filter(None, targets), PointSetup())
         points = [
             Marker(name, xyz=xyz_or_none(point.xyz), estimate=bool(point.estimate))
             for name, point in stated.items()
@@ -116,7 +117,8 @@ class CameraModel(DeclaredModel):
         first = f" of {lacking[0]}" if len(lacking) == 1 else ""
         if len(lacking) > 1:
             first = f" of {lacking[0]} and {len(lacking) - 1} more"
-        return f"give the xyz{first} under 'targets' in a setup file (--setup)"
+        words = f"give the xyz{first} under 'targets', or a 'board',"
+        return f"{words} in a setup file (--setup)"
 
     @property
     def targets(self) -> Sequence[str]:

@@ -87,6 +87,7 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
         stations=stations,
         tools=tools,
         camera=camera,
+        board=None,  # Its points stand among the targets.
         **sections,
     )
 

@@ -21,6 +21,7 @@ from calib_pin.setup.constraints import (
 from calib_pin.setup.references import (
     WORLD,
     AnchorSetup,
+    BoardSetup,
     CameraSetup,
     ChainSetup,
     DistanceSetup,
@@ -50,6 +51,7 @@ __all__ = [
     "WORLD",
     "AnchorSetup",
     "Ball",
+    "BoardSetup",
     "CameraSetup",
     "ChainSetup",
     "Cone",
@@ -193,6 +195,8 @@ class MeasurementSetup(Section):
         spheres: Spheres that are touched, by name.
         anchors: Fixed points that distances are measured from, by name.
         camera: The camera, where there is one.
+        board: The board that it looks at, instead of targets one by one: they are
+            known, and named by their numbers, 0 1 2 ..., row by row.
         distances: Known distances between such points.
         joints: Joint map by file column; empty where columns are URDF joint names.
     """
@@ -205,6 +209,7 @@ class MeasurementSetup(Section):
     spheres: Mapping[str, SphereSetup] = field(default_factory=dict)
     anchors: Mapping[str, AnchorSetup] = field(default_factory=dict)
     camera: CameraSetup | None = None
+    board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
     joints: Mapping[str, JointMap] = field(default_factory=dict)
 

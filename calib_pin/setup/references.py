@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import product
 from typing import Annotated, Literal
 
 from calib_pin.setup.constraints import Checked, Section, listed
 from calib_pin.setup.values import (
     LARGEST_LENGTH,
     Angles,
+    Count,
     Flag,
     Length,
     Number,
@@ -28,6 +30,9 @@ STEEPEST = 1e6
 
 WIDEST = 1e5
 """Largest focal length, image, and coefficient of a distortion [px]."""
+
+BOARDS = {"charuco": 1, "chessboard": 1, "circles": 0}
+"""Types of boards, and by how much each row and column has fewer points than cells."""
 
 Distortion = tuple[float, float, float, float, float]
 
@@ -265,6 +270,34 @@ class CameraSetup(Section):
     ] = (0.0, 0.0, 0.0, 0.0, 0.0)
     size: Extent | None = None
     estimate: Flag = False
+
+
+@dataclass(frozen=True)
+class BoardSetup(Section):
+    """A flat calibration board.
+
+    Attributes:
+        type: `charuco` or `chessboard`, whose points are the inner corners, or
+            `circles`, whose points are the centers.
+        columns: Squares or circles along x, the direction of a row.
+        rows: Squares or circles along y.
+        square: Edge of a square, or distance of neighboring centers [m].
+    """
+
+    type: Annotated[Literal["charuco", "chessboard", "circles"], OneOf(tuple(BOARDS))]
+    columns: Count
+    rows: Count
+    square: Length
+
+    @property
+    def points(self) -> dict[str, PointSetup]:
+        """Its known points, numbered row by row from 0, which is the origin."""
+        fewer = BOARDS[self.type]
+        cells = product(range(self.rows - fewer), range(self.columns - fewer))
+        return {
+            str(k): PointSetup((self.square * x, self.square * y, 0.0), False)
+            for k, (y, x) in enumerate(cells)
+        }
 
 
 @dataclass(frozen=True)

@@ -239,6 +239,17 @@ def _with_unit(schema: Json, unit: str) -> Json:
     return {**schema, "unit": unit} if unit else schema
 
 
+MOST = 100
+"""Most rows or columns of a board."""
+
+
+def _count(value: object) -> int:
+    plain = number(value)
+    if not (2 <= plain <= MOST and plain.is_integer()):
+        raise ValueError(f"a whole number from 2 to {MOST}")
+    return int(plain)
+
+
 def _text(value: object) -> str:
     if not isinstance(value, str) or not value.strip():
         raise ValueError("text (in quotes if it looks like something else)")
@@ -268,6 +279,9 @@ Angles = Annotated[
         "rad",
         limit=LARGEST_ANGLE,
     ),
+]
+Count = Annotated[
+    int, Checked(_count, {"type": "integer", "minimum": 2, "maximum": MOST})
 ]
 Text = Annotated[str, Checked(_text, {"type": "string", "minLength": 1})]
 Flag = Annotated[bool, Checked(_flag, {"type": "boolean"})]

@@ -17,6 +17,7 @@ from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.setup import (
     AnchorSetup,
     Ball,
+    BoardSetup,
     CameraSetup,
     ChainSetup,
     Cone,
@@ -267,6 +268,7 @@ def test_the_document_of_a_setup_reads_back(write):
         Setup(spheres={"a": SphereSetup(), "b": SphereSetup(None, 0.1, True, False)}),
         Setup(anchors={"a": AnchorSetup(), "b": AnchorSetup((1.0, 0.0, 0.0), -0.1)}),
         Setup(camera=CameraSetup("world", (900.0, 900.0), (320.0, -5.5))),
+        Setup(board=BoardSetup("charuco", 7, 5, 0.03)),
         Setup(distances=(DistanceSetup(("a", "b"), 0.1),)),
         Setup(noise={"contact": 1e-3, "pixel": 2.0}),
     ],
@@ -364,7 +366,7 @@ def test_what_is_not_a_number(bad, written):
 
 KEYS = (
     "base, tip, chains, model, parameters, learned, frames, stations, tools, planes, "
-    "targets, sockets, spheres, anchors, camera, distances, joints, gravity, payloads, "
+    "targets, sockets, spheres, anchors, camera, board, distances, joints, gravity, payloads, "
     "gear_ratios, fixed, bounds, prior"
 )
 
@@ -653,6 +655,31 @@ KEYS = (
                 reason="'targets.a.xyz'",
                 allowed="numbers in m",
             ),
+        ),
+        (
+            "targets: {a: {}}\nboard:\n  type: circles\n  columns: 3\n  rows: 3\n"
+            "  square: 0.03\n",
+            dict(line=2, reason=("'board'", "'targets'"), allowed="one of them"),
+        ),
+        (
+            "board: {type: aruco, columns: 3, rows: 3, square: 0.03}",
+            dict(line=1, value="aruco", allowed="charuco, chessboard, circles"),
+        ),
+        (
+            "board: {type: circles, columns: 2.5, rows: 3, square: 0.03}",
+            dict(line=1, value="2.5", reason="board.columns", allowed="from 2 to 100"),
+        ),
+        (
+            "board: {type: charuco, columns: 3, rows: 1, square: 0.03}",
+            dict(line=1, value="1", reason="board.rows", allowed="from 2 to 100"),
+        ),
+        (
+            "board: {type: charuco, columns: 3, rows: 3, square: 0}",
+            dict(line=1, value="0", reason="board.square", allowed="a positive number"),
+        ),
+        (
+            "board: {type: charuco, columns: 3, rows: 3}",
+            dict(line=1, reason="'board.square' is missing"),
         ),
         (
             "sockets: {a: {estimate: 1}}",

@@ -11,6 +11,8 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.io.urdf import load_chain
 from calib_pin.kinematics.spatial import Floats, invert
 from calib_pin.measurement_models.base import CurvedModel
@@ -19,7 +21,8 @@ from calib_pin.measurement_models.camera_start import IMAGES, ROWS, Rays
 from calib_pin.measurement_models.pinhole import distort, turning_radius, undistort
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
-from calib_pin.setup import CameraSetup, PointSetup, Setup
+from calib_pin.setup import BoardSetup, CameraSetup, FrameSetup, PointSetup, Setup
+from calib_pin.simulation import draw_errors, simulate
 
 ARM = load_chain("space6")
 LENS = (-0.2, 0.05, 0.002, -0.001, 0.01)
@@ -353,6 +356,45 @@ def test_noise_and_quantities() -> None:
     np.testing.assert_array_equal(model.disturb(values, 2.0 * values), 3.0 * values)
 
 
+# Boards.
+
+BOARD = BoardSetup("charuco", columns=7, rows=5, square=0.03)
+
+
+def test_the_corners_of_a_board_are_known_points() -> None:
+    setup = Setup(camera=SEEN, board=BOARD)
+    model = CameraModel.from_setup(setup, ())
+    assert model.targets == tuple(map(str, range(24))) and model.missing == ""
+    assert len(model.parameters) == 9 and not any(p.free for p in model.parameters)
+    np.testing.assert_allclose(model.points[7].xyz, [0.03, 0.03, 0.0], atol=1e-15)
+    # Measurements name those that were seen; others may be named later.
+    some = CameraModel.from_setup(setup, ("3", "17"))
+    assert some.targets == ("3", "17") and len(some.spare) == 22
+
+
+@pytest.mark.parametrize("mount", MOUNTS)
+def test_a_robot_is_known_from_images_of_a_board(mount: str) -> None:
+    rng = np.random.default_rng(7)
+    given = replace(SEEN, mount=mount)
+    frames = {
+        end: FrameSetup(
+            tuple(T.translation.tolist()),
+            tuple(pin.rpy.matrixToRpy(T.rotation).tolist()),
+        )
+        for end, T in (("base_frame", BASES[mount]), ("tool_frame", TOOL))
+    }
+    setup = Setup(camera=given, board=BOARD)
+    problem = nominal_problem(ARM, "camera", replace(setup, **frames))
+    truth = draw_errors(problem.parameters, rng)
+    rows = simulate(problem, truth, rng, count=30, per_configuration=True, noise=0.0)
+    assert rows.configurations == 30 and len(rows) > 30 * 6
+    # Nothing but the measurements says where the board and the camera are.
+    fitted = fit(make_problem(ARM, rows, setup), rng)
+    new = simulate(problem, truth, rng, count=50, noise=0.0)
+    found = replace(fitted.problem, data=new).errors(fitted.theta)
+    assert np.abs(found).max() < 1e-6
+
+
 # Registration.
 
 
@@ -509,7 +551,8 @@ def test_points_without_a_place(targets: dict[str, PointSetup], text: str) -> No
 
 def test_without_any_points() -> None:
     model = CameraModel.from_setup(Setup(camera=SEEN), ())
-    assert model.missing == "give the xyz under 'targets' in a setup file (--setup)"
+    words = "give the xyz under 'targets', or a 'board', in a setup file (--setup)"
+    assert model.missing == words
 
 
 def test_without_a_camera(refused: Callable[..., Any]) -> None:

@@ -9,6 +9,7 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.observations import BlockKey
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.setup import FrameSetup, PlaneSetup, PointSetup, Setup
 
@@ -66,11 +67,12 @@ def test_what_gains_only_together() -> None:
     assert [*gains.values()][-1] == 6 > max([*gains.values()][:-1])
 
 
-@pytest.mark.parametrize("model", ["position+pose", "relative-distance"])
-def test_all_that_can_be_told_is_last(model: str) -> None:
+@pytest.mark.parametrize("models", [("position", "pose"), ("relative-distance",)])
+def test_all_that_can_be_told_is_last(models: tuple[str, ...]) -> None:
     """However it is measured now: that is the robot's, not the instrument's."""
-    known = calib_pin.identify(CHAIN, model, beside())
-    *others, last = suggestions(CHAIN, model, beside(), known)
+    keys = [*map(BlockKey, models)]
+    known = calib_pin.identify(CHAIN, keys, beside())
+    *others, last = suggestions(CHAIN, keys, beside(), known)
     assert last.count == 26 and last.complete
     assert not any(remedy.complete for remedy in others)
 
@@ -82,15 +84,16 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     rows = calib_pin.read_measurements(file, chain)
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
     stood = calibrated_setup(result.model)
-    references = {f.name: f for f in result.model.measurement.references}
+    part = result.model.only
+    references = {f.name: f for f in part.measurement.references}
     assert stood.targets.keys() == references.keys()
     for name, point in stood.targets.items():
         assert point.xyz == pytest.approx(references[name].stated().xyz)
     base = stood.base_frame
     assert base.estimate and base.xyz == pytest.approx(
-        result.model.error.base.translation
+        part.error.base.translation
     )
-    changes = [r.change for r in suggestions(chain, rows.model, stood, result)]
+    changes = [r.change for r in suggestions(chain, rows.keys, stood, result)]
     assert any("(targets)" in change for change in changes)
 
 

@@ -149,7 +149,7 @@ def test_what_was_learned_of_the_tool_moves_the_tip(model, q):
 
 def test_where_nothing_was_learned(model, q, monkeypatch):
     assert not follow(model, q).outside.any()
-    monkeypatch.setattr(CalibratedModel, "outside", lambda _, q: q[:, 0] >= 0.6)
+    monkeypatch.setattr(CalibratedChain, "outside", lambda _, q: q[:, 0] >= 0.6)
     for found in (follow(model, q), compensate(model, model.poses(q), q)):
         np.testing.assert_array_equal(found.outside, found.q[:, 0] >= 0.6)
         assert 0 < found.outside.sum() < len(q)
@@ -175,17 +175,17 @@ def test_the_real_robot_is_as_accurate_as_the_model(
     rng = np.random.default_rng(5)
     truth = calib_pin.draw_errors(real.parameters, rng)
     rows = calib_pin.simulate(real, truth, rng, count=count, noise=2e-5)
-    unseen = calib_pin.simulate(real, truth, rng, count=300, noise=0.0)
+    unseen = calib_pin.simulate(real, truth, rng, count=300, noise=0.0).only
     unseen = replace(unseen, sigma=np.full_like(unseen.values, 2e-5))
     setup = Setup(parameters=parameters, learned=learned)
     result = calib_pin.calibrate(chain, rows, setup, validation=unseen)
     expected = result.errors[0].validation_after
     assert expected is not None and result.verdict == "good"
 
-    targets = real.error.poses(chain.random_configurations(300, rng), truth)
-    found = compensate(result.model, targets, orientation=False)
+    targets = real.only.error.poses(chain.random_configurations(300, rng), truth)
+    found = compensate(result.model.of(), targets, orientation=False)
     assert found.reached.mean() > 0.99
     assert found.position[found.reached].max() < 1e-9
-    reached = real.error.poses(found.q, truth)[:, :3, 3]
+    reached = real.only.error.poses(found.q, truth)[:, :3, 3]
     errors = np.linalg.norm(reached - targets[:, :3, 3], axis=1)[found.reached]
     assert errors.mean() < 1.2 * expected.mean

@@ -54,12 +54,18 @@ def robot(name: str) -> Chain:
 
 
 def calibrated(chain: Chain, size: float = 1e-3, **settings: Any) -> CalibratedChain:
+    return calibrated_model(chain, size, **settings).of()
+
+
+def calibrated_model(
+    chain: Chain, size: float = 1e-3, **settings: Any
+) -> CalibratedModel:
     """A robot with errors of geometry, and of gears where there are any."""
     setup = replace(FRAMES, **settings)
     problem = nominal_problem(chain, "pose", setup)
     theta = np.random.default_rng(0).normal(size=len(problem.parameters))
     theta[problem.parameters.nuisance] = 0.0
-    return CalibratedModel.create(problem, size * theta).of()
+    return CalibratedModel.create(problem, size * theta)
 
 
 def configurations(chain: Chain, count: int, seed: int = 1) -> Floats:
@@ -149,10 +155,11 @@ def test_what_was_learned_counts():
 
 def test_independent_forward_kinematics(tmp_path, independent_poses):
     chain = robot("ur10")
-    model = calibrated(chain)
+    whole = calibrated_model(chain)
+    model = whole.of()
     targets = model.poses(configurations(chain, 5))
     found = commands(model, targets)
-    write_urdf(model, tmp_path / "corrected.urdf")
+    write_urdf(whole, tmp_path / "corrected.urdf")
     urdf = (tmp_path / "corrected.urdf").read_bytes()
     for q, target in zip(found.q, targets, strict=True):
         named = dict(zip(chain.joints, q, strict=True))

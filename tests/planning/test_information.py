@@ -131,9 +131,10 @@ def test_too_few_rows_are_never_enough(robot: str, model: str) -> None:
         setup = replace(setup, planes=planes)
     problem = nominal_problem(calib_pin.load_chain(robot), model, setup)
     rng = np.random.default_rng(0)
-    candidates = Workspace.create(problem).candidates(500, rng)
-    _, rows, _ = identification(problem, candidates)
-    U = rows.rows(candidates.q, candidates.target)
+    workspace = Workspace.create(problem)
+    candidates = workspace.candidates(500, rng)
+    _, rows, _ = identification(problem, workspace.aims, candidates)
+    U = rows.rows(candidates.q, candidates.aim)
     size, d = U.shape[2], U.shape[1]
     for _ in range(400):
         few = U[rng.choice(500, (size - 1) // d, replace=False)]

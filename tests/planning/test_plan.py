@@ -419,9 +419,9 @@ def test_additions_beat_random_ones(
         if criterion == "prediction":
             basis = np.linalg.svd(J, full_matrices=False)[2][: plan.rank].T
             C = np.linalg.inv(basis.T @ J.T @ J @ basis)
-            count = len(problem.error.screws)
+            count = len(problem.only.error.screws)
             half = (basis * 1.0)[:count]
-            tip = problem.error.jacobian(grid, zero[:count])[1][:, :3]
+            tip = problem.only.error.jacobian(grid, zero[:count])[1][:, :3]
             tip = (tip * problem.parameters.scales[:count]) @ half
             return float(np.sqrt(np.einsum("nai,ij,naj->", tip, C, tip) / len(grid)))
         return value_of(criterion, problem, J, 12 + len(q))
@@ -670,7 +670,7 @@ def test_additions_look_at_planes_that_were_not_measured() -> None:
     planes = {**setup.planes, "side": PlaneSetup((1.0, 0.3, 0.2), -1.5)}
     ranger = replace(setup.ranger, range=(0.0, 1.2))
     more = replace(setup, planes=planes, ranger=ranger)
-    assert rows.values.max() > 1.2
+    assert rows.only.values.max() > 1.2
     plan = calib_pin.plan(
         chain, "plane-distance", 12, more, measured=rows, method="exchange"
     )
@@ -678,7 +678,7 @@ def test_additions_look_at_planes_that_were_not_measured() -> None:
     # The window is the one that the setup states, however far the rows reached.
     zero = np.zeros(len(plan.problem.parameters))
     seen = calib_pin.simulate(plan.problem, zero, rng, q=plan.q, target=plan.target)
-    assert seen.values.max() < 1.2
+    assert seen.only.values.max() < 1.2
 
 
 def test_a_target_that_nobody_has_placed_is_beside_the_tip() -> None:

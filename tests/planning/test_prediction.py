@@ -12,6 +12,7 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, posterior
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -62,8 +63,11 @@ def planned(name: str) -> tuple[Plan, Fit]:
     problem = nominal_problem(chain, model, setup)
     zero = np.zeros(len(problem.parameters))
     exact = exact_problem(problem, zero, found.q, found.target)
-    rows = replace(exact.data, sigma=exact.sigma)
-    return found, fit(replace(problem, data=rows), np.random.default_rng(0))
+    (block,) = exact.blocks
+    rows = replace(exact.data.only, sigma=block.table(exact.sigma))
+    return found, fit(
+        replace(problem, data=Observations.of(rows)), np.random.default_rng(0)
+    )
 
 
 def covariance(fitted: Fit) -> Floats:
@@ -95,7 +99,7 @@ def test_a_fit_knows_a_little_more_by_the_expected_size_of_errors() -> None:
     plan, exact = planned("position")
     zero, rng = np.zeros(len(exact.theta)), np.random.default_rng(3)
     problem = nominal_problem(
-        exact.problem.error.chain, "position", exact.problem.setup
+        exact.problem.only.error.chain, "position", exact.problem.setup
     )
     rows = calib_pin.simulate(problem, zero, rng, q=plan.q, target=plan.target)
     fitted = fit(replace(problem, data=rows), rng)
@@ -122,9 +126,9 @@ def test_error_of_the_tip_is_that_of_the_covariance(name: str) -> None:
         # The default test poses are candidates from all of the workspace.
         assert plan.predicted.position < 1e-3
     rng = np.random.default_rng(5)
-    q = problem.error.chain.random_configurations(4000, rng)
-    zero = np.zeros(len(problem.error.screws))
-    T, J = problem.error.jacobian(q, zero)
+    q = problem.only.error.chain.random_configurations(4000, rng)
+    zero = np.zeros(len(problem.only.error.screws))
+    T, J = problem.only.error.jacobian(q, zero)
     C = covariance(fitted)[: len(zero), : len(zero)]
     at_tip = np.einsum("nai,ij,naj->na", J, C, J)
     position = np.sqrt(at_tip[:, :3].sum(axis=1).mean())
@@ -144,8 +148,8 @@ def test_test_poses_are_those_given() -> None:
     found = calib_pin.plan(
         chain, "position", COUNT, setup, method="greedy", candidates=200, tests=q
     )
-    zero = np.zeros(len(problem.error.screws))
-    _, J = problem.error.jacobian(q, zero)
+    zero = np.zeros(len(problem.only.error.screws))
+    _, J = problem.only.error.jacobian(q, zero)
     C = found.predicted.covariance
     squares = np.einsum("nai,ij,naj->na", J, C, J)
     assert found.predicted.position == pytest.approx(
@@ -162,7 +166,7 @@ def test_accuracy_where_it_is_wanted_is_better_there() -> None:
         for tests in (None, q)
     )
     problem = nominal_problem(chain, "position", Setup())
-    _, J = problem.error.jacobian(q, np.zeros(len(problem.error.screws)))
+    _, J = problem.only.error.jacobian(q, np.zeros(len(problem.only.error.screws)))
     errors = [
         np.einsum("nai,ij,naj->", J[:, :3], plan.predicted.covariance, J[:, :3])
         for plan in (everywhere, there)

@@ -11,19 +11,20 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import OptionError
+from calib_pin.estimation.configurations import asked, observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, sigma_at
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import MEASUREMENT_MODELS, CurvedModel
-from calib_pin.measurement_models.mixed import assumed_sigma
+from calib_pin.measurement_models import MEASUREMENT_MODELS
 from calib_pin.measurement_models.position import Position
-from calib_pin.planning.rows import IdentificationRows
-from calib_pin.setup import Setup
-from calib_pin.simulation import exact_problem
+from calib_pin.observations import BlockKey, Indices
+from calib_pin.planning.aims import Aims, Look
+from calib_pin.planning.rows import IdentificationRows, LookRows
+from calib_pin.setup import CameraSetup, PointSetup, Setup
 
 Equipped = Callable[..., Problem]
-Visited = Callable[..., tuple[Floats, tuple[str, ...]]]
 
 FREE = ("position", "pose", "plane-distance")
 """Models whose rows need not name anything."""
@@ -31,7 +32,7 @@ FREE = ("position", "pose", "plane-distance")
 # Nothing is planned relative to another configuration.
 NAMED = sorted({"position", *MEASUREMENT_MODELS} - {*FREE[1:], "relative-distance"})
 
-MIXED = "position+fixed-point+plane-contact+camera"
+MIXED = tuple(map(BlockKey, ("position", "plane-distance", "camera")))
 NOISE = {"position": 2e-4, "orientation": 1e-3}
 CORRECTED = ("placement", "transmission", "compliance")
 
@@ -39,8 +40,7 @@ CORRECTED = ("placement", "transmission", "compliance")
 def make(problem: Problem, columns: int = 7) -> IdentificationRows:
     rng = np.random.default_rng(5)
     basis = rng.normal(size=(len(problem.parameters), columns))
-    sigma = assumed_sigma(problem.measurement, problem.setup.noise)
-    return IdentificationRows(problem, basis, 2, problem.measurement, sigma)
+    return IdentificationRows(problem, basis, 2, Aims.of(problem, problem.data.keys))
 
 
 def framed_rows(
@@ -54,142 +54,200 @@ def framed_rows(
 def equipped_rows(equipped_problem: Equipped) -> Callable[..., IdentificationRows]:
     """On one chain: what a model adds knows nothing of the chain."""
 
-    def rows(model: str, **settings: Any) -> IdentificationRows:
+    def rows(model: str | tuple[BlockKey, ...], **settings: Any) -> IdentificationRows:
         chain = calib_pin.load_chain("space6")
-        return make(equipped_problem(chain, model, noise=NOISE, **settings))
+        return make(equipped_problem(chain, model, noise=NOISE, **settings), 40)
 
     return rows
 
 
-def configurations(
-    problem: Problem, visited: Visited, count: int = 4
-) -> tuple[np.ndarray, tuple[str, ...]]:
-    zero = np.zeros(len(problem.parameters))
-    return visited(problem, zero, count, np.random.default_rng(2))
+def configurations(of: IdentificationRows, count: int = 4) -> tuple[Floats, Indices]:
+    """Configurations for every aim, of which contacts are not closed."""
+    problem, aims = of.problem, of.aims.each
+    zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(2)
+    if problem.only.measurement.declaration.contact:
+        q = problem.chains.random_configurations(count * len(aims), rng)
+    else:
+        key = problem.only.key
+        q = observable_configurations(problem, key, zero, count * len(aims), rng).q
+    return q, np.arange(len(q)) % len(aims)
 
 
-def rows_of_the_problem(
-    of: IdentificationRows, q: Floats, target: tuple[str, ...]
-) -> Floats:
-    zero = np.zeros(len(of.problem.parameters))
-    _, J = exact_problem(of.problem, zero, q, target).linearize_rows(zero)
-    count = len(q) * len(of.sigma)  # Known distances stand behind them.
-    return np.asarray((J[:count] @ of.basis).reshape(len(q), -1, of.basis.shape[1]))
+def rows_of_the_problem(of: IdentificationRows, q: Floats, aim: Indices) -> Floats:
+    """Their information, measurement by measurement, shape (N, m, m)."""
+    zero, result = np.zeros(len(of.problem.parameters)), []
+    for k in range(len(q)):
+        here, rows = slice(k, k + 1), []
+        for look in of.aims.looks:
+            if look.of_aim[aim[k]] < 0:
+                continue
+            seen = look.seen(q[here], aim[here])[0] | (not look.at_once)
+            names = [look.names[code] for code in look.targets(aim[here])[0][seen]]
+            key, many = look.part.key, np.repeat(q[here], len(names), axis=0)
+            sigma = sigma_at(of.problem, key, len(names))
+            at = asked(of.problem, key, many, names)
+            rows.append(of.problem.jacobian(zero, at, sigma).reshape(-1, len(zero)))
+        U = np.concatenate(rows) @ of.basis
+        result.append(U.T @ U)
+    return np.array(result)
 
 
-def check_rows(of: IdentificationRows, visited: Visited) -> None:
-    q, target = configurations(of.problem, visited)
-    expected = rows_of_the_problem(of, q, target)
-    # Rows in pixels are some thousand times as large as those in meters.
-    size = max(1.0, 1e-6 * np.abs(expected).max())
-    np.testing.assert_allclose(
-        of.rows(q, target), expected, rtol=1e-10, atol=1e-9 * size
-    )
-    found = of.linearize(q, target)[0]
-    np.testing.assert_allclose(found, expected, atol=1e-8 * size)
+def information(rows: Floats) -> Floats:
+    return np.asarray(np.swapaxes(rows, 1, 2) @ rows)
 
 
-def check_pullback(of: IdentificationRows, visited: Visited) -> None:
-    assert isinstance(of.measurement, CurvedModel)
-    q, target = configurations(of.problem, visited)
-    rows, pullback = of.linearize(q, target)
+def check_rows(of: IdentificationRows) -> None:
+    q, aim = configurations(of)
+    expected = rows_of_the_problem(of, q, aim)
+    tolerance = 1e-10 * np.abs(expected).max()
+    found = of.rows(q, aim)
+    assert found.shape[1] <= of.basis.shape[1]
+    np.testing.assert_allclose(information(found), expected, atol=tolerance)
+    found = of.linearize(q, aim)[0]
+    np.testing.assert_allclose(information(found), expected, atol=tolerance)
+
+
+def check_pullback(of: IdentificationRows) -> None:
+    assert of.differentiable
+    q, aim = configurations(of)
+    rows, pullback = of.linearize(q, aim)
     by_rows = np.random.default_rng(0).normal(size=rows.shape)
     found = pullback(by_rows)
     expected = np.empty_like(q)
     step = 1e-6
     for k in range(q.shape[1]):
         shift = step * np.eye(q.shape[1])[k]
-        change = of.rows(q + shift, target) - of.rows(q - shift, target)
+        ends = (of.problem.chains.follow(q + s * shift) for s in (1, -1))
+        change = np.subtract(*(of.linearize(end, aim)[0] for end in ends))
         expected[:, k] = np.sum(by_rows * change, axis=(1, 2)) / (2 * step)
     assert np.abs(found - expected).max() < 1e-7 * np.abs(expected).max()
 
 
 @pytest.mark.parametrize("model", FREE)
 def test_rows_are_those_of_the_problem(
-    model: str, special_chain: Chain, framed: Setup, visited: Visited
+    model: str, special_chain: Chain, framed: Setup
 ) -> None:
-    check_rows(framed_rows(special_chain, model, framed), visited)
+    check_rows(framed_rows(special_chain, model, framed))
 
 
-@pytest.mark.parametrize("model", NAMED)
+@pytest.mark.parametrize("model", [*NAMED, MIXED])
 def test_rows_with_named_points_and_places(
-    model: str, equipped_rows: Callable[..., IdentificationRows], visited: Visited
+    model: str | tuple[BlockKey, ...], equipped_rows: Callable[..., IdentificationRows]
 ) -> None:
-    check_rows(equipped_rows(model), visited)
+    check_rows(equipped_rows(model))
 
 
 @pytest.mark.parametrize("model", FREE)
 def test_pullback_agrees_with_central_differences(
-    model: str, special_chain: Chain, framed: Setup, visited: Visited
+    model: str, special_chain: Chain, framed: Setup
 ) -> None:
-    check_pullback(framed_rows(special_chain, model, framed), visited)
+    check_pullback(framed_rows(special_chain, model, framed))
 
 
-@pytest.mark.parametrize("model", NAMED)
+@pytest.mark.parametrize("model", [*NAMED, MIXED])
 def test_pullback_with_named_points_and_places(
-    model: str, equipped_rows: Callable[..., IdentificationRows], visited: Visited
+    model: str | tuple[BlockKey, ...], equipped_rows: Callable[..., IdentificationRows]
 ) -> None:
-    check_pullback(equipped_rows(model), visited)
+    check_pullback(equipped_rows(model))
 
 
-def check_corrections(
-    plain: IdentificationRows, of: IdentificationRows, visited: Visited
-) -> None:
+def check_corrections(plain: IdentificationRows, of: IdentificationRows) -> None:
     assert plain.differentiable
     assert not of.differentiable
-    q, target = configurations(of.problem, visited)
-    zero = np.zeros(len(of.problem.parameters))
-    _, J = exact_problem(of.problem, zero, q, target).linearize_rows(zero)
-    corrections = of.problem.error.joint_corrections
-    assert (np.abs(J[:, corrections]).max(axis=0) > 0.0).all()
-    expected = rows_of_the_problem(of, q, target)
-    np.testing.assert_allclose(of.rows(q, target), expected, rtol=1e-10, atol=1e-8)
+    q, aim = configurations(of)
+    problem = of.problem
+    zero, key = np.zeros(len(problem.parameters)), problem.only.key
+    names = problem.only.measurement.targets or ("",)
+    at = asked(problem, key, q, [names[k % len(names)] for k in range(len(q))])
+    J = problem.jacobian(zero, at, sigma_at(problem, key, len(q)))
+    corrections = problem.only.error.joint_corrections
+    assert (np.abs(J[..., corrections]).max(axis=(0, 1)) > 0.0).all()
+    expected = rows_of_the_problem(of, q, aim)
+    tolerance = 1e-10 * np.abs(expected).max()
+    found = information(of.rows(q, aim))
+    np.testing.assert_allclose(found, expected, atol=tolerance)
     with pytest.raises(OptionError, match=r"joint correction .* no derivative"):
-        of.linearize(q, target)
+        of.linearize(q, aim)
 
 
 @pytest.mark.parametrize("model", FREE)
 def test_joint_corrections_have_rows_but_no_curvature(
-    model: str, special_chain: Chain, framed: Setup, visited: Visited
+    model: str, special_chain: Chain, framed: Setup
 ) -> None:
     plain = framed_rows(special_chain, model, framed)
     of = framed_rows(special_chain, model, framed, parameters=CORRECTED)
-    check_corrections(plain, of, visited)
+    check_corrections(plain, of)
 
 
 @pytest.mark.parametrize("model", NAMED)
 def test_corrections_with_named_points_and_places(
-    model: str, equipped_rows: Callable[..., IdentificationRows], visited: Visited
+    model: str, equipped_rows: Callable[..., IdentificationRows]
 ) -> None:
     plain, of = (equipped_rows(model, parameters=p) for p in (("dh",), CORRECTED))
-    check_corrections(plain, of, visited)
+    check_corrections(plain, of)
 
 
-def test_mixed_measurements_have_rows_but_no_curvature(
-    equipped_rows: Callable[..., IdentificationRows], visited: Visited
+def test_an_image_has_no_more_rows_than_unknowns(
+    equipped: Setup, equipped_problem: Equipped
 ) -> None:
-    of = equipped_rows(MIXED)
-    assert not of.differentiable
-    q, target = configurations(of.problem, visited, 20)
-    expected = rows_of_the_problem(of, q, target)
-    np.testing.assert_allclose(of.rows(q, target), expected, rtol=1e-10, atol=1e-8)
-    assert {name.partition(":")[0] for name in target} == set(MIXED.split("+"))
-    with pytest.raises(OptionError, match=r"'position\+.*camera' has no derivative"):
-        of.linearize(q, target)
+    """Of 30 corners, 60 pixels: rows with the information of all of them."""
+    corners = {
+        f"c{k}": PointSetup((0.03 * (k % 6), 0.03 * (k // 6), 0.1)) for k in range(30)
+    }
+    problem = equipped_problem(
+        calib_pin.load_chain("space6"), "camera", targets=corners
+    )
+    of = make(problem, 40)
+    q, aim = configurations(of)
+    assert len(problem.parameters) > 40 and of.rows(q, aim).shape[1:] == (15, 40)
+    check_rows(of)
+    # A camera that sees only some of them: the others have no say.
+    assert isinstance(equipped.camera, CameraSetup)
+    lower = replace(equipped.camera, size=(1280, 480))
+    partly = make(
+        equipped_problem(
+            calib_pin.load_chain("space6"), "camera", targets=corners, camera=lower
+        ),
+        40,
+    )
+    (look,) = partly.aims.looks
+    seen = look.seen(q, aim)
+    assert 0 < seen.sum() < seen.size
+    check_rows(partly)
 
 
-def test_another_instrument_in_the_same_columns(
-    framed: Setup, visited: Visited
-) -> None:
+def test_chains_share_the_columns_of_their_joints(tree: Chains) -> None:
+    """Each arm moves with the torso, and not with the other arm."""
+    keys = [BlockKey("pose", "left"), BlockKey("pose", "right")]
+    of = make(nominal_problem(tree, keys, Setup()), 60)
+    check_rows(of)
+    check_pullback(of)
+    q, aim = configurations(of)
+    rows, pullback = of.linearize(q, aim)
+    found = pullback(rows)
+    names = tree.joints
+    left, right = (
+        [k for k, name in enumerate(names) if name.startswith(side)]
+        for side in ("left", "right")
+    )
+    assert not found[aim == 0][:, right].any() and not found[aim == 1][:, left].any()
+    assert found[:, names.index("torso")].all()
+    # The finger of the left hand follows its wrist.
+    assert not found[:, names.index("left_finger")].any()
+
+
+def test_another_instrument_in_the_same_columns(framed: Setup) -> None:
     """The tip's position in the columns of a study with a ranger."""
     ranger = framed_rows(calib_pin.load_chain("space6"), "plane-distance", framed)
-    q, _ = configurations(ranger.problem, visited)
-    of = IdentificationRows(
-        ranger.problem, ranger.basis, 2, Position(), np.full(3, 1.0)
-    )
-    rows, pullback = of.linearize(q, ("",) * len(q))
-    _, J = ranger.problem.error.jacobian(q, np.zeros(len(of.problem.error.screws)))
-    T = ranger.problem.error.poses(q, np.zeros(len(of.problem.error.screws)))
-    expected = T[:, :3, :3] @ J[:, :3] @ ranger.basis[: J.shape[2]]
+    q, aim = configurations(ranger)
+    error = ranger.problem.only.error
+    count = len(error.screws)
+    part = replace(ranger.problem.only, measurement=Position())
+    look = Look(part, ("",), True, np.zeros(len(ranger.aims.each), int))
+    of = LookRows(look, ranger.basis[:count], np.ones(3))
+    rows, pullback = of.linearize(q, aim)
+    _, J = error.jacobian(q, np.zeros(count))
+    T = error.poses(q, np.zeros(count))
+    expected = T[:, :3, :3] @ J[:, :3] @ ranger.basis[:count]
     np.testing.assert_allclose(rows, expected, atol=1e-9)
     assert pullback(rows).shape == q.shape

@@ -188,7 +188,7 @@ def six_axes(count: int, wanted: int, seed: int) -> Search:
     workspace = Workspace.create(problem)
     rng = np.random.default_rng(seed)
     candidates = workspace.candidates(count, rng)
-    _, rows, information = identification(problem, candidates, None)
+    _, rows, information = identification(problem, workspace.aims, candidates)
     return Search(rows, workspace, CRITERIA["O1"], information, candidates, wanted, rng)
 
 
@@ -204,7 +204,7 @@ def test_detmax_beats_greedy_on_500_candidates(seed: int) -> None:
         # All of them are candidates.
         distances = np.abs(one.q[:, None] - search.candidates.q[None]).max(axis=2)
         assert (distances.min(axis=1) == 0.0).all()
-        U = search.rows.rows(one.q, one.target).reshape(-1, search.table.shape[2])
+        U = search.rows.rows(one.q, one.aim).reshape(-1, search.table.shape[2])
         f = search.rows.nuisances
         Q = np.linalg.qr(U[:, :f])[0]
         robot = U[:, f:] - Q @ (Q.T @ U[:, f:])

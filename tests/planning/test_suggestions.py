@@ -90,9 +90,7 @@ def test_a_fit_is_taken_as_it_found_things() -> None:
     for name, point in stood.targets.items():
         assert point.xyz == pytest.approx(references[name].stated().xyz)
     base = stood.base_frame
-    assert base.estimate and base.xyz == pytest.approx(
-        part.error.base.translation
-    )
+    assert base.estimate and base.xyz == pytest.approx(part.error.base.translation)
     changes = [r.change for r in suggestions(chain, rows.keys, stood, result)]
     assert any("(targets)" in change for change in changes)
 

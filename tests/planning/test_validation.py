@@ -21,6 +21,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.planning.plan import Plan
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import exact_problem
@@ -114,20 +115,17 @@ class Robot:
 
     def tip_error(self, q: Floats, truth: Floats, rng: np.random.Generator) -> float:
         """Mean square of the tip's error after a fit of rows at q [m^2]."""
-        exact = exact_problem(self.problem, truth, q, ("",) * len(q)).data
+        exact = exact_problem(self.problem, truth, q, ("",) * len(q)).data.only
         noise = NOISE * rng.normal(size=exact.values.shape)
         rows = replace(exact, values=exact.values + noise)
-        fitted = fit(replace(self.problem, data=rows), rng)
-        true = exact_problem(
-            self.problem, truth, self.q, ("",) * len(self.q)
-        ).data.values
-        found = exact_problem(
-            fitted.problem, fitted.theta, self.q, ("",) * len(self.q)
-        ).data
-        return float(np.mean(np.sum((found.values - true) ** 2, axis=1)))
+        fitted = fit(replace(self.problem, data=Observations.of(rows)), rng)
+        names = ("",) * len(self.q)
+        true = exact_problem(self.problem, truth, self.q, names).data.only
+        found = exact_problem(fitted.problem, fitted.theta, self.q, names).data.only
+        return float(np.mean(np.sum((found.values - true.values) ** 2, axis=1)))
 
     def random(self, rng: np.random.Generator) -> Floats:
-        return self.problem.error.chain.random_configurations(COUNT, rng)
+        return self.problem.chains.random_configurations(COUNT, rng)
 
 
 @pytest.fixture(
@@ -150,7 +148,8 @@ def test_the_robots_differ(robots: list[Robot]) -> None:
     ranks = {robot.plan.rank for robot in robots}
     assert ranks <= set(range(22, 31))
     reaches = [
-        np.ptp(robot.problem.error.chain.poses(robot.q)[:, :3, 3]) for robot in robots
+        np.ptp(robot.problem.only.error.chain.poses(robot.q)[:, :3, 3])
+        for robot in robots
     ]
     assert len(set(np.round(reaches, 3))) == len(robots)
 

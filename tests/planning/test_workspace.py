@@ -37,7 +37,7 @@ PLANES = {
 
 def test_limits_are_those_of_the_robot(workspace_of: Callable[..., Workspace]) -> None:
     workspace = workspace_of("space6")
-    chain = workspace.problem.error.chain
+    chain = workspace.problem.only.error.chain
     # But for a hundredth of a radian, where controllers would complain already.
     inside = workspace.lower - chain.lower, chain.upper - workspace.upper
     assert all(room.min() >= 0.01 and room.max() < 0.01 + 1e-6 for room in inside)
@@ -48,7 +48,7 @@ def test_limits_are_those_of_the_robot(workspace_of: Callable[..., Workspace]) -
 def test_limits_narrow_by_name_and_glob(workspace_of: Callable[..., Workspace]) -> None:
     limits = {"joint_*": (-1.0, 9.0), "joint_3": (-7.0, 0.5), "joint_[12]": (0.0, 1.0)}
     workspace = workspace_of("space7", limits=limits)
-    chain = workspace.problem.error.chain
+    chain = workspace.problem.only.error.chain
     assert (chain.lower < -1.0).all() and (chain.upper < 9.0).all()
     upper = chain.upper - 0.01
     upper[:2], upper[2] = 1.0, 0.5
@@ -171,9 +171,9 @@ def test_candidates_stay_within_the_limits(
     width = workspace.upper - workspace.lower
     assert (found.q.min(axis=0) < workspace.lower + 0.03 * width).all()
     assert (found.q.max(axis=0) > workspace.upper - 0.03 * width).all()
-    assert workspace.inside(found.q, found.target).all()
+    assert workspace.inside(found.q, found.aim).all()
     beyond = found.q + width
-    assert not workspace.inside(beyond, found.target).any()
+    assert not workspace.inside(beyond, found.aim).any()
 
 
 # --- spread ------------------------------------------------------------------------
@@ -227,8 +227,8 @@ def test_the_seed_moves_them_and_nothing_else_does(
 def tool_points(workspace: Workspace, q: np.ndarray) -> np.ndarray:
     """Where the tool is in the base, by the chain's own kinematics."""
     problem = workspace.problem
-    F = problem.error.chain.poses(q)
-    return (F @ problem.error.tool.homogeneous)[:, :3, 3]
+    F = problem.only.error.chain.poses(q)
+    return (F @ problem.only.error.tool.homogeneous)[:, :3, 3]
 
 
 @pytest.mark.parametrize(
@@ -270,7 +270,7 @@ def test_candidates_lie_in_the_region(
     # Without it most would have been elsewhere.
     free = workspace_of("space6", **frames).candidates(200, rng)
     assert region.contains(tool_points(workspace, free.q)).mean() < 0.7
-    assert not workspace.inside(free.q, free.target).all()
+    assert not workspace.inside(free.q, free.aim).all()
 
 
 @pytest.mark.parametrize("incidence", [0.4, 1.2])
@@ -279,13 +279,14 @@ def test_the_ranger_sees_its_planes(
 ) -> None:
     ranger = RangerSetup(range=(0.3, 2.5), incidence=incidence)
     workspace = workspace_of("space6", "plane-distance", planes=PLANES, ranger=ranger)
-    assert workspace.targets == ("floor", "wall")
+    assert [aim.target for aim in workspace.aims.each] == ["floor", "wall"]
     found = workspace.candidates(120, rng)
-    assert set(found.target) == {"floor", "wall"}
+    targets = [workspace.aims.each[k].target for k in found.aim]
+    assert set(targets) == {"floor", "wall"}
     problem = workspace.problem
-    T = problem.error.chain.poses(found.q) @ problem.error.tool.homogeneous
-    T = problem.error.base.homogeneous @ T
-    for pose, target in zip(T, found.target, strict=True):
+    T = problem.only.error.chain.poses(found.q) @ problem.only.error.tool.homogeneous
+    T = problem.only.error.base.homogeneous @ T
+    for pose, target in zip(T, targets, strict=True):
         normal = np.array(PLANES[target].normal)
         beam, origin = pose[:3, 2], pose[:3, 3]
         distance = -(normal @ origin + PLANES[target].offset) / (normal @ beam)
@@ -305,7 +306,7 @@ def test_candidates_keep_their_distance(
     assert len(q) == 150
     assert between.min() >= distance
     assert workspace.apart(q).all()
-    assert workspace.allowed(q, ("",) * 150).all()
+    assert workspace.allowed(q, np.zeros(150, int)).all()
     # One that comes too close makes two of them bad, and no others.
     q[7] = q[3] + 0.9 * distance * np.sign(0.1 - q[3])
     bad = np.flatnonzero(~workspace.apart(q))
@@ -369,13 +370,12 @@ def test_a_joint_whose_limits_are_equal_stays_fixed(
     for limits in ({}, {"joint_3": (0.25, 0.25)}):
         workspace = workspace_of("space6", limits=limits)
         found = workspace.candidates(400, rng)
-        structure, rows, _ = identification(workspace.problem, found)
+        structure, rows, _ = identification(workspace.problem, workspace.aims, found)
         ranks.append((structure.rank, rows.basis.shape[1]))
         # The rank of those very configurations, without our decomposition.
         zero = np.zeros(len(workspace.problem.parameters))
-        _, J = exact_problem(workspace.problem, zero, found.q, found.target).linearize(
-            zero
-        )
+        exact = exact_problem(workspace.problem, zero, found.q, ("",) * 400)
+        _, J = exact.linearize(zero)
         J = J * workspace.problem.parameters.scales
         ranks[-1] += (np.linalg.matrix_rank(J, tol=1e-9 * np.linalg.norm(J, 2)),)
     assert (found.q[:, 2] == 0.25).all()

@@ -10,10 +10,13 @@ import pytest
 import calib_pin
 from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.setup import FrameSetup, PlaneSetup, Setup
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 
 TOOL = FrameSetup((0.05, 0.1, 0.1), (0.3, 0.2, 0.1))
+HAND = ToolSetup((0.05, 0.1, 0.1))
 
 
 def measured(
@@ -364,4 +367,80 @@ def test_a_partly_fixed_frame_is_about_the_setup() -> None:
     setup = Setup(fixed=("base.frame.r*",))
     result = calib_pin.calibrate(chain, rows, setup, validate=False)
     assert np.allclose(result.model.of().error.base.rotation, np.eye(3), atol=1e-15)
-    assert np.allclose(result.reference.of().error.base.homogeneous, np.eye(4), atol=1e-15)
+    assert np.allclose(
+        result.reference.of().error.base.homogeneous, np.eye(4), atol=1e-15
+    )
+
+
+LEFT, RIGHT = "arm_left_7_link", "arm_right_7_link"
+
+
+def two_arms() -> tuple[Chains, Observations]:
+    """Positions of both hands of TALOS, which share a torso."""
+    robot = calib_pin.load_chain("example:talos_reduced", tip=LEFT).robot
+    chains = Chains(robot, names=(LEFT, RIGHT))
+    keys = [BlockKey("position", arm, tool=arm) for arm in (LEFT, RIGHT)]
+    setup = Setup(
+        parameters=("joint-offset",), tools={arm: HAND for arm in chains.names}
+    )
+    problem = nominal_problem(chains, keys, setup)
+    rng = np.random.default_rng(1)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    parts = [
+        calib_pin.simulate(problem, truth, rng, key=key, count=count, noise=5e-5)
+        for key, count in zip(keys, (40, 30), strict=True)
+    ]
+    return chains, Observations.of(*parts)
+
+
+def test_two_arms_with_one_torso() -> None:
+    chains, data = two_arms()
+    setup = Setup(parameters=("joint-offset",))
+    result = calib_pin.calibrate(chains, data, setup)
+    assert (result.verdict, result.validation.method) == ("good", "5-fold")
+    assert list(result.accuracies) == [LEFT, RIGHT]
+    assert result.accuracy is result.accuracies[LEFT]
+    for accuracy in result.accuracies.values():
+        assert accuracy.tip is not None and accuracy.workspace is not None
+        assert 1e-6 < accuracy.tip.rms[0] < 2e-4
+    assert result.held_out is not None
+    assert result.held_out.rows.keys == data.keys
+    # One arm alone is evaluated with the calibration of both.
+    right = Observations(data.blocks[1:])
+    (alone,) = calib_pin.evaluate(result.model, right).errors
+    of_right = np.linalg.norm(result.fitted.after[40:], axis=1)
+    assert alone[2].rms == pytest.approx(np.sqrt(np.mean(of_right**2)))
+    nominal = calib_pin.evaluate(chains, data).errors[0][2]
+    assert nominal.rms == pytest.approx(result.errors[0].before.rms)
+
+
+def test_an_arm_that_was_not_fitted_is_refused() -> None:
+    chains, data = two_arms()
+    left, right = data.blocks
+    setup = Setup(parameters=("joint-offset",))
+    with pytest.raises(InputError, match=f"chain '{RIGHT}' with the tool '{RIGHT}' is"):
+        calib_pin.calibrate(chains, left, setup, validation=right)
+
+
+def test_ends_of_a_distance_that_several_stations_have() -> None:
+    """The name of a socket alone does not say which one is meant."""
+    chain = calib_pin.load_chain("space6")
+    q = np.random.default_rng(0).uniform(-2.0, 2.0, (12, 6))
+    rows = Observations.of(
+        *(
+            calib_pin.Measurements(
+                chain.joints,
+                q,
+                "fixed-point",
+                np.zeros((12, 0)),
+                target=("left", "right") * 6,
+                station=station,
+            )
+            for station in ("hall", "lab")
+        )
+    )
+    distance = DistanceSetup(("left", "hall/right"), 0.1, 1e-5)
+    setup = Setup(parameters=("joint-offset",), distances=(distance,))
+    with pytest.raises(OptionError, match="names 'left', which no") as caught:
+        calib_pin.calibrate(chain, rows, setup)
+    assert caught.value.allowed == "hall/left, hall/right, lab/left, lab/right"

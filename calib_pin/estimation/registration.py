@@ -148,14 +148,14 @@ def relocated(problem: Problem, theta: Floats, station: str) -> Problem:
         theta: Parameter values, shape (P,).
         station: Owner and kind of the base frame, see `Scope`.
     """
-    found, parts = Located(), dict(problem.parts)
-    for part in parts.values():
+    found, moved = Located(), []
+    for part, _, _, _ in problem.blocks:
         found.keep(part, theta)
     del found.bases[station]
     for block in _in_turn(problem.blocks, found):
         few = block._replace(data=block.data.sample(SAMPLE))
-        parts[block.part.key] = found.register(few, theta)
-    return replace(problem, parts=found.placed(list(parts.values())))
+        moved.append(found.register(few, theta))
+    return replace(problem, parts={**problem.parts, **found.placed(moved)})
 
 
 def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:

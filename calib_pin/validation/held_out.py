@@ -18,25 +18,15 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.evidence import Finding, Gain
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.problem import Problem, distinct_values
-from calib_pin.estimation.registration import extended, relocated
-from calib_pin.estimation.scopes import BASE
-from calib_pin.estimation.solve import least_squares
-from calib_pin.estimation.system import FRAME
+from calib_pin.estimation.registration import extended
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
 from calib_pin.validation.gains import PRESS, gains, press_check
-from calib_pin.validation.model_errors import (
-    ModelErrors,
-    Registered,
-    errors_of_registered,
-    model_errors,
-    registered,
-)
+from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
+from calib_pin.validation.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.splits import Grouping, folds
 
 
@@ -192,9 +182,9 @@ def _checked_on(
     rows = validation.rows(new)
     if rows.configurations < FEWEST:
         return HeldOut(validation, findings=tuple(findings))
-    part, moved = registered_if_moved(
-        model, model_errors(model, rows, np.flatnonzero(new)), rows
-    )
+    before = registered(model.fit.problem, model.fit.before, rows)
+    after = registered(model.problem, model.theta, rows)
+    part, moved = registered_if_moved(model, before, after, np.flatnonzero(new))
     findings += moved
     if part is None:
         return HeldOut(validation, findings=tuple(findings))
@@ -220,168 +210,3 @@ def _enough(measurements: Observations, parts: Sequence[ModelErrors]) -> bool:
         np.sort(positions[measurements.weight[positions] > 0.0])
     )
     return held_out.configurations >= FEWEST
-
-
-MOVED = 4.0
-"""Smallest ratio of RMS errors that shows that the instrument was moved.
-
-The ratio is that of the errors with the station of the fit to those with a station of
-their own. UR10 Series B with the station of Series A has 6 500; the second day of
-TIAGo, which counts as not moved, 1.14; other measurements from one station 1.0 to 1.1.
-"""
-
-ALIKE = 0.5
-"""Largest difference of the displacements seen by both robots, relative to them.
-
-Both are the nominal and the calibrated robot. A robot that errs in another corner of
-its workspace looks displaced as well, with ratios as in `MOVED` of 2 to 8 between
-corners of 0.4 rad, but then the two displacements differ.
-"""
-
-FEWEST = 5
-"""Fewest distinct configurations for a check."""
-
-
-def registered_if_moved(
-    model: FittedModel, errors: ModelErrors, rows: Observations
-) -> tuple[ModelErrors | None, list[Finding]]:
-    """Errors of validation measurements, registered anew where an instrument was moved.
-
-    Let S be the sum of squared errors with a station of the fit, S' that with a new
-    station, of M values and with k unknowns of the station. The instrument was moved if
-    `S / M > MOVED^2 S' / (M - k)` for the calibrated robot and the nominal robot sees
-    about the same displacement. The F test of the same hypothesis, `(S - S') / k`
-    against `S' / (M - k)`, is then far beyond chance.
-
-    Args:
-        model: The fitted model.
-        errors: The errors with the stations of the fit.
-        rows: The N measurements that they are of.
-
-    Returns:
-        The errors, None if the measurements suffice for no more than the registration;
-        and a finding for every instrument that was moved.
-    """
-    fitted = {part.scope.station for part in model.problem.parts.values()}
-    there, _ = extended(model.problem, model.theta, rows)
-    of_block = [there.parts[key].scope.station for key in rows.keys]
-    found, findings, kept = errors, [], np.ones(len(rows), bool)
-    for station in dict.fromkeys(filter(fitted.__contains__, of_block)):
-        own = np.flatnonzero(np.array(of_block)[rows.block_of] == station)
-        moved, finding = _moved(model, errors.at(own), rows.rows(own), station)
-        if finding is not None:
-            findings.append(finding)
-        if moved is None:
-            kept[own] = False
-        else:
-            found = found.replaced(own, moved)
-    return found.at(kept) if kept.any() else None, findings
-
-
-def _moved(
-    model: FittedModel, errors: ModelErrors, rows: Observations, station: str
-) -> tuple[ModelErrors | None, Finding | None]:
-    """The same of the measurements from one station.
-
-    Args:
-        model: The fitted model.
-        errors: The errors with the station of the fit.
-        rows: The measurements that they are of.
-        station: Owner and kind of the station's frame.
-    """
-    before = _registered(model.fit.problem, model.fit.before, rows, station)
-    after = _registered(model.problem, model.theta, rows, station)
-    if after is None or before is None:
-        return errors, None
-    problem = after.problem
-    own = errors_of_registered(model, before, after, errors.positions)
-    values, unknowns = problem.values, len(after.refitted)
-    left = max(values - unknowns, 1)
-    as_is, on_itself = (_chi_square(part.after, problem) for part in (errors, own))
-    moved = as_is * left > MOVED**2 * on_itself * values
-    if not moved or not _alike(errors, own, problem):
-        return errors, None
-    numbers = {
-        "chi-square as it is": as_is,
-        "chi-square registered": on_itself,
-        "values": float(values),
-        "unknowns": float(unknowns),
-    }
-    of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
-    seen = f"the instrument had another station for the validation measurements{of}"
-    rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
-    if distinct_values(problem) <= unknowns or rows.configurations < FEWEST:
-        return None, Finding(
-            "moved-instrument",
-            "warning",
-            f"{seen}, which are too few for a check from there: "
-            f"{distinct_values(problem)} distinct values, {unknowns} unknowns",
-            numbers,
-            "measure more validation configurations from one station",
-        )
-    return own, Finding(
-        "moved-instrument",
-        "warning",
-        f"{seen}: with the station of the fit they are off by {rms[0]:.3g} standard "
-        f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
-        "them",
-        numbers,
-    )
-
-
-def _registered(
-    problem: Problem, theta: Floats, rows: Observations, station: str
-) -> Registered | None:
-    """A fitted problem with a station estimated anew from other measurements.
-
-    The base and the stationary references of the instrument are estimated; tool and
-    robot stay. None if nothing of the station is free.
-    """
-    there = registered(problem, theta, rows)
-    moved, values = there.problem.rebased(there.theta)
-    parameters = moved.parameters
-    outer = np.zeros(len(parameters), bool)
-    base = np.zeros(len(parameters), bool)
-    for part in moved.parts.values():
-        if part.scope.station == station:
-            base[part.index[:FRAME]] = True
-            # References on the tool stay with the robot.
-            outer[part.index] |= [p.outer for p in part.parameters]
-    _, J = moved.linearize(values)
-    seen = parameters.nuisance & parameters.free & J.any(axis=0)
-    free = np.flatnonzero((base | outer) & seen)
-    if len(free) == 0:
-        return None
-    basis = np.diag(parameters.scales)[:, free]
-    plain = replace(moved, setup=replace(moved.setup, distances=()))
-    starts = [plain]
-    if parameters.free[base].all() and not any(b.start.size for b in rows.blocks):
-        starts.append(relocated(plain, values, station))
-    found = [(least_squares(start, values, basis), start) for start in starts]
-    result, start = min(
-        found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
-    )
-    # Known distances count again: they were left out of this fit only.
-    start = replace(start, setup=moved.setup)
-    return Registered(start, result.x, there.new, tuple(free.tolist()))
-
-
-def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
-    """Whether both robots see about the same displacement, in the median."""
-    unit = problem.layout.table(problem.sigma, len(problem.data))
-    with np.errstate(invalid="ignore"):
-        nominal, calibrated = (
-            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
-            for a, b in ((errors.before, own.before), (errors.after, own.after))
-        )
-    moves = np.linalg.norm(calibrated, axis=1)
-    apart = np.linalg.norm(nominal - calibrated, axis=1)
-    return bool(np.median(apart) < ALIKE * np.median(moves))
-
-
-def _chi_square(errors: Floats, problem: Problem) -> float:
-    """Sum of squared errors in standard deviations, (N, D) a table of them."""
-    layout = problem.layout
-    present = np.isfinite(problem.sigma)
-    whitened = (errors[layout.row, layout.column] / problem.sigma)[present]
-    return float(whitened @ whitened)

@@ -240,9 +240,7 @@ def test_press_is_exact_where_the_problem_is_linear() -> None:
     for label in range(4):
         left = labels == label
         theta, C = solved(~left)
-        np.testing.assert_allclose(
-            errors[left], line.errors(theta)[left], rtol=1e-9
-        )
+        np.testing.assert_allclose(errors[left], line.errors(theta)[left], rtol=1e-9)
         expected = 0.25 * (1.0 + np.sum(J[left] @ C * J[left], axis=1))
         np.testing.assert_allclose(variance[left], expected, rtol=1e-9)
 

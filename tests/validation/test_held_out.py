@@ -13,10 +13,11 @@ from calib_pin.errors import InputError
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.simulation import exact_problem
-from calib_pin.validation.held_out import check
+from calib_pin.validation.held_out import HeldOut, check
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 CHAIN = calib_pin.load_chain("space6")
@@ -176,3 +177,118 @@ def test_a_model_with_no_row_to_fit_is_refused() -> None:
     both = Observations.of(points, poses)
     with pytest.raises(InputError, match=r"poses.csv:2: no 'pose' measurement"):
         calib_pin.calibrate(CHAIN, both, SETUP)
+
+
+STATIONS = {
+    "floor": FrameSetup((1.0, 2.0, 0.3), (0.1, 0.2, 0.3)),
+    "bench": FrameSetup((-2.0, 1.0, 0.3), (0.1, 0.2, 2.3)),
+    "door": FrameSetup((-2.0, -3.0, 0.3), (0.1, 0.2, -2.3)),
+}
+
+
+def from_station(name: str, count: int, seed: int = 1) -> Observations:
+    """Positions of the same robot by an instrument that stands elsewhere."""
+    keys = [BlockKey("position", station=station) for station in STATIONS]
+    problem = nominal_problem(CHAIN, keys, replace(SETUP, stations=STATIONS))
+    truth = calib_pin.draw_errors(problem.parameters, np.random.default_rng(7))
+    rng, key = np.random.default_rng(seed), keys[list(STATIONS).index(name)]
+    return calib_pin.simulate(problem, truth, rng, key=key, count=count, noise=5e-5)
+
+
+def two_stations() -> Observations:
+    return Observations.of(from_station("floor", 25), from_station("bench", 15, 2))
+
+
+@pytest.mark.parametrize("known", [False, True])
+def test_a_new_station_is_registered_on_itself(known: bool) -> None:
+    """And nothing else: neither the robot nor the tool."""
+    rows, new = from_station("floor", 40), from_station("door", 15, 3)
+    base = replace(STATIONS["floor"], estimate=not known)
+    setup = replace(SETUP, base_frame=base)
+    alone = calib_pin.calibrate(CHAIN, rows, setup, validate=False)
+    result = calib_pin.calibrate(CHAIN, rows, setup, validation=new)
+    np.testing.assert_array_equal(result.model.theta, alone.model.theta)
+    assert (result.validation.located, result.findings) == (("station door",), ())
+    assert [g.method for g in result.statistics.gains] == ["file"] * 2 + ["press"] * 2
+    assert 0.7 < result.statistics.gains[0].ratio < 1.3
+    assert result.held_out is not None
+    door = result.held_out
+    # As if the instrument had never moved, but for six of 45 values.
+    same = calib_pin.calibrate(
+        CHAIN, rows, setup, validation=from_station("floor", 15, 3)
+    ).held_out
+    assert same is not None
+    np.testing.assert_allclose(door.points, same.points, rtol=0, atol=1e-12)
+    for own, floor in ((door.before, same.before), (door.after, same.after)):
+        assert np.sqrt(np.mean(own**2)) < 1.05 * np.sqrt(np.mean(floor**2))
+    assert np.abs(door.after).max() < 3e-4 < 2e-3 < np.abs(door.before).max()
+    found = calib_pin.evaluate(result.model, new)
+    assert (found.registered, found.located) == (False, ("station door",))
+    after = result.errors[0].validation_after
+    assert after is not None and found.errors[0][2] == after
+
+
+def test_a_new_station_among_several() -> None:
+    rows, new = two_stations(), from_station("door", 15, 3)
+    seen = from_station("bench", 10, 4)
+    both = Observations.of(seen, new)
+    result = calib_pin.calibrate(CHAIN, rows, SETUP, validation=both)
+    assert result.validation.located == ("station door",)
+    assert result.validation.count == 25
+    # What is seen from a station that was fitted is as it would be alone.
+    alone = calib_pin.calibrate(CHAIN, rows, SETUP, validation=seen)
+    assert result.held_out is not None and alone.held_out is not None
+    np.testing.assert_allclose(
+        result.held_out.after[:10], alone.held_out.after, rtol=0, atol=1e-12
+    )
+
+
+def test_a_station_that_is_known_is_not_registered() -> None:
+    setup = replace(SETUP, stations={"door": replace(STATIONS["door"], estimate=False)})
+    new = from_station("door", 15, 3)
+    result = calib_pin.calibrate(CHAIN, two_stations(), setup, validation=new)
+    assert result.validation.located == () and result.held_out is not None
+    known = frame_pose(STATIONS["door"]).rotation
+    np.testing.assert_allclose(result.held_out.to_base, [known.T], atol=1e-15)
+
+
+def test_only_the_station_that_was_moved_is_registered_anew() -> None:
+    rows, seen = two_stations(), from_station("bench", 10, 4)
+    new = from_station("floor", 15, 3)
+    model = fitted_to(rows)
+
+    def checked(*parts: Observations) -> HeldOut:
+        every = Observations.of(*parts)
+        return check(CHAIN, rows, SETUP, model, 0, validation=every, method="file")
+
+    plain, found = checked(seen, new), checked(seen, moved(new, 0.3))
+    assert plain.findings == ()
+    (finding,) = found.findings
+    assert "validation measurements of 'floor': " in finding.message
+    (was,), (part,) = plain.parts, found.parts
+    np.testing.assert_array_equal(part.after[:10], was.after[:10])
+    np.testing.assert_array_equal(part.positions, np.arange(25))
+    assert 0.7 < found.gains[0].ratio < 1.3
+    # Too few from there are left out; the others still check the fit.
+    found = checked(seen, moved(new.rows(np.arange(2)), 0.3))
+    assert "too few for a check from there" in found.findings[0].message
+    np.testing.assert_array_equal(found.parts[0].positions, np.arange(10))
+
+
+def test_a_new_station_with_too_few_measurements_is_refused() -> None:
+    new = from_station("door", 1, 3).only
+    few = replace(new, files=("door.csv",), lines=np.array([2]))
+    seen = from_station("bench", 10, 4)
+    with pytest.raises(InputError, match=r"^door.csv:2: .* 'door', .*no more than"):
+        calib_pin.calibrate(
+            CHAIN, two_stations(), SETUP, validation=Observations.of(seen, few)
+        )
+
+
+def test_a_tool_that_was_not_fitted_is_refused() -> None:
+    probe = replace(from_station("floor", 15, 3).only, tool="probe")
+    with pytest.raises(InputError, match="no 'position' measurement with the tool 'pr"):
+        calib_pin.calibrate(CHAIN, two_stations(), SETUP, validation=probe)
+    model = calib_pin.calibrate(CHAIN, two_stations(), SETUP, validate=False).model
+    with pytest.raises(InputError, match=r"nothing of this kind was fitted: .*'probe'"):
+        calib_pin.evaluate(model, probe)

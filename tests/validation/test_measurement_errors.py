@@ -10,7 +10,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
-from calib_pin.observations import Measurements, Observations
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import FrameSetup, PlaneSetup, Setup
 from calib_pin.validation.accuracy import Accuracy
@@ -125,3 +125,58 @@ def test_of_an_infinite_error_no_direction_is_left(
         ]
         == np.inf
     )
+
+
+def test_every_block_has_its_own_base_link_and_columns() -> None:
+    """Two trackers, one of which measures poses, and a distance sensor."""
+    chain, _ = measured("position")
+    stations = {"a": BASE, "b": FrameSetup((-1.0, 0.5, 0.2), (0.1, 0.2, -1.0))}
+    setup = Setup(
+        parameters=("joint-offset",), tool_frame=TOOL, stations=stations, planes=WALL
+    )
+    keys = [
+        BlockKey("position", station="a"),
+        BlockKey("pose", station="b"),
+        BlockKey("plane-distance", station="a"),
+    ]
+    problem = nominal_problem(chain, keys, setup)
+    rng = np.random.default_rng(5)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    data = Observations.of(
+        *(
+            calib_pin.simulate(problem, truth, rng, key=key, count=count, noise=1e-5)
+            for key, count in zip(keys, (30, 20, 10), strict=True)
+        )
+    )
+    result = calib_pin.calibrate(chain, data, setup, validate=False)
+    errors, tool = result.fitted, frame_pose(TOOL).homogeneous
+    assert errors.rows.keys == tuple(keys)
+    assert errors.to_base.shape == (3, 3, 3)
+    near = (chain.poses(data.q) @ tool)[:, :3, 3]
+    np.testing.assert_allclose(errors.points, near, atol=0.05)
+    assert errors.displacements is not None
+    for block, rows in zip(data.blocks[:2], data.slices, strict=False):
+        base = result.model.parts[block.key].error.base
+        seen = block.values[:, :3] @ base.rotation
+        seen -= base.rotation.T @ base.translation
+        found = errors.points[rows] - errors.displacements[1][rows]
+        np.testing.assert_allclose(found, seen, atol=1e-9)
+    assert np.isnan(errors.displacements[1][50:]).all()
+    # The table has a cell where a measurement has the number.
+    table = errors.table("train")
+    assert table["station"] == ["a"] * 30 + ["b"] * 20 + ["a"] * 10
+    assert table["model"][29:31] == ["position", "pose"]
+    present = np.isfinite([table[f"{c}.after"] for c in errors.components])
+    np.testing.assert_array_equal(
+        present.sum(axis=0), np.repeat([3, 6, 1], [30, 20, 10])
+    )
+    for stage in ("before", "sigma", "stated"):
+        cells = [table[f"{c}.{stage}"] for c in errors.components]
+        np.testing.assert_array_equal(np.isfinite(cells), present)
+    measured_cells = np.isfinite([table[f"measured.{k + 1}"] for k in range(7)])
+    np.testing.assert_array_equal(
+        measured_cells.sum(axis=0), np.repeat([3, 7, 1], [30, 20, 10])
+    )
+    assert "station" not in calib_pin.calibrate(
+        *measured("position"), validate=False
+    ).fitted.table("train")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 from typing import Any
 
@@ -10,18 +11,19 @@ import pytest
 from numpy.typing import NDArray
 
 import calib_pin
+from calib_pin.errors import InputError
 from calib_pin.estimation.fit import fit, fit_model
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chain import Chain
-from calib_pin.observations import Measurements, Observations
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.progress import portion
 from calib_pin.setup import DistanceSetup, FrameSetup, PlaneSetup, PointSetup, Setup
 from calib_pin.validation import splits
 from calib_pin.validation.held_out import cross_validate
 from calib_pin.validation.model_errors import fitted_errors, model_errors
-from calib_pin.validation.splits import FOLDS, Grouping, places
+from calib_pin.validation.splits import FOLDS, Grouping, places, split
 
 SETUP = Setup(parameters=("joint-offset",), tool_frame=FrameSetup((0.05, 0.08, 0.1)))
 
@@ -113,6 +115,81 @@ def test_every_plane_stays_in_every_part() -> None:
     assert not folds(few, fitted, 0)
 
 
+def at_stations(*counts: int, tools: Sequence[str] = ("",)) -> Observations:
+    """Positions of random configurations, so many of each station and tool."""
+    keys = [BlockKey("position", "", s, t) for s in "abc" for t in tools]
+    rng = np.random.default_rng(0)
+    return Observations.of(
+        *(
+            Measurements(
+                tuple("jklmno"),
+                rng.uniform(-2.0, 2.0, (count, 6)),
+                values=np.zeros((count, 3)),
+                **key._asdict(),
+            )
+            for key, count in zip(keys, counts, strict=False)
+        )
+    )
+
+
+def test_every_fold_has_its_share_of_every_station() -> None:
+    chain = calib_pin.load_chain("space6")
+    keys = [BlockKey("position", "", s) for s in "abc"]
+    stations = {s: FrameSetup((k, 1.0, 0.3)) for k, s in enumerate("abc")}
+    problem = nominal_problem(chain, keys, replace(SETUP, stations=stations))
+    rng, still = np.random.default_rng(0), np.zeros(len(problem.parameters))
+    rows = Observations.of(
+        *(
+            calib_pin.simulate(problem, still, rng, key=key, count=count, noise=5e-5)
+            for key, count in zip(keys, (40, 12, 3), strict=True)
+        )
+    )
+    masks = folds(rows, fit_model(chain, rows, SETUP, 0).fit, 0)
+    assert len(masks) == FOLDS
+    sizes = np.array([np.bincount(rows.block_of[mask], minlength=3) for mask in masks])
+    # Without one of its three configurations nobody knew where the last one is.
+    assert sizes[:, 2].tolist() == [0] * FOLDS
+    assert sizes[:, 0].tolist() == [8] * FOLDS
+    assert sorted(sizes[:, 1]) == [2, 2, 2, 3, 3]
+
+
+@pytest.mark.parametrize("seed", range(5))
+def test_a_holdout_has_its_share_of_every_tool(seed: int) -> None:
+    rows = at_stations(40, 20, 10, 4, tools=("p", "q"))
+    left, held, method = split(rows, SETUP, None, 0.25, seed)
+    assert held is not None and method == "holdout"
+    assert list(map(len, held.blocks)) == [10, 5, 2, 1]
+    assert len(left) + len(held) == len(rows)
+
+
+def test_what_is_set_aside_locates_no_station() -> None:
+    rows = at_stations(40, 6)
+    weight = np.ones(46)
+    weight[43:] = 0.0
+    grouping = Grouping.of(rows.weighted(weight), SETUP)
+    for mask in (np.arange(46) == 41, np.arange(46) == 44):
+        # Three are left with a weight: each of these is needed.
+        spared = grouping.spared(mask)
+        np.testing.assert_array_equal(spared, mask & (weight == 0.0))
+
+
+def test_validation_of_what_is_not_fitted_is_refused() -> None:
+    rows = at_stations(9, 9, 9, 9, tools=("p", "q"))
+    of_q = np.array([key.tool == "q" for key in rows.keys])[rows.block_of]
+    of_b = rows.block_of >= 2
+    blocks = [
+        replace(block, validate=mask[part])
+        for mask in (of_q, of_b)
+        for block, part in zip(rows.blocks, rows.slices, strict=True)
+    ]
+    with pytest.raises(InputError, match="with the tool 'q' is left to fit: all are"):
+        split(Observations(tuple(blocks[:4])), SETUP, None, None, 0)
+    _, held, method = split(Observations(tuple(blocks[4:])), SETUP, None, None, 0)
+    assert held is not None and (len(held), method) == (18, "set")
+    with pytest.raises(InputError, match="cannot be checked: no 'position' measure"):
+        split(rows.rows(~of_q), SETUP, rows.rows(of_q), None, 0)
+
+
 # Places.
 
 
@@ -173,8 +250,6 @@ def test_sockets_of_two_stations_are_at_other_places() -> None:
     names = ("a/0", "a/1", "back", "back")
     rows = Observations.of(at_places(*names), at_places(*names, station="hall"))
     assert labels_of(rows) == [0, 0, 1, 1, 2, 2, 3, 3]
-    apart = [("a/0", "back"), ("hall/a/0", "back")]
-    assert labels_of(rows, apart[:1]) == [-1] * 8
     assert labels_of(rows, [("hall/a/0", "hall/back")]) == [0, 0, 1, 1, 2, 2, 2, 2]
 
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -92,3 +93,44 @@ def test_files_are_cut_apart() -> None:
 def test_few_rows_tell_nothing(count: int) -> None:
     q = np.linspace(0.0, 1.0, max(count, 1))[:count, None] * np.ones(6)
     assert stretches(rows(q)).tolist() == [-1] * count
+
+
+def test_chains_that_are_measured_in_turn_have_a_path_each() -> None:
+    rng = np.random.default_rng(1)
+    left, right = jogged(rng), jogged(rng)
+    blocks = [
+        Measurements(
+            tuple("abcdef"),
+            q,
+            "position",
+            np.zeros((len(q), 3)),
+            chain=chain,
+            lines=2 * np.arange(len(q)) + first,
+            files=("both.csv",) * len(q),
+        )
+        for chain, q, first in (("left", left, 1), ("right", right, 2))
+    ]
+    label = stretches(Observations(tuple(blocks)))
+    count = len(left)
+    assert not set(label[:count]) & set(label[count:])
+    assert (np.diff(label[:count]) >= 0).all() and (np.diff(label[count:]) >= 0).all()
+
+
+def test_stations_in_turn_see_one_path() -> None:
+    q = jogged(np.random.default_rng(1))
+    files = ("day.csv",) * len(q)
+    whole = Measurements(
+        tuple("abcdef"),
+        q,
+        "position",
+        np.zeros((len(q), 3)),
+        lines=np.arange(len(q)) + 2,
+        files=files,
+    )
+    even = np.arange(len(q)) % 2 == 0
+    parts = [replace(whole.rows(even == (s == "a")), station=s) for s in "ab"]
+    label = np.empty(len(q), int)
+    label[np.concatenate([np.flatnonzero(even), np.flatnonzero(~even)])] = stretches(
+        Observations(tuple(parts))
+    )
+    np.testing.assert_array_equal(label, stretches(Observations.of(whole)))

@@ -1,0 +1,206 @@
+"""Instruments that were moved between the fitted and the validation measurements."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.problem import Problem, distinct_values
+from calib_pin.estimation.registration import relocated
+from calib_pin.estimation.scopes import BASE
+from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.system import FRAME
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.validation.model_errors import (
+    ModelErrors,
+    Registered,
+    errors_of_registered,
+)
+
+MOVED = 4.0
+"""Smallest ratio of RMS errors that shows that the instrument was moved.
+
+The ratio is that of the errors with the station of the fit to those with a station of
+their own. UR10 Series B with the station of Series A has 6 500; the second day of
+TIAGo, which counts as not moved, 1.14; other measurements from one station 1.0 to 1.1.
+"""
+
+ALIKE = 0.5
+"""Largest difference of the displacements seen by both robots, relative to them.
+
+Both are the nominal and the calibrated robot. A robot that errs in another corner of
+its workspace looks displaced as well, with ratios as in `MOVED` of 2 to 8 between
+corners of 0.4 rad, but then the two displacements differ.
+"""
+
+FEWEST = 5
+"""Fewest distinct configurations for a check."""
+
+
+def registered_if_moved(
+    model: FittedModel,
+    before: Registered,
+    after: Registered,
+    positions: NDArray[np.intp],
+) -> tuple[ModelErrors | None, list[Finding]]:
+    """Errors of validation measurements, registered anew where an instrument was moved.
+
+    Let S be the sum of squared errors with a station of the fit, S' that with a new
+    station, of M values and with k unknowns of the station. The instrument was moved if
+    `S / M > MOVED^2 S' / (M - k)` for the calibrated robot and the nominal robot sees
+    about the same displacement. The F test of the same hypothesis, `(S - S') / k`
+    against `S' / (M - k)`, is then far beyond chance.
+
+    Args:
+        model: The fitted model.
+        before: The nominal robot, with the stations of the fit.
+        after: The fitted model, with the same measurements.
+        positions: Positions of these among all, shape (N,).
+
+    Returns:
+        The errors, None if the measurements suffice for no more than the registration;
+        and a finding for every instrument that was moved.
+    """
+    found = errors_of_registered(model, before, after, positions)
+    rows, findings, kept = after.problem.data, [], np.ones(len(positions), bool)
+    fitted = {part.scope.station for part in model.problem.parts.values()}
+    of_block = [after.problem.parts[key].scope.station for key in rows.keys]
+    moved = [
+        Registered(*there.problem.rebased(there.theta), there.new)
+        for there in (before, after)
+    ]
+    for station in dict.fromkeys(filter(fitted.__contains__, of_block)):
+        own = np.flatnonzero(np.array(of_block)[rows.block_of] == station)
+        nominal, calibrated = (
+            replace(at, problem=replace(at.problem, data=rows.rows(own)))
+            for at in moved
+        )
+        some = found.at(own)
+        anew, finding = _if_moved(model, some, nominal, calibrated, station)
+        if finding is not None:
+            findings.append(finding)
+            kept[own] = anew is not None
+        if anew is not None:
+            found = found.replaced(own, anew)
+    return found.at(kept) if kept.any() else None, findings
+
+
+def _if_moved(
+    model: FittedModel,
+    errors: ModelErrors,
+    before: Registered,
+    after: Registered,
+    station: str,
+) -> tuple[ModelErrors | None, Finding | None]:
+    """Errors of the measurements from one station, and a finding, if it was moved.
+
+    Args:
+        model: The fitted model.
+        errors: The errors with the station of the fit.
+        before: The nominal robot with these measurements, about its frames.
+        after: The fitted model with these measurements, about its frames.
+        station: Owner and kind of the station's frame.
+    """
+    here = _elsewhere(after, station)
+    if here is None:
+        return None, None
+    problem = here.problem
+    values, unknowns = problem.values, len(here.refitted)
+    left = max(values - unknowns, 1)
+    as_is = _chi_square(after.problem, after.theta)
+    on_itself = _chi_square(problem, here.theta)
+    if as_is * left <= MOVED**2 * on_itself * values:
+        return None, None
+    nominal = _elsewhere(before, station)
+    if nominal is None:
+        return None, None
+    own = errors_of_registered(model, nominal, here, errors.positions)
+    if not _alike(errors, own, problem):
+        return None, None
+    numbers = {
+        "chi-square as it is": as_is,
+        "chi-square registered": on_itself,
+        "values": float(values),
+        "unknowns": float(unknowns),
+    }
+    of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
+    seen = f"the instrument had another station for the validation measurements{of}"
+    if distinct_values(problem) <= unknowns or problem.data.configurations < FEWEST:
+        return None, Finding(
+            "moved-instrument",
+            "warning",
+            f"{seen}, which are too few for a check from there: "
+            f"{distinct_values(problem)} distinct values, {unknowns} unknowns",
+            numbers,
+            "measure more validation configurations from one station",
+        )
+    rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
+    return own, Finding(
+        "moved-instrument",
+        "warning",
+        f"{seen}: with the station of the fit they are off by {rms[0]:.3g} standard "
+        f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
+        "them",
+        numbers,
+    )
+
+
+def _elsewhere(there: Registered, station: str) -> Registered | None:
+    """A problem with a station estimated anew from its measurements.
+
+    The base and the stationary references of the instrument are estimated; tool and
+    robot stay. None if nothing of the station is free.
+
+    Args:
+        there: The problem of measurements from there, about its frames.
+        station: Owner and kind of the station's frame.
+    """
+    problem, theta = there.problem, there.theta
+    parameters = problem.parameters
+    base, outer = np.zeros((2, len(parameters)), bool)
+    for part, _, _, _ in problem.blocks:
+        base[part.index[:FRAME]] = True
+        # References on the tool stay with the robot.
+        outer[part.index] |= [p.outer for p in part.parameters]
+    _, J = problem.linearize(theta)
+    seen = parameters.nuisance & parameters.free & J.any(axis=0)
+    free = np.flatnonzero((base | outer) & seen)
+    if len(free) == 0:
+        return None
+    basis = np.diag(parameters.scales)[:, free]
+    plain = replace(problem, setup=replace(problem.setup, distances=()))
+    starts = [plain]
+    relative = any(block.start.size for block in problem.data.blocks)
+    if parameters.free[base].all() and not relative:
+        starts.append(relocated(plain, theta, station))
+    found = [(least_squares(start, theta, basis), start) for start in starts]
+    result, start = min(
+        found, key=lambda pair: pair[0].cost if np.isfinite(pair[0].cost) else np.inf
+    )
+    # Known distances count again: they were left out of this fit only.
+    start = replace(start, setup=problem.setup)
+    return Registered(start, result.x, there.new, tuple(free.tolist()))
+
+
+def _alike(errors: ModelErrors, own: ModelErrors, problem: Problem) -> bool:
+    """Whether both robots see about the same displacement, in the median."""
+    unit = problem.layout.table(problem.sigma, len(problem.data))
+    with np.errstate(invalid="ignore"):
+        nominal, calibrated = (
+            np.nan_to_num((a - b) / unit, posinf=0.0, neginf=0.0)
+            for a, b in ((errors.before, own.before), (errors.after, own.after))
+        )
+    moves = np.linalg.norm(calibrated, axis=1)
+    apart = np.linalg.norm(nominal - calibrated, axis=1)
+    return bool(np.median(apart) < ALIKE * np.median(moves))
+
+
+def _chi_square(problem: Problem, theta: Floats) -> float:
+    """Sum of squared errors in standard deviations; infinite where one is lost."""
+    present = np.isfinite(problem.sigma)
+    errors = problem.errors(theta)[present] / problem.sigma[present]
+    return float(np.nan_to_num(errors @ errors, nan=np.inf, posinf=np.inf))

@@ -101,7 +101,7 @@ def visible_nuisances(J: Floats, parameters: ParameterSet) -> Floats:
     if not A.shape[1]:
         return np.zeros((len(parameters), 0))
     # The rows of A have the range of its transpose.
-    directions = _range(np.asarray(np.linalg.qr(A, mode="r")).T)
+    directions = column_space(np.asarray(np.linalg.qr(A, mode="r")).T)
     result = np.zeros((len(parameters), directions.shape[1]))
     result[free] = directions
     return result
@@ -193,9 +193,9 @@ def appearing(
     """
     robot = np.eye(len(parameters))[:, parameters.free & ~parameters.nuisance]
     known = np.column_stack([directions.robot, directions.weak])
-    hidden = _range(robot - known @ (known.T @ robot))
+    hidden = column_space(robot - known @ (known.T @ robot))
     A = J * parameters.scales
-    moved = _range(A @ directions.basis)
+    moved = column_space(A @ directions.basis)
     columns = A @ hidden
     projected = columns - moved @ (moved.T @ columns)
     U, s, Vt = np.linalg.svd(projected, full_matrices=False)
@@ -292,10 +292,10 @@ def projected(columns: Floats, A: Floats, parameters: ParameterSet) -> Floats:
 
 def _absorbed(A: Floats, parameters: ParameterSet) -> Floats:
     """Orthonormal basis of the columns of the nuisances in A, (M, P) -> (M, k)."""
-    return _range(A[:, parameters.free & parameters.nuisance])
+    return column_space(A[:, parameters.free & parameters.nuisance])
 
 
-def _range(A: Floats) -> Floats:
+def column_space(A: Floats) -> Floats:
     """Orthonormal basis of the columns of A, rounding left out."""
     if A.shape[1] == 0:
         return np.zeros((len(A), 0))

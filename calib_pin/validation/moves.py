@@ -1,0 +1,403 @@
+"""Instruments that were moved, and tools that were mounted again, during a job.
+
+Measurements before and after a move have frames of their own; with one frame for both
+the errors have a plateau. In the order of the files every line is tried as the one
+after which a frame differs: to first order the gain of a second frame is a likelihood
+ratio, and all lines together take as long as one (prefix sums). The best of them
+divides the measurements, everything is fitted anew, and so on, as long as it pays
+(binary segmentation).
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Literal, NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError
+from calib_pin.estimation.directions import column_space
+from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import EXACT, Problem, error_table
+from calib_pin.estimation.system import FRAME, Part
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey, Indices, Observations
+from calib_pin.parameterizations.base import expected_size
+
+Kind = Literal["station", "tool"]
+KINDS: tuple[Kind, ...] = ("station", "tool")
+
+
+@dataclass(frozen=True)
+class MoveOptions:
+    """Limits of what counts as a move.
+
+    Attributes:
+        looked_at: Part of the errors that a further frame must leave at most, to first
+            order, for a closer look; of errors without a plateau it leaves 0.9.
+        large: Errors of the nominal robot, in expected sizes, that are looked at
+            closely in any case: first order says little of them.
+        left: Part of the errors that all moves together leave at most. A drift of the
+            instrument, which is no move, leaves one half with one frame more.
+        each: Part that each of them leaves at most, while there may be more.
+        last: Part that the last of them leaves at most.
+        configurations: Least number of configurations on each side.
+        redundancy: Least number of values, by unknowns, to tell errors of the robot
+            from moves.
+        size: Expected size of the robot's errors, in scales, while moves are sought.
+        measurements: Measurements that are looked at; the line is found among all.
+        moves: Most moves that are sought.
+        tried: Most frames that are tried for each of them.
+        rounds: Most corrections of the place of each of them.
+        steps: Steps of a fit.
+        unknowns: Most parameters of a job that is looked at.
+    """
+
+    looked_at: float = 0.8
+    large: float = 20.0
+    left: float = 1.0 / 3.0
+    each: float = 0.9
+    last: float = 0.5
+    configurations: int = 6
+    redundancy: float = 2.0
+    size: float = 10.0
+    measurements: int = 1000
+    moves: int = 8
+    tried: int = 4
+    rounds: int = 4
+    steps: int = 2
+    unknowns: int = 500
+
+
+OPTIONS = MoveOptions()
+
+
+class Move(NamedTuple):
+    """A frame that differs from some measurement on.
+
+    Attributes:
+        kind: Whose frame.
+        keys: Blocks that have the frame, before they are divided.
+        rank: Place of the first measurement after the move, in the order of the files.
+    """
+
+    kind: Kind
+    keys: frozenset[BlockKey]
+    rank: int
+
+
+@dataclass(frozen=True)
+class Job:
+    """Measurements in the order of their files.
+
+    Attributes:
+        data: The measurements.
+        rank: Place of each in that order among all of the job, shape (N,).
+    """
+
+    data: Observations
+    rank: Indices
+
+    @staticmethod
+    def of(data: Observations) -> Job:
+        """All measurements of a job, none of them set aside."""
+        rank = np.empty(len(data), np.int64)
+        rank[data.in_order] = np.arange(len(data))
+        return Job(data.weighted(np.ones(len(data))), rank)
+
+    def rows(self, index: NDArray[np.generic]) -> Job:
+        """Those of a mask, or of ascending positions."""
+        return Job(self.data.rows(index), self.rank[index])
+
+    def sample(self, count: int) -> Job:
+        """About so many, evenly over the files."""
+        if len(self.data) <= count:
+            return self
+        ranks = np.linspace(0, len(self.data) - 1, count).astype(np.int64)
+        return self.rows(np.isin(self.rank, ranks))
+
+    def divided(self, moves: Sequence[Move]) -> tuple[Job, Indices]:
+        """The same with a name of its own for each frame behind a move.
+
+        Returns:
+            The measurements in their new blocks, and the position of each of these
+            among what they were.
+        """
+        blocks = list(self.data.blocks)
+        index = [np.arange(s.start, s.stop) for s in self.data.slices]
+        for number, (kind, keys, at) in enumerate(moves):
+            for k in [k for k, block in enumerate(blocks) if block.key in keys]:
+                block, own = blocks[k], index[k]
+                after = self.rank[own] >= at
+                if kind == "station":
+                    moved = replace(block, station=f"{block.station}~{number}")
+                else:
+                    moved = replace(block, tool=f"{block.tool}~{number}")
+                blocks[k], index[k] = block.rows(~after), own[~after]
+                blocks.append(moved.rows(after))
+                index.append(own[after])
+        kept = [k for k, block in enumerate(blocks) if len(block)]
+        where = np.concatenate([index[k] for k in kept])
+        data = Observations(tuple(blocks[k] for k in kept))
+        return Job(data, self.rank[where]), where
+
+
+@dataclass(frozen=True)
+class Trial:
+    """Measurements with a frame of their own behind every move, fitted.
+
+    Attributes:
+        job: The measurements, not divided.
+        moves: The moves, in the order in which they divide the measurements.
+        problem: The problem of the divided ones about its registered references.
+        theta: Parameter values, shape (P,).
+        rank: Place of each divided measurement in the order of the files, shape (N,).
+    """
+
+    job: Job
+    moves: tuple[Move, ...]
+    problem: Problem
+    theta: Floats
+    rank: Indices
+
+    @staticmethod
+    def of(plain: Problem, job: Job, moves: tuple[Move, ...] = ()) -> Trial:
+        """Register the nominal robot, and fit its errors where that says something.
+
+        Args:
+            plain: The problem whose chains and setup these have.
+            job: The measurements.
+            moves: The moves.
+
+        Raises:
+            CalibPinError: If a part of the measurements cannot be registered.
+        """
+        own, _ = job.divided(moves)
+        problem = make_problem(plain.chains, own.data, plain.setup)
+        problem, found = register(problem, np.zeros(len(problem.parameters)))
+        trial = Trial(job, moves, problem, found.x, own.rank)
+        free, scales = problem.parameters.free, problem.parameters.scales
+        for _ in range(OPTIONS.steps if trial.redundant else 0):
+            A, b = trial.system
+            theta = trial.theta.copy()
+            theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
+            trial = replace(trial, theta=theta)
+        return trial
+
+    @cached_property
+    def redundant(self) -> bool:
+        """Whether the measurements tell errors of the robot from moves."""
+        free = int(self.problem.parameters.free.sum())
+        return self.problem.values >= OPTIONS.redundancy * free
+
+    @cached_property
+    def linear(self) -> tuple[Floats, Floats]:
+        """Whitened residual (M,), and its Jacobian by scaled parameters, (M, P)."""
+        r, J = self.problem.linearize_rows(self.theta)
+        count = len(self.problem.layout.row)
+        return r[:count], J[:count] * self.problem.parameters.scales
+
+    @cached_property
+    def system(self) -> tuple[Floats, Floats]:
+        """Columns of what is free, and residuals, with expected sizes below them."""
+        r, J = self.linear
+        parameters = self.problem.parameters
+        free = parameters.free & (parameters.nuisance | self.redundant)
+        robot = ~parameters.nuisance & free
+        prior = np.diag(np.where(robot, 1.0 / OPTIONS.size, 0.0))[robot]
+        A = np.concatenate([J, prior])
+        A[:, ~free] = 0.0
+        b = np.concatenate([r, prior @ (self.theta / parameters.scales)])
+        return A[:, parameters.free], b
+
+    @cached_property
+    def rms(self) -> float:
+        """Errors left, in standard deviations, of what unknowns do not use up."""
+        (A, _), (r, _) = self.system, self.linear
+        left = len(r) - int(np.linalg.matrix_rank(A[: len(r)])) if len(r) else 0
+        return float(np.sqrt(r @ r / left)) if left > 0 else np.inf
+
+    def candidates(self) -> list[tuple[float, Move]]:
+        """The best place of a move of each frame, the best first.
+
+        With the part of the sum of squares that it leaves to first order.
+        """
+        A, b = self.system
+        Q = column_space(A)
+        r = b - Q @ (Q.T @ b)
+        data, groups, found = self.problem.data, self.problem.data.groups(), []
+        for kind, keys, own in self._frames():
+            has = np.array([block.key in keys for block in data.blocks])
+            rows = np.flatnonzero(has[data.block_of])
+            rows = rows[np.argsort(self.rank[rows])]
+            allowed = _allowed(groups[rows])
+            if allowed.any():
+                gain = np.where(allowed, self._gains(Q, r, own, rows), 0.0)
+                best = int(np.argmax(gain))
+                left = 1.0 - gain[best] / max(float(b @ b), 1e-300)
+                found.append((left, Move(kind, keys, int(self.rank[rows[best]]))))
+        return sorted(found, key=lambda candidate: candidate[0])
+
+    def _frames(self) -> Iterator[tuple[Kind, frozenset[BlockKey], NDArray[np.intp]]]:
+        """Frames that may have moved: their blocks and free parameters."""
+        for kind in KINDS:
+            found: dict[str, list[Part]] = {}
+            for part in self.problem.parts.values():
+                found.setdefault(getattr(part.scope, kind), []).append(part)
+            for parts in found.values():
+                index, count = parts[0].index, len(parts[0].error.screws)
+                own = index[:FRAME] if kind == "station" else index[:count][-FRAME:]
+                own = own[self.problem.parameters.free[own]]
+                if len(own):
+                    yield kind, frozenset(part.key for part in parts), own
+
+    def _gains(self, Q: Floats, r: Floats, own: Indices, rows: Indices) -> Floats:
+        """Squares that another frame from each of some measurements on explains.
+
+        Args:
+            Q: Orthonormal basis of what is explained already, shape (M', k).
+            r: What that leaves, shape (M',).
+            own: Positions of the parameters of the frame.
+            rows: Its measurements in the order of the files, shape (n,).
+        """
+        row, J = self.problem.layout.row, self.linear[1]
+        place = np.full(len(self.problem.data), -1)
+        place[rows] = np.arange(len(rows))
+        some = np.flatnonzero(place[row] >= 0)
+        B, at = J[np.ix_(some, own)], place[row[some]]
+
+        def after(values: Floats) -> Floats:
+            summed = np.zeros((len(rows), *values.shape[1:]))
+            np.add.at(summed, at, values)
+            return np.asarray(np.cumsum(summed[::-1], axis=0)[::-1])
+
+        g = after(B * r[some, None])
+        C = after(Q[some][:, :, None] * B[:, None, :])
+        G = after(B[:, :, None] * B[:, None, :]) - np.swapaxes(C, 1, 2) @ C
+        inverse = np.linalg.pinv(G, rcond=1e-8, hermitian=True)
+        return np.asarray(np.einsum("ni,nij,nj->n", g, inverse, g))
+
+    def place(self, k: int, job: Job) -> int:
+        """The best rank of a move if nothing else changes.
+
+        Args:
+            k: Position of the move.
+            job: Measurements, not divided, among which it is sought.
+        """
+        move = self.moves[k]
+        others = [other.rank for other in self.moves if other.rank != move.rank]
+        first = max((at for at in others if at < move.rank), default=0)
+        last = min((at for at in others if at > move.rank), default=np.inf)
+        job = job.rows((job.rank >= first) & (job.rank < last))
+        parts, count = list(self.problem.parts), len(job.data)
+        squares, label = np.zeros((2, count)), np.zeros((2, count), int)
+        for side, at in enumerate((int(job.rank.max()) + 1, 0)):
+            moves = [*self.moves[:k], move._replace(rank=at), *self.moves[k + 1 :]]
+            own, index = job.divided(moves)
+            if any(key not in parts for key in own.data.keys):
+                return move.rank
+            there = replace(self.problem, data=own.data)
+            row = there.layout.row
+            r = there.residual(self.theta)[: len(row)]
+            r = np.where(np.isfinite(r), r, 1e6)
+            squares[side, index] = np.bincount(row, r**2, count)
+            codes = np.array([parts.index(block.key) for block in own.data.blocks])
+            label[side, index] = codes[own.data.block_of]
+        mine = np.flatnonzero(label[0] != label[1])
+        mine = mine[np.argsort(job.rank[mine])]
+        # Those before a place have the old frame, the others the new one.
+        old, new = squares[:, mine]
+        total = np.cumsum(old) - old + np.cumsum(new[::-1])[::-1]
+        return int(job.rank[mine[np.argmin(total)]]) if len(mine) else move.rank
+
+
+@serial_blas
+def moved(fitted: Fit) -> tuple[Trial, Trial] | None:
+    """The measurements of a fit with one frame, and with one behind every move.
+
+    None where nothing has moved.
+
+    Args:
+        fitted: The fit; what it has set aside is looked at as well.
+    """
+    if fitted.problem.parameters.free.sum() > OPTIONS.unknowns:
+        return None
+    job = Job.of(fitted.problem.data).sample(OPTIONS.measurements)
+    plain = replace(fitted.problem, data=job.data, units=np.zeros(0), expected=None)
+    if not _suspicious(Trial(job, (), plain, fitted.theta, job.rank), fitted.before):
+        return None
+    try:
+        trials = [Trial.of(plain, job)]
+    except (CalibPinError, np.linalg.LinAlgError):
+        return None
+    while len(trials) <= OPTIONS.moves:
+        last = trials[-1]
+        found = [_further(plain, last, move) for _, move in last.candidates()]
+        better = [trial for trial in found[: OPTIONS.tried] if trial is not None]
+        best = min(better, key=lambda trial: trial.rms, default=last)
+        if not best.rms <= OPTIONS.each * last.rms:
+            break
+        trials.append(best)
+    while len(trials) > 1 and trials[-1].rms > OPTIONS.last * trials[-2].rms:
+        trials.pop()
+    first, last = trials[0], trials[-1]
+    return (first, last) if last.rms <= OPTIONS.left * first.rms else None
+
+
+def _suspicious(trial: Trial, nominal: Floats) -> bool:
+    """Whether some errors look like a plateau, or are large altogether.
+
+    Args:
+        trial: The measurements with the solution of a fit.
+        nominal: Parameter values of the registered nominal robot, shape (P,).
+    """
+    if trial.rms < EXACT:
+        return False
+    if any(left < OPTIONS.looked_at**2 for left, _ in trial.candidates()):
+        return True
+    errors = error_table(trial.problem, nominal)
+    return any(
+        np.sqrt(np.mean(q.errors(errors) ** 2)) > OPTIONS.large * expected_size(q.unit)
+        for q in trial.problem.layout.quantities
+    )
+
+
+def _further(plain: Problem, last: Trial, move: Move) -> Trial | None:
+    """A trial with one more move, all of them where both of their frames fit best."""
+    moves = (*last.moves, move)
+    try:
+        trial = Trial.of(plain, last.job, moves)
+        for _ in range(OPTIONS.rounds):
+            places = [trial.place(k, last.job) for k in range(len(moves))]
+            moves = tuple(
+                m._replace(rank=k) for m, k in zip(moves, places, strict=True)
+            )
+            if moves == trial.moves:
+                break
+            trial = Trial.of(plain, last.job, moves)
+    except (CalibPinError, np.linalg.LinAlgError):
+        return None
+    return trial
+
+
+def _allowed(labels: Indices) -> NDArray[np.bool_]:
+    """Whether there are enough configurations before each measurement and from it on.
+
+    Args:
+        labels: Label of the configuration of each, in their order, shape (n,).
+    """
+
+    def different(order: Indices) -> Indices:
+        new = np.zeros(len(order), np.int64)
+        new[np.unique(order, return_index=True)[1]] = 1
+        return np.cumsum(new)
+
+    before, after = different(labels), different(labels[::-1])
+    least = OPTIONS.configurations
+    return np.asarray((np.append(0, before[:-1]) >= least) & (after[::-1] >= least))

@@ -179,9 +179,8 @@ def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
         )
 
     while left:
-        block = min(left, key=turn)
-        left.remove(block)
-        yield block
+        # Blocks hold arrays, which are not compared.
+        yield left.pop(min(range(len(left)), key=lambda k: turn(left[k])))
 
 
 def _tool(part: Part) -> NDArray[np.intp]:

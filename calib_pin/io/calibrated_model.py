@@ -123,7 +123,7 @@ def model_of(document: Json, chains: Chains) -> CalibratedModel:
     parts, given = _parts(chains, blocks, shape, references, values, stated)
     if named:
         for part in parts.values():
-            if list(part.measurement.targets) != list(blocks[part.key]):
+            if (list(part.measurement.targets) or [""]) != blocks[part.key]:
                 raise ValueError("'measurements' have other targets than their model")
     theta = given.vector({name: values.get(name, 0.0) for name in given.names})
     theta[given.nuisance] = 0.0  # The frames hold these.
@@ -197,10 +197,11 @@ def _blocks(about: Json) -> Blocks:
     found: dict[BlockKey, list[str]] = {}
     for block in about.get("blocks") or [about]:
         names = (block.get(key, "") for key in BlockKey._fields[1:])
-        key = BlockKey(text(block["model"]), *(n and text(n) for n in names))
+        key = BlockKey(text(block["model"]), *(name and text(name) for name in names))
         if key in found:
             raise ValueError("a block of the measurements is here twice")
-        found[key] = ["" if t == "" else text(t) for t in block["targets"]]
+        # A model that looks at nothing with a name has no targets.
+        found[key] = [t and text(t) for t in block["targets"]] or [""]
     return found
 
 

@@ -50,10 +50,7 @@ def upgraded(document: Json) -> Json:
                 "'measurements.targets' are not those of 'measurements.model'"
             )
         targets[name].append(plain)
-    blocks = [
-        {"model": name, "targets": [] if found == [""] else found}
-        for name, found in targets.items()
-    ]
+    blocks = [{"model": name, "targets": found} for name, found in targets.items()]
     older = document["frames"]
     frames = {end: older[end] for end in ("base", "tool")}
     moved = [name for name in names if not _follows(name)]

@@ -12,7 +12,6 @@ import calib_pin
 from calib_pin.io.documents import comparison_document
 from calib_pin.io.json_text import encode
 from calib_pin.validation.comparison import Comparison, compare
-from calib_pin.validation.summaries import ToolAccuracy
 
 
 @pytest.fixture(scope="module")
@@ -62,7 +61,7 @@ def test_numbers(found):
 
 def test_what_is_unknown_is_null(found):
     (position, _) = found.second.errors
-    less = replace(found.second, accuracy=ToolAccuracy(), errors=(position,))
+    less = replace(found.second, accuracies={}, errors=(position,))
     document = comparison_document(replace(found, second=less, displacements=()))
     assert document["drifted"] is None
     assert document["tip"]["orientation"] is None

@@ -23,9 +23,7 @@ from calib_pin.io.setup import setup_document, setup_of
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import measurement_model
-from calib_pin.measurement_models.mixed import absent
-from calib_pin.measurement_models.mount import Frame
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     AnchorSetup,
@@ -254,27 +252,24 @@ INSTRUMENTS: dict[str, tuple[str, Setup, tuple[str, ...]]] = {
             sockets={k: replace(v, estimate=None) for k, v in SOCKETS.items()},
             base_frame=KNOWN,
         ),
-        (
-            *("position:", "position:a.b"),
-            *("fixed-point:ball@front/0", "fixed-point:ball@top"),
-        ),
+        ("", "a.b", "ball@front/0", "ball@top"),
     ),
     "plane-distance+plane-contact": (
         "plane-distance+plane-contact",
         Setup(parameters=OFFSET, planes={**WALL, **PLATES}, targets=BALLS),
-        ("plane-distance:my.wall", "plane-contact:ball@shelf"),
+        ("my.wall", "ball@shelf"),
     ),
     "position+camera": (
         "position+camera",
         Setup(parameters=OFFSET, targets=BOARD, camera=WORLD, base_frame=ABOVE),
-        ("position:", *(f"camera:{name}" for name in BOARD)),
+        ("", *BOARD),
     ),
 }
 
 
 def calibrated(
     file: Path, model: str, setup: Setup, targets: tuple[str, ...] = ()
-) -> tuple[CalibrationResult, Measurements]:
+) -> tuple[CalibrationResult, Observations]:
     """A calibration of the arm, and rows that were not fitted."""
     chain = Chain(load_robot(file), setup.base, setup.tip)
     if targets:
@@ -285,43 +280,57 @@ def calibrated(
     moved = problem.parameters.free & ~problem.parameters.nuisance
     theta = np.where(moved, rng.uniform(-2e-3, 2e-3, len(moved)), 0.0)
     count = max(60, 15 * len(targets))  # Of a camera alone every point takes some.
-    rows = simulate(problem, theta, rng, count=count, noise=1e-4)
-    new = simulate(problem, theta, rng, count=15, noise=1e-4)
     rows, new = (
-        replace(part, sigma=absent(problem.measurement, part.target))
-        for part in (rows, new)
+        without_sigmas(simulate(problem, theta, rng, count=k, noise=1e-4))
+        for k in (count, 15)
     )
     return calibrate(chain, rows, setup, validate=False), new
 
 
+def without_sigmas(data: Observations) -> Observations:
+    return Observations(tuple(replace(block, sigma=None) for block in data.blocks))
+
+
 @cache
-def solved(case: str) -> tuple[CalibrationResult, Measurements]:
+def solved(case: str) -> tuple[CalibrationResult, Observations]:
     """The calibration of a case, for tests that ask for `arm`; made once."""
     return calibrated(Path("arm.urdf"), *(CASES | INSTRUMENTS)[case])
 
 
 def naming(chain: Chain, model: str, setup: Setup, targets: tuple[str, ...]) -> Problem:
-    """A problem whose rows name targets, about what the setup gives."""
-    count, width = len(targets), measurement_model(model, setup, targets).width
-    rows = Measurements(
-        joints=chain.joints,
-        q=np.zeros((count, len(chain.joints))),
-        model=model,
-        values=np.zeros((count, width)),
-        target=targets,
-    )
-    problem = make_problem(chain, rows, setup)
-    stands = {"base": frame_pose(ABOVE), "tool": frame_pose(PROBE)}
-    references = [
-        replace(f, pose=stands[f.kind]) if isinstance(f, Frame) else f
-        for f in problem.measurement.references
-    ]
-    frames = frame_pose(setup.base_frame), frame_pose(setup.tool_frame)
-    return replace(
-        problem,
-        error=problem.error.with_frames(*frames),
-        measurement=problem.measurement.with_references(references),
-    )
+    """A problem whose rows name targets, about what the setup gives.
+
+    Of several models with a plus between them each has the targets that it can look at.
+    """
+    blocks = []
+    for name, seen in split(model, targets).items():
+        width = measurement_model(name, setup, seen).width
+        rows = Measurements(
+            joints=chain.joints,
+            q=np.zeros((len(seen), len(chain.joints))),
+            model=name,
+            values=np.zeros((len(seen), width)),
+            target=seen,
+        )
+        blocks.append(rows)
+    problem = make_problem(chain, Observations.of(*blocks), setup)
+    parts = {}
+    for key, part in problem.parts.items():
+        frames = setup.base_frame, setup.tool_frame
+        if "+" in model and key.model == "camera":
+            frames = ABOVE, PROBE
+        error = part.error.with_frames(*map(frame_pose, frames))
+        parts[key] = replace(part, error=error)
+    return replace(problem, parts=parts)
+
+
+def split(model: str, targets: tuple[str, ...]) -> dict[str, tuple[str, ...]]:
+    """The targets of each model."""
+    first, _, second = model.partition("+")
+    if not second:
+        return {first: targets}
+    count = 2 if second == "fixed-point" else 1
+    return {first: targets[:count], second: targets[count:]}
 
 
 def write(result: CalibrationResult, folder: Path) -> Path:
@@ -344,20 +353,19 @@ def stored(arm: Path) -> tuple[CalibrationResult, Path]:
     return result, write(result, Path("out"))
 
 
-def predict(model: CalibratedModel, rows: Measurements) -> Any:
+def predict(model: CalibratedModel, rows: Observations) -> Any:
     """Tool poses, values and errors."""
-    instrument = np.zeros(len(model.measurement.parameters))
-    problem, theta = model.problem(rows), np.concatenate([model.theta, instrument])
-    T = problem.poses(theta, problem.data)
-    return (
-        T,
-        model.measurement.predict(T, instrument, rows.target),
-        problem.errors(theta),
-    )
+    problem, theta = model.problem(rows), model.theta
+    T = [
+        block.part.poses(theta[block.part.index], block.data)
+        for block in problem.blocks
+    ]
+    values = [problem.predict(theta, block).reshape(-1) for block in rows.blocks]
+    return np.concatenate(T), np.concatenate(values), problem.errors(theta)
 
 
 def assert_equal_accuracy(
-    found: CalibratedModel, model: CalibratedModel, rows: Measurements
+    found: CalibratedModel, model: CalibratedModel, rows: Observations
 ) -> None:
     for registration in (False, True):
         there, here = (
@@ -382,8 +390,8 @@ def test_predictions_come_back(case, arm):
 
     found = read_calibration(write(result, Path("out")))
 
-    assert found.chain.joints == model.chain.joints
-    assert found.error.parameters.names == model.error.parameters.names
+    assert found.chains.joints == model.chains.joints
+    assert found.given.names == model.given.names
     for there, here in zip(predict(found, rows), predict(model, rows), strict=True):
         np.testing.assert_allclose(there, here, rtol=0.0, atol=1e-12)
     corrections = model.urdf_corrections()
@@ -391,7 +399,7 @@ def test_predictions_come_back(case, arm):
     for joint, correction in found.urdf_corrections().items():
         assert correction.isApprox(corrections[joint], 1e-12)
     np.testing.assert_allclose(
-        found.tool.homogeneous, model.tool.homogeneous, atol=1e-12
+        found.of().tool.homogeneous, model.of().tool.homogeneous, atol=1e-12
     )
     assert found.setup == model.setup
     assert_equal_accuracy(found, model, rows)
@@ -406,13 +414,13 @@ def test_what_rows_refer_to_comes_back(case, arm):
     found = read_calibration(write(result, Path("out")))
 
     assert found.setup == model.setup
-    assert found.measurement.name == model.measurement.name
-    assert found.measurement.targets == model.measurement.targets
-    there, here = (m.measurement.parameters for m in (found, model))
-    assert sorted(there, key=str) == sorted(here, key=str)
+    assert found.parts.keys() == model.parts.keys()
+    for there, here in zip(found.parts.values(), model.parts.values(), strict=True):
+        assert there.measurement.targets == here.measurement.targets
+    assert found.given.parameters == model.given.parameters
     # A frame is written as angles: poses come back to some eps, 1e-14. A camera of
     # 800 px has points from 0.1 m on before it, and so 8000 px/m: 1e-10 px.
-    within = 1e-10 if "camera" in model.measurement.name else 1e-12
+    within = 1e-10 if "camera" in case else 1e-12
     for a, b in zip(predict(found, rows), predict(model, rows), strict=True):
         np.testing.assert_allclose(a, b, rtol=0.0, atol=within)
     assert_equal_accuracy(found, model, rows)
@@ -425,7 +433,7 @@ def document_of(case: str) -> dict[str, Any]:
 def test_planes_are_written_as_ever(arm):
     result, _ = solved("plane-distance")
     document = json.loads(encode(calibration_document(result, PROVENANCE)))
-    planes = [m.measurement.planes[0] for m in (result.model, result.reference)]
+    planes = [m.only.measurement.planes[0] for m in (result.model, result.reference)]
     fitted, reference = (
         {"normal": plane.normal.tolist(), "offset": plane.offset} for plane in planes
     )
@@ -481,18 +489,18 @@ def test_the_section_and_the_frames_of_a_camera(arm):
     assert camera["estimated"] is False
     assert list(document["targets"]) == list(BOARD)
     frames = document["frames"]
-    assert list(frames) == ["base", "tool", "camera.base", "camera.tool"]
+    assert list(frames) == ["base", "camera.station", "tool", "camera.tool"]
     for frame in frames.values():
         assert {"xyz", "rpy", "estimated"} < frame.keys()
         assert frame["reference"].keys() == {"xyz", "rpy"}
-    assert frames["camera.base"]["xyz"] == pytest.approx([0.0, 0.0, 4.0], abs=0.1)
+    assert frames["camera.station"]["xyz"] == pytest.approx([0.0, 0.0, 4.0], abs=0.1)
 
 
 @pytest.mark.parametrize(
     ("case", "path", "message"),
     [
         ("fixed-point", ("sockets",), "'front/0' is missing under 'sockets'"),
-        ("fixed-point", ("sockets", "top"), "are not those"),
+        ("fixed-point", ("sockets", "top"), "'top' is missing under 'sockets'"),
         ("fixed-point", ("targets",), "'ball' is missing under 'targets'"),
         ("plane-contact", ("planes",), "'shelf' is missing under 'planes'"),
         ("sphere-contact", ("spheres",), "'s.1' is missing under 'spheres'"),
@@ -502,11 +510,11 @@ def test_the_section_and_the_frames_of_a_camera(arm):
         ("camera, estimated", ("camera",), "'camera' is missing"),
         ("camera, estimated", ("camera", "mount"), "'mount' is missing"),
         ("position+camera", ("camera",), "'camera' is missing"),
-        ("position+camera", ("frames", "camera.base"), "'camera.base' is missing"),
-        ("position+camera", ("targets", "m3"), "are not those"),
+        ("position+camera", ("frames", "camera.tool"), "'camera.tool' is missing"),
+        ("position+camera", ("targets", "m3"), "'m3' is missing under 'targets'"),
         (
             "position+camera",
-            ("measurements", "targets", 3),
+            ("measurements", "blocks", 1, "targets", 2),
             "no measurement refers to 'm2'",
         ),
     ],
@@ -529,6 +537,8 @@ def test_files_without_what_came_later(arm):
     del document["distances"], document["predicted"], document["setup_file"]
     del document["findings"], document["validation"], document["covariance"]
     del document["rotation_to_base"], document["rejected_residual_model"]
+    for later in ("stations", "tools", "chains", "blocks", "coupled_frames"):
+        del document[later]
     for later in ("noise", "gains", "displaced"):
         del document["statistics"][later]
     assert document.keys() == {
@@ -564,18 +574,19 @@ def test_the_corrected_robot_is_the_calibrated_one(case, arm):
         assert result.geometry is None
         return
     write_urdf(geometry, Path("corrected.urdf"))
-    chain = Chain(load_robot("corrected.urdf"), model.chain.base, model.chain.tip)
-    tool = geometry.tool.homogeneous
-    found = geometry.error.base.homogeneous @ chain.poses(rows.q) @ tool
-    np.testing.assert_allclose(found, geometry.poses(rows.q), atol=1e-12)
+    nominal, fitted = model.chains[""], geometry.of()
+    chain = Chain(load_robot("corrected.urdf"), nominal.base, nominal.tip)
+    tool = fitted.tool.homogeneous
+    found = fitted.error.base.homogeneous @ chain.poses(rows.q) @ tool
+    np.testing.assert_allclose(found, fitted.poses(rows.q), atol=1e-12)
     if model.geometric:
-        np.testing.assert_array_equal(geometry.poses(rows.q), model.poses(rows.q))
+        np.testing.assert_array_equal(fitted.poses(rows.q), model.of().poses(rows.q))
     else:
         # What is left of a fit with corrections fits worse than geometry alone.
-        measured = rows.values[:, :3]
+        measured = rows.only.values[:, :3]
         errors = [
             m.poses(rows.q)[:, :3, 3] - measured
-            for m in (geometry, model.without_corrections)
+            for m in (fitted, model.without_corrections.of())
         ]
         assert np.sum(errors[0] ** 2) < np.sum(errors[1] ** 2)
 
@@ -590,8 +601,8 @@ def test_a_urdf_holds_the_geometry_alone(arm):
         *("placement", "transmission", "compliance")
     }
     geometry = model.without_corrections
-    assert np.abs(geometry.poses(rows.q) - model.poses(rows.q)).max() > 1e-3
-    kept = ~np.isin(np.arange(len(model.theta)), model.error.joint_corrections)
+    assert np.abs(geometry.of().poses(rows.q) - model.of().poses(rows.q)).max() > 1e-3
+    kept = ~np.isin(np.arange(len(model.theta)), model.only.error.joint_corrections)
     np.testing.assert_array_equal(geometry.theta[kept], model.theta[kept])
     assert (geometry.theta[~kept] == 0.0).all()
     # How good it is without them is a part of the result.
@@ -623,10 +634,15 @@ def test_what_was_learned_is_no_geometry(stored, refused):
             return np.ones(len(q))
 
     model = stored[0].model
-    bent = replace(model, error=replace(model.error, learned=Bent()))
-    q = model.chain.random_configurations(5, np.random.default_rng(0))
-    assert np.abs(bent.poses(q) - model.poses(q)).max() > 1e-3
-    np.testing.assert_array_equal(bent.without_corrections.poses(q), model.poses(q))
+    parts = {
+        key: replace(part, error=replace(part.error, learned=Bent()))
+        for key, part in model.parts.items()
+    }
+    bent = model.with_parts(parts)
+    q = model.chains.random_configurations(5, np.random.default_rng(0))
+    plain = model.of().poses(q)
+    assert np.abs(bent.of().poses(q) - plain).max() > 1e-3
+    np.testing.assert_array_equal(bent.without_corrections.of().poses(q), plain)
     with refused(OptionError, reason="a URDF cannot hold"):
         write_urdf(bent, Path("bent.urdf"))
     write_urdf(bent.without_corrections, Path("bent.urdf"))
@@ -643,7 +659,9 @@ def test_what_the_contract_does_not_ask_for_may_be_missing(arm):
     document["parameters"][0]["note"] = "unknown"
     file.write_text(json.dumps(document))
     found = read_calibration(file)
-    np.testing.assert_allclose(found.poses(rows.q), result.model.poses(rows.q))
+    np.testing.assert_allclose(
+        found.of().poses(rows.q), result.model.of().poses(rows.q)
+    )
     for registration in (False, True):
         there = evaluate(found, rows, registration=registration)
         here = evaluate(result.model, rows, registration=registration)
@@ -697,7 +715,7 @@ def test_a_moved_folder_finds_the_robot_beside(stored, tmp_path, monkeypatch):
         result.model.theta
     )
     monkeypatch.chdir(tmp_path / "moved")
-    assert read_calibration("calibration.json").chain.robot.name == "arm"
+    assert read_calibration("calibration.json").chains.robot.name == "arm"
 
 
 def test_the_robot_is_found_from_the_folder_of_the_file(arm, tmp_path, monkeypatch):
@@ -708,21 +726,21 @@ def test_the_robot_is_found_from_the_folder_of_the_file(arm, tmp_path, monkeypat
     elsewhere = tmp_path / "elsewhere"
     elsewhere.mkdir()
     monkeypatch.chdir(elsewhere)
-    assert read_calibration("../calibration.json").chain.robot.name == "arm"
+    assert read_calibration("../calibration.json").chains.robot.name == "arm"
 
 
 def test_the_corrected_robot_beside_is_not_taken_for_it(stored, refused):
     result, file = stored
     # Both have the same name, as the commands write them.
     write_urdf(result.model, Path("out/arm.urdf"))
-    assert read_calibration(file).chain.robot.file == "arm.urdf"
+    assert read_calibration(file).chains.robot.file == "arm.urdf"
     Path("arm.urdf").unlink()
     with refused(InputError, reason="'out/arm.urdf' is not the robot"):
         read_calibration(file)
     # With the original back at its side, a wrong one at the stated place is passed.
     Path("out/arm.urdf").write_text(ARM)
     Path("arm.urdf").write_text(ARM.replace("0.4", "0.41"))
-    assert read_calibration(file).chain.robot.file == "out/arm.urdf"
+    assert read_calibration(file).chains.robot.file == "out/arm.urdf"
 
 
 def test_a_changed_robot_is_refused(stored, refused):
@@ -798,7 +816,7 @@ def test_no_damage_of_an_instrument_passes_unnoticed(case, every, arm):
 
 
 def assert_no_damage_passes(
-    result: CalibrationResult, rows: Measurements, keys: tuple[str, ...], step: int
+    result: CalibrationResult, rows: Observations, keys: tuple[str, ...], step: int
 ) -> None:
     file = write(result, Path("out"))
     good = json.loads(file.read_text())

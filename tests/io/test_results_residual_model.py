@@ -23,6 +23,7 @@ from calib_pin.io.results import (
     read_residual_model,
     reference,
 )
+from calib_pin.kinematics.chain import Chain
 from calib_pin.residual_models import LearnedCorrection
 from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
@@ -59,14 +60,15 @@ def folder(learned: CalibrationResult, tmp_path: Path) -> Path:
 
 def test_it_predicts_as_before(learned: CalibrationResult, folder: Path) -> None:
     model = read_calibration(folder / "calibration.json")
-    q = model.chain.random_configurations(50, np.random.default_rng(0))
-    found = model.error.learned
+    q = model.chains.random_configurations(50, np.random.default_rng(0))
+    found = model.only.error.learned
     assert isinstance(found, LearnedCorrection) and found.model.name == "network"
-    np.testing.assert_allclose(model.poses(q), learned.model.poses(q), atol=1e-13)
+    poses = model.of().poses(q)
+    np.testing.assert_allclose(poses, learned.model.of().poses(q), atol=1e-13)
     # It does correct something.
-    plain = model.without_corrections.poses(q)
-    assert np.abs(plain - model.poses(q)).max() > 1e-5
-    assert not model.outside(q).all()
+    plain = model.without_corrections.of().poses(q)
+    assert np.abs(plain - poses).max() > 1e-5
+    assert not model.of().outside(q).all()
 
 
 def test_nothing_was_learned(learned: CalibrationResult) -> None:
@@ -140,40 +142,47 @@ def test_it_is_gone(folder: Path, bad: Callable[..., None]) -> None:
     bad(reason="no such file")
 
 
+def on_chain(model: CalibratedModel, chain: Chain) -> CalibratedModel:
+    """A model whose only chain is another one."""
+    part = model.only
+    part = replace(part, error=replace(part.error, chain=chain))
+    return model.with_parts({part.key: part})
+
+
 def test_of_another_robot(
     learned: CalibrationResult, folder: Path, refused: Callable[..., Any]
 ) -> None:
     other = nominal_problem(calib_pin.load_chain("pa10"), "position", Setup())
     with refused(InputError, reason="another robot: 'space6'", allowed="'pa10'"):
-        read_residual_model(folder / RESIDUAL_MODEL, other.error)
+        read_residual_model(folder / RESIDUAL_MODEL, other)
     # The same name with other numbers in it.
-    error = learned.model.error
-    robot = error.chain.robot
-    moved = replace(robot, source=robot.source + b"\n")
-    other_chain = calib_pin.Chain(moved, error.chain.base, error.chain.tip)
+    chain = learned.model.chains[""]
+    moved = replace(chain.robot, source=chain.robot.source + b"\n")
+    other = on_chain(learned.model, Chain(moved, chain.base, chain.tip))
     with refused(InputError, reason="another robot: other content of its URDF"):
-        read_residual_model(folder / RESIDUAL_MODEL, replace(error, chain=other_chain))
+        read_residual_model(folder / RESIDUAL_MODEL, other)
 
 
 def test_of_another_chain(
     learned: CalibrationResult, folder: Path, refused: Callable[..., Any]
 ) -> None:
-    error = learned.model.error
-    links = [link for link in error.chain.robot.links if link != error.chain.tip]
-    other = calib_pin.Chain(error.chain.robot, error.chain.base, links[-1])
+    chain = learned.model.chains[""]
+    links = [link for link in chain.robot.links if link != chain.tip]
+    other = on_chain(learned.model, Chain(chain.robot, chain.base, links[-1]))
     with refused(InputError, reason="another robot: the chain"):
-        read_residual_model(folder / RESIDUAL_MODEL, replace(error, chain=other))
+        read_residual_model(folder / RESIDUAL_MODEL, other)
 
 
 def test_of_another_calibration(
     learned: CalibrationResult, folder: Path, bad: Callable[..., None]
 ) -> None:
     """Its checksum is right, but this calibration was written with another one."""
-    network = learned.model.error.learned
+    part = learned.model.only
+    network = part.error.learned
     assert isinstance(network, LearnedCorrection)
     changed = replace(network, shift=2.0 * network.shift)
-    error = replace(learned.model.error, learned=changed)
-    data = encode_residual_model(replace(learned.model, error=error))
+    part = replace(part, error=replace(part.error, learned=changed))
+    data = encode_residual_model(learned.model.with_parts({part.key: part}))
     assert data is not None
     (folder / RESIDUAL_MODEL).write_bytes(data)
     bad(reason="not the file that this calibration was written with")
@@ -182,10 +191,10 @@ def test_of_another_calibration(
 def test_of_other_parameters(
     learned: CalibrationResult, folder: Path, refused: Callable[..., Any]
 ) -> None:
-    chain = learned.model.chain
+    chain = learned.model.chains
     other = nominal_problem(chain, "position", Setup(parameters=("placement",)))
     with refused(InputError, reason="'shift' has the shape"):
-        read_residual_model(folder / RESIDUAL_MODEL, other.error)
+        read_residual_model(folder / RESIDUAL_MODEL, other)
 
 
 def test_the_file_of_a_calibration_stands_beside_it(

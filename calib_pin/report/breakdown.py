@@ -24,7 +24,6 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.breakdown import Breakdown, FrameSummary
 
-
 KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
 """Columns that are not what they are elsewhere."""
 
@@ -65,9 +64,9 @@ def parts(found: Breakdown) -> Iterator[Block]:
     if len(found.stations) > 1 or len(found.tools) > 1:
         yield _frames([*found.stations, *found.tools])
         yield Line(
-            "Poses of the link in the measurement frame of a station, and of a tool in "
-            "its link, with standard deviations; rotations are roll, pitch and yaw, "
-            "their deviations those about x, y and z.",
+            "Poses of the link below the name, in the measurement frame of a station, "
+            "and of a tool in that link, with standard deviations; rotations are roll, "
+            "pitch and yaw, their deviations those about x, y and z.",
             "note",
         )
 
@@ -103,7 +102,7 @@ def _plain(name: str) -> str:
 def _frames(frames: Sequence[FrameSummary]) -> Table:
     rows = []
     for frame in frames:
-        label = f"{frame.name} ({frame.link})" if frame.link else frame.name
+        label = frame.name
         sigma = frame.sigma or (math.nan,) * 6
         halves = [
             ("position", "m", frame.xyz, sigma[:3]),
@@ -113,7 +112,7 @@ def _frames(frames: Sequence[FrameSummary]) -> Table:
             pairs = zip(values, deviations, strict=True)
             cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = ""
+            label = f"  {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
     of = (Column("", "name"), *titles, Column("unit", "word"))
     return Table("Frames of stations and tools", of, rows)

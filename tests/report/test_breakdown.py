@@ -108,7 +108,7 @@ def test_stations_and_tools() -> None:
     frames = table(blocks, "Frames")
     assert frames[:2] == [
         [
-            "day1 (base_link)",
+            "day1",
             "position",
             "1234.568 ± 0.012",
             "-500.000 ± 0.020",
@@ -116,7 +116,7 @@ def test_stations_and_tools() -> None:
             "mm",
         ],
         [
-            "",
+            "  base_link",
             "rotation",
             "0.00000 ± 0.00057",
             "5.730",

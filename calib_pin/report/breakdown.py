@@ -6,21 +6,26 @@ All of it is shown only where there are several of them.
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.report.blocks import Block, Cell, Column, Line, Names, Table, columns
+from calib_pin.report.blocks import (
+    Block,
+    Cell,
+    Column,
+    Kind,
+    Line,
+    Names,
+    Table,
+    columns,
+)
 from calib_pin.report.tables import decimals, known, quantity, significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
-from calib_pin.validation.breakdown import FrameSummary
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.breakdown import Breakdown, FrameSummary
 
-
-def several(result: CalibrationResult) -> bool:
-    """Whether a calibration has more than one station, tool, chain or block."""
-    parts = (result.stations, result.tools, result.chains, result.blocks)
-    return any(len(part) > 1 for part in parts)
+KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
+"""Columns that are not what they are elsewhere."""
 
 
 def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
@@ -37,35 +42,33 @@ def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
     ]
 
 
-def keys_of(result: CalibrationResult) -> list[tuple[str, str, str, str]]:
+def keys_of(found: Breakdown) -> list[tuple[str, str, str, str]]:
     """Model, chain, station and tool of each block."""
-    return [(b.model, b.chain, b.station, b.tool) for b in result.blocks]
+    return [(b.model, b.chain, b.station, b.tool) for b in found.blocks]
 
 
-def parts(result: CalibrationResult) -> Iterator[Block]:
+def parts(found: Breakdown) -> Iterator[Block]:
     """Accuracy and noise by station, tool and chain, and where the frames are."""
-    if not several(result):
-        return
     rows: list[Sequence[Cell]] = []
-    for kind, frames in (("station", result.stations), ("tool", result.tools)):
+    for kind, frames in (("station", found.stations), ("tool", found.tools)):
         for frame in frames if len(frames) > 1 else ():
             label = f"{kind} {frame.name}"
             rows += _sizes(label, frame.measurements, frame.errors, frame.noise)
-    for chain in result.chains if len(result.chains) > 1 else ():
+    for chain in found.chains if len(found.chains) > 1 else ():
         label = f"chain {chain.name}" if chain.name else f"chain to {chain.tip}"
         rows += _sizes(label, chain.measurements, chain.errors, None)
     if rows:
-        titles = ("measurements", "", "nominal", "calibrated", "noise", "unit")
-        kinds = {"": "word", "measurements": "number"}
-        of = columns("", titles, kinds)  # type: ignore[arg-type]
-        yield Table("Stations, tools and chains (rms of fitted measurements)", of, rows)
-    yield _frames([*result.stations, *result.tools])
-    yield Line(
-        "A station is where its link is in the measurement frame, a tool where it is "
-        "in its link, each with its standard deviations; angles as in a URDF, "
-        "deviations about x, y and z.",
-        "note",
-    )
+        titles = ("measurements", "quantity", "nominal", "calibrated", "noise", "unit")
+        title = "Stations, tools and chains (rms of fitted measurements)"
+        yield Table(title, columns("", titles, KINDS), rows)
+    if len(found.stations) > 1 or len(found.tools) > 1:
+        yield _frames([*found.stations, *found.tools])
+        yield Line(
+            "Poses of the link below the name, in the measurement frame of a station, "
+            "and of a tool in that link, with standard deviations; rotations are roll, "
+            "pitch and yaw, their deviations those about x, y and z.",
+            "note",
+        )
 
 
 def _sizes(
@@ -99,7 +102,7 @@ def _plain(name: str) -> str:
 def _frames(frames: Sequence[FrameSummary]) -> Table:
     rows = []
     for frame in frames:
-        label = f"{frame.name} ({frame.link})" if frame.link else frame.name
+        label = frame.name
         sigma = frame.sigma or (math.nan,) * 6
         halves = [
             ("position", "m", frame.xyz, sigma[:3]),
@@ -109,7 +112,7 @@ def _frames(frames: Sequence[FrameSummary]) -> Table:
             pairs = zip(values, deviations, strict=True)
             cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = ""
+            label = f"  {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
     of = (Column("", "name"), *titles, Column("unit", "word"))
     return Table("Frames of stations and tools", of, rows)
@@ -123,40 +126,36 @@ def _within(value: float, sigma: float, factor: float) -> str:
     return f"{factor * value:.{places}f} ± {significant(factor * sigma)}"
 
 
-def told(result: CalibrationResult) -> Iterator[Block]:
+def told(found: Breakdown) -> Iterator[Block]:
     """What each block tells of the robot, and what hangs together through it."""
-    if len(result.blocks) > 1:
-        names = block_names(keys_of(result))
-        rows: list[Sequence[Cell]] = []
-        for name, block in zip(names, result.blocks, strict=True):
-            ranks = [Cell(str(rank), rank) for rank in (block.rank, block.added)]
-            count = Cell(str(block.measurements), block.measurements)
-            for k, error in enumerate(block.errors):
-                size = quantity(error.after.rms, error.unit)
-                shown = size, Cell(DISPLAY[error.unit][0])
-                blank = [Cell("")] * 2
-                first = (Cell(""), Cell("")) if k else (Cell(name), count)
-                last = blank if k else ranks
-                rows.append((*first, Cell(error.name), *shown, *last))
-        titles = ("measurements", "", "rms", "unit", "rank", "added")
-        kinds = {"": "word", "measurements": "number"}
-        of = columns("", titles, kinds)  # type: ignore[arg-type]
-        yield Table("Blocks of measurements", of, rows)
-        yield Line(
-            "Rank: errors of the robot that the measurements of a block identify by "
-            "themselves. Added: those that the others do not identify without them.",
-            "note",
-        )
-        for name, block in zip(names, result.blocks, strict=True):
-            if block.ties:
-                groups = " with ".join(", ".join(group) for group in block.ties)
-                yield Line(f"Only the measurements of {name} connect {groups}.", "note")
-    if result.coupled_frames:
-        sentences = [coupled.sentence for coupled in result.coupled_frames]
-        yield Names("Frames that cannot be told apart", sentences)
-    for chain in result.chains:
+    for chain in found.chains:
         if chain.still:
             of_chain = f" of chain {chain.name}" if chain.name else ""
             joints = f"joint{'s' if len(chain.still) > 1 else ''} "
             joints += f"{', '.join(chain.still)}{of_chain}"
             yield Line(f"No measurement moves {joints}: held at nominal.", "note")
+    if len(found.blocks) < 2:
+        return
+    names = block_names(keys_of(found))
+    rows: list[Sequence[Cell]] = []
+    for name, block in zip(names, found.blocks, strict=True):
+        first = [Cell(name), Cell(str(block.measurements), block.measurements)]
+        ranks = [Cell(str(rank), rank) for rank in (block.rank, block.added)]
+        for error in block.errors:
+            size, unit = quantity(error.after.rms, error.unit), DISPLAY[error.unit][0]
+            rows.append((*first, Cell(error.name), size, Cell(unit), *ranks))
+            first = ranks = [Cell("")] * 2
+    titles = ("measurements", "quantity", "rms", "unit", "rank", "added")
+    yield Table("Blocks of measurements", columns("", titles, KINDS), rows)
+    yield Line(
+        "Rank: errors of the robot that the measurements of a block identify by "
+        "themselves. Added: those that the others do not identify without them.",
+        "note",
+    )
+    for name, block in zip(names, found.blocks, strict=True):
+        if block.ties:
+            groups = " with ".join(", ".join(group) for group in block.ties)
+            yield Line(f"Only the measurements of {name} connect {groups}.", "note")
+    if found.coupled_frames:
+        sentences = [coupled.sentence for coupled in found.coupled_frames]
+        yield Names("Frames that cannot be told apart", sentences)

@@ -11,18 +11,18 @@ from calib_pin.report.figures.estimates import FOOT, HEAD, LEFT, LINE, RULE, bes
 from calib_pin.report.figures.labels import log_axis, log_limits, shortened, unit_of
 from calib_pin.report.figures.measurement_errors import SIGNS
 from calib_pin.report.tables import number
-from calib_pin.validation.result import CalibrationResult
+from calib_pin.validation.breakdown import Breakdown
 
 MOST = 60
 """Lines of a panel; of more blocks the worst are drawn."""
 
 
-def errors_by_block(result: CalibrationResult) -> Drawn | None:
+def errors_by_block(found: Breakdown) -> Drawn | None:
     """Root-mean-square errors of each block, one panel for each quantity."""
-    if len(result.blocks) < 2:
+    if len(found.blocks) < 2:
         return None
     lines: dict[tuple[str, str], list[tuple[str, float, float]]] = {}
-    for name, block in zip(block_names(keys_of(result)), result.blocks, strict=True):
+    for name, block in zip(block_names(keys_of(found)), found.blocks, strict=True):
         for error in block.errors:
             pair = error.before.rms, error.after.rms
             of = error.name.partition(" (")[0], error.unit
@@ -55,7 +55,7 @@ def errors_by_block(result: CalibrationResult) -> Drawn | None:
     (name, unit), own = next(iter(lines.items()))
     worst = max(own, key=lambda line: line[2])
     display, factor = unit_of(unit)
-    left_out = len(result.blocks) - max(map(len, lines.values()))
+    left_out = len(found.blocks) - max(map(len, lines.values()))
     remark = f" {left_out} with smaller errors are left out." if left_out > 0 else ""
     return Drawn(
         "errors-by-block",

@@ -1,0 +1,165 @@
+"""The tables of stations, tools, chains and blocks."""
+
+from __future__ import annotations
+
+import math
+from typing import Any
+
+from calib_pin.estimation.evidence import VarianceComponent
+from calib_pin.report.blocks import Block, Line, Names, Table
+from calib_pin.report.breakdown import block_names, parts, told
+from calib_pin.report.terminal import plain_text
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.breakdown import (
+    BlockSummary,
+    Breakdown,
+    ChainSummary,
+    CoupledFrames,
+    FrameSummary,
+)
+
+
+def errors(name: str, unit: str, before: float, after: float) -> QuantityErrors:
+    sizes = (Accuracy(rms, rms, rms, rms) for rms in (before, after))
+    return QuantityErrors(name, unit, *sizes, None, None)
+
+
+def noise(quantity: str, estimate: float) -> VarianceComponent:
+    interval = (0.9 * estimate, 1.1 * estimate)
+    return VarianceComponent(
+        quantity, "m", 1e-4, True, 1.0, estimate, interval, 0.9, 90.0, False
+    )
+
+
+def frame(name: str, *heard: VarianceComponent, **changes: Any) -> FrameSummary:
+    given: dict[str, Any] = {
+        "link": "base_link",
+        "measurements": 30,
+        "errors": (errors("position", "m", 2e-3, 1e-4),),
+        "xyz": (1.2345678, -0.5, 0.0),
+        "rpy": (0.0, 0.1, math.pi),
+        "sigma": (1.2e-5, 2e-5, 3e-5, 1e-5, 0.0, 1e-4),
+        "estimated": True,
+    }
+    return FrameSummary(name=name, noise=heard, **{**given, **changes})
+
+
+STATIONS = (
+    frame("day1", noise("position (day1)", 5e-5)),
+    frame("day2", noise("position (day2)", 8e-5), sigma=()),
+)
+TOOLS = (
+    frame(
+        "ball",
+        noise("position (day1)", 5e-5),
+        noise("position (day2)", 8e-5),
+        link="flange",
+    ),
+    frame("probe", link="flange", sigma=(0.0,) * 6, estimated=False),
+)
+
+
+def block(station: str, tool: str, **changes: Any) -> BlockSummary:
+    given: dict[str, Any] = {
+        "errors": (
+            errors("position", "m", 2e-3, 1e-4),
+            errors("orientation", "rad", 2e-3, 1e-3),
+        ),
+        "rank": 12,
+        "added": 3,
+    }
+    return BlockSummary(
+        "pose", "", station, tool, 30, ("",), noise=(), **{**given, **changes}
+    )
+
+
+BLOCKS = (block("day1", "ball"), block("day2", "probe", ties=(("day1",), ("day2",))))
+
+
+def table(blocks: list[Block], title: str) -> list[list[str]]:
+    """The cells of the table whose title begins so."""
+    (found,) = (b for b in blocks if isinstance(b, Table) and b.title.startswith(title))
+    return [[cell.text for cell in row] for row in found.rows]
+
+
+def test_one_of_each_is_not_told() -> None:
+    found = Breakdown(
+        stations=STATIONS[:1],
+        tools=TOOLS[:1],
+        chains=(ChainSummary("", "base_link", "flange", ("a",), 30, ()),),
+        blocks=BLOCKS[:1],
+        coupled_frames=(CoupledFrames(("base", "tool"), "", "together"),),
+    )
+    assert list(parts(found)) == list(told(found)) == []
+
+
+def test_stations_and_tools() -> None:
+    blocks = list(parts(Breakdown(stations=STATIONS, tools=TOOLS)))
+    rows = table(blocks, "Stations, tools")
+    assert [row[0] for row in rows] == [
+        "station day1",
+        "station day2",
+        "tool ball",
+        "tool probe",
+    ]
+    assert rows[0][1:] == ["30", "position", "2.000", "0.1000", "0.0500", "mm"]
+    # Two stations look at the ball, each with its own noise.
+    assert [row[5] for row in rows] == ["0.0500", "0.0800", "-", "-"]
+    frames = table(blocks, "Frames")
+    assert frames[:2] == [
+        [
+            "day1",
+            "position",
+            "1234.568 ± 0.012",
+            "-500.000 ± 0.020",
+            "0.000 ± 0.030",
+            "mm",
+        ],
+        [
+            "  base_link",
+            "rotation",
+            "0.00000 ± 0.00057",
+            "5.730",
+            "180.0000 ± 0.0057",
+            "deg",
+        ],
+    ]
+    # Of a frame that is known, or whose deviations nobody knows, there are values only.
+    assert all("±" not in cell for row in (*frames[2:4], *frames[6:]) for cell in row)
+    assert max(map(len, plain_text(blocks).splitlines())) <= 80
+
+
+def test_chains() -> None:
+    of = (errors("position", "m", 2e-3, 1e-4),)
+    chains = (
+        ChainSummary("left", "torso", "left_hand", ("a", "b"), 40, of),
+        ChainSummary("", "torso", "head", ("a", "c"), 20, of, still=("c", "d")),
+    )
+    blocks = list(parts(Breakdown(chains=chains)))
+    rows = table(blocks, "Stations, tools")
+    assert [row[:2] for row in rows] == [["chain left", "40"], ["chain to head", "20"]]
+    (line,) = told(Breakdown(chains=chains))
+    assert isinstance(line, Line)
+    assert line.text == "No measurement moves joints c, d: held at nominal."
+
+
+def test_blocks() -> None:
+    coupled = CoupledFrames(("day1", "probe"), "", "day1 and probe turn together")
+    blocks = list(told(Breakdown(blocks=BLOCKS, coupled_frames=(coupled,))))
+    assert table(blocks, "Blocks") == [
+        ["day1, ball", "30", "position", "0.1000", "mm", "12", "3"],
+        ["", "", "orientation", "0.0573", "deg", "", ""],
+        ["day2, probe", "30", "position", "0.1000", "mm", "12", "3"],
+        ["", "", "orientation", "0.0573", "deg", "", ""],
+    ]
+    said = [b.text for b in blocks if isinstance(b, Line)]
+    assert said[1:] == ["Only the measurements of day2, probe connect day1 with day2."]
+    assert Names("Frames that cannot be told apart", [coupled.sentence]) in blocks
+    assert max(map(len, plain_text(blocks).splitlines())) <= 80
+
+
+def test_names_of_blocks_tell_them_apart() -> None:
+    keys = [("pose", "", "day1", "ball"), ("position", "", "day1", "ball")]
+    assert block_names(keys) == ["pose", "position"]
+    keys = [("pose", "left", "day1", ""), ("pose", "", "day2", "")]
+    assert block_names(keys) == ["left, day1", "-, day2"]

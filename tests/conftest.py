@@ -373,6 +373,26 @@ def measured(
 
 
 @pytest.fixture(scope="session")
+def simulated() -> Callable[..., tuple[Problem, Floats]]:
+    """Rows of `space6` without noise: `simulated(model, setup, count, size)`.
+
+    Returns the problem with the rows, and the true errors: those of the robot have so
+    many times their expected size.
+    """
+
+    def make(
+        model: str, setup: Setup, count: int = 40, size: float = 0.0, seed: int = 0
+    ) -> tuple[Problem, Floats]:
+        rng = np.random.default_rng(seed)
+        problem = nominal_problem(load_chain("space6"), model, setup)
+        theta = size * draw_errors(problem.parameters, rng)
+        rows = simulate(problem, theta, rng, count=count, noise=0.0)
+        return replace(problem, data=rows), theta
+
+    return make
+
+
+@pytest.fixture(scope="session")
 def recorded() -> Callable[..., Any]:
     """Calibration of a simulated robot: `recorded(chain, model, seed, changes, ...)`.
 

@@ -76,12 +76,12 @@ def test_files_are_read_in_gon_and_inferred() -> None:
     text = ",".join([*chain.joints, "azimuth [gon]", "elevation [gon]", "sigma [mrad]"])
     Path("t.csv").write_text(f"{text}\n0,0,0,0,0,0,100,-50,0.01\n")
     data = read_measurements("t.csv", chain)
-    assert data.model == NAME
-    np.testing.assert_allclose(data.values, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
-    np.testing.assert_allclose(data.sigma, [[1e-5, 1e-5]], rtol=1e-15)
+    assert data.models == (NAME,)
+    np.testing.assert_allclose(data.only.values, [[np.pi / 2, -np.pi / 4]], rtol=1e-15)
+    np.testing.assert_allclose(data.only.sigma, [[1e-5, 1e-5]], rtol=1e-15)
     write_measurements("again.csv", data)
     again = read_measurements("again.csv", chain)
-    assert again.values.tobytes() == data.values.tobytes()
+    assert again.only.values.tobytes() == data.only.values.tobytes()
     # Both columns are needed, and directions are no positions.
     Path("t.csv").write_text(f"{','.join(chain.joints)},azimuth\n0,0,0,0,0,0,1\n")
     with pytest.raises(CalibPinError, match="'theodolite' needs the missing elevation"):

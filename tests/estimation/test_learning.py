@@ -178,7 +178,7 @@ def test_what_was_learned_is_on_top_of_the_fit(memory: Memory) -> None:
     corrected = given.by_joint(np.full((len(rows), 6), 0.001), zero[1]).residual
     found = fitted_errors(learned, rows)
     before, after = found.before, found.after
-    np.testing.assert_allclose(table(after / sigma), corrected, rtol=0, atol=1e-8)
+    np.testing.assert_allclose(after / table(sigma), corrected, rtol=0, atol=1e-8)
     np.testing.assert_array_equal(before, fitted_errors(plain, rows).before)
 
 

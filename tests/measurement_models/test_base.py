@@ -9,17 +9,14 @@ from typing import Any
 import numpy as np
 import pinocchio as pin
 import pytest
-from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import (
     MEASUREMENT_MODELS,
     MeasurementModel,
-    Quantity,
     measurement_model,
 )
-from calib_pin.measurement_models.mixed import absent
 from calib_pin.observations import Measurements
 from calib_pin.setup import PlaneSetup, Setup
 
@@ -32,12 +29,7 @@ SETUP = Setup(
 FREE = ("position", "pose", "plane-distance")
 """Models whose rows need not name anything."""
 
-MIXED = "position+fixed-point+plane-contact+relative-distance"
-CASES = {
-    **{name: name for name in MEASUREMENT_MODELS},
-    "named points": "position",
-    "mixed": MIXED,
-}
+CASES = {**{name: name for name in MEASUREMENT_MODELS}, "named points": "position"}
 
 
 @pytest.fixture(params=CASES)
@@ -70,7 +62,6 @@ def exact(model: MeasurementModel, T: Floats, instrument: Floats) -> Measurement
         q=np.zeros((len(T), 1)),
         model=model.name,
         values=model.predict(T, instrument, target),
-        sigma=absent(model, target),
         target=target,
     )
 
@@ -78,14 +69,6 @@ def exact(model: MeasurementModel, T: Floats, instrument: Floats) -> Measurement
 def parameters_of(model: MeasurementModel) -> Floats:
     scales = np.array([parameter.scale for parameter in model.parameters])
     return np.random.default_rng(1).normal(size=len(scales)) * 0.1 * scales
-
-
-def told(model: MeasurementModel, data: Measurements) -> NDArray[np.bool_]:
-    """The components of the residual that rows have, shape (N, d)."""
-    size = model.quantities[-1].columns.stop
-    if data.sigma is None:
-        return np.ones((len(data), size), bool)
-    return ~np.isinf(data.sigma)
 
 
 def test_shapes_and_names(model: MeasurementModel, request: Any) -> None:
@@ -121,15 +104,7 @@ def test_predictions_leave_no_residual(model: MeasurementModel) -> None:
     for quantity in model.quantities:
         left = np.abs(residual[:, quantity.columns]).max()
         # Where a tool should touch something it is anywhere.
-        assert left > 0.1 if gapped(model, quantity) else left < 1e-14 * size
-
-
-def gapped(model: MeasurementModel, quantity: Quantity) -> bool:
-    """Whether a quantity is the gap of a contact."""
-    return model.declaration.contact or quantity.name in (
-        "contact",
-        "position (fixed-point)",
-    )
+        assert left > 0.1 if model.declaration.contact else left < 1e-14 * size
 
 
 def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> None:
@@ -142,11 +117,7 @@ def test_residual_of_a_disturbance_is_its_negative(model: MeasurementModel) -> N
     np.testing.assert_array_equal(data.values, kept)
     before, residual = (model.residual(T, instrument, d) for d in (data, disturbed))
     # A contact has no value that noise could be in.
-    measured = told(model, data)
-    for quantity in model.quantities:
-        if gapped(model, quantity):
-            measured[:, quantity.columns] = False
-    expected = np.where(measured, -noise, 0.0)
+    expected = np.zeros_like(noise) if model.declaration.contact else -noise
     largest = max(1.0, np.abs(data.values).max(initial=0.0))
     np.testing.assert_allclose(
         residual - before, expected, rtol=0, atol=1e-13 * largest

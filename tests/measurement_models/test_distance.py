@@ -158,25 +158,21 @@ def test_rows_of_a_problem_are_relative_to_their_start() -> None:
     theta = problem.parameters.vector(
         {"joint_2.placement.x": 1e-3, "tool.frame.y": 0.1}
     )
-    there = exact_problem(problem, theta, q, ("a",) * 5, start)
-    ends = [
-        problem.error.poses(x, problem.split(theta)[0])[:, :3, 3] for x in (q, start)
-    ]
-    expected = np.linalg.norm(ends[0] - ends[1], axis=1)
-    np.testing.assert_allclose(there.data.values[:, 0], expected, rtol=1e-14)
-    T = invert(problem.error.poses(start, problem.split(theta)[0]))
-    T = T @ problem.error.poses(q, problem.split(theta)[0])
-    np.testing.assert_allclose(there.poses(theta, there.data), T, atol=1e-15)
+    there = exact_problem(problem, theta, q, ("a",) * 5, start).data.only
+    part = problem.only
+    T_q, T_start = (part.error.poses(x, part.split(theta)[0]) for x in (q, start))
+    expected = np.linalg.norm(T_q[:, :3, 3] - T_start[:, :3, 3], axis=1)
+    np.testing.assert_allclose(there.values[:, 0], expected, rtol=1e-14)
+    T = invert(T_start) @ T_q
+    np.testing.assert_allclose(part.poses(theta, there), T, atol=1e-15)
     # Where the robot stands does not matter.
-    moved = replace(
-        problem,
-        error=problem.error.with_frames(pin.exp6(np.full(6, 0.7)), problem.error.tool),
-    )
-    again = exact_problem(moved, theta, q, ("a",) * 5, start)
-    np.testing.assert_allclose(again.data.values, there.data.values, rtol=1e-12)
+    error = part.error.with_frames(pin.exp6(np.full(6, 0.7)), part.error.tool)
+    moved = problem.with_parts({part.key: replace(part, error=error)})
+    again = exact_problem(moved, theta, q, ("a",) * 5, start).data.only
+    np.testing.assert_allclose(again.values, there.values, rtol=1e-12)
     # Without starts, each row starts at the row before.
     rolled = exact_problem(problem, theta, q, ("a",) * 5)
-    np.testing.assert_array_equal(rolled.data.start, q[[4, 0, 1, 2, 3]])
+    np.testing.assert_array_equal(rolled.data.only.start, q[[4, 0, 1, 2, 3]])
 
 
 @pytest.mark.parametrize("names", [("",), ("1", "2"), ("p@1", "r@1", "p@2")])

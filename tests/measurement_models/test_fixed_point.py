@@ -11,6 +11,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
+from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import structure_at
@@ -21,7 +22,7 @@ from calib_pin.measurement_models.fixed_point import FixedPoint
 from calib_pin.measurement_models.references import Point
 from calib_pin.observations import Measurements
 from calib_pin.setup import DistanceSetup, FrameSetup, PointSetup, Setup
-from calib_pin.simulation import exact_problem
+from calib_pin.simulation import exact_at
 
 Simulated = Callable[..., tuple[Problem, Floats]]
 
@@ -208,10 +209,12 @@ def test_random_configurations_would_hide_the_scale(count: int, rank: int) -> No
     problem = nominal_problem(ARM, "fixed-point", setup)
     zero, rng = np.zeros(len(problem.parameters)), np.random.default_rng(0)
     q = ARM.random_configurations(100, rng)
-    target = tuple(problem.measurement.targets)
-    anywhere, _ = structure_at(problem, zero, q, (target * 100)[:100])
+    part = problem.only
+    target = tuple(part.measurement.targets) * 100
+    at = asked(problem, part.key, q, target[:100])
+    anywhere, _ = structure_at(problem, zero, [at])
     assert anywhere.rank == rank + 4 and anywhere.scaled
-    gap = exact_problem(problem, zero, q, (target * 100)[:100]).errors(zero)
+    gap = exact_at(problem, zero, at).errors(zero).reshape(100, 3)
     assert np.linalg.norm(gap, axis=1).min() > 1e-3
 
 
@@ -223,9 +226,8 @@ def test_sockets_from_nothing(simulated: Simulated) -> None:
     fitted = fit(make_problem(ARM, truth.data, bare), np.random.default_rng(0))
     assert fitted.rank == 27 and fitted.structure.scaled
     assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-11
-    a, b = fitted.problem.measurement.rebased(
-        fitted.problem.split(fitted.theta)[1]
-    ).sites
+    moved, _ = fitted.problem.rebased(fitted.theta)
+    a, b = moved.only.measurement.sites
     assert np.linalg.norm(a.xyz - b.xyz) == pytest.approx(APART, abs=1e-10)
     # With a wrong distance all rows fit as well, and the robot has another size.
     bare = Setup(distances=known_apart(1.01 * APART))

@@ -223,13 +223,13 @@ def test_unknown_points_from_nothing(simulated: Simulated) -> None:
     setup = Setup(targets=STATED, base_frame=FrameSetup((1.5, -0.4, 0.3), (1, 2, 3)))
     truth, theta = simulated("position", setup, 60, size=1.0)
     bare = make_problem(ARM, truth.data, Setup())
-    assert bare.measurement.targets == ("a", "b", "c")
+    assert bare.only.measurement.targets == ("a", "b", "c")
     fitted = fit(bare, np.random.default_rng(0))
     assert fitted.rank == 33
     assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-12
     q = ARM.random_configurations(9, np.random.default_rng(1))
     there = [
-        exact_problem(p, t, q, ("a", "b", "c") * 3).data.values
+        exact_problem(p, t, q, ("a", "b", "c") * 3).data.only.values
         for p, t in ((truth, theta), (fitted.problem, fitted.theta))
     ]
     np.testing.assert_allclose(there[1], there[0], atol=1e-12)

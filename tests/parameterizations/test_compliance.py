@@ -336,7 +336,7 @@ def test_payloads_of_a_problem() -> None:
         alone = nominal_problem(chain, "position", replace(setup, payloads=loads))
         alone = exact_problem(alone, theta, q[k : k + 1], ("",))
         np.testing.assert_allclose(
-            alone.data.values[0], rows.data.values[k], atol=1e-14
+            alone.data.only.values[0], rows.data.only.values[k], atol=1e-14
         )
         part = alone.linearize(theta)[1]
         np.testing.assert_allclose(part, J[3 * k : 3 * k + 3], rtol=0, atol=1e-7)
@@ -347,8 +347,8 @@ def test_rows_of_an_unknown_payload(refused: Callable[..., Any]) -> None:
     setup = replace(SETUP, payloads=LOADS)
     problem = nominal_problem(chain, "position", setup)
     zero, q = np.zeros(len(problem.parameters)), np.zeros((2, 7))
-    rows = exact_problem(problem, zero, q, ("", ""), payload=("light", "none")).data
-    rows = replace(rows, lines=np.array([7, 8]), files=("m.csv",) * 2)
+    exact = exact_problem(problem, zero, q, ("", ""), payload=("light", "none"))
+    rows = replace(exact.data.only, lines=np.array([7, 8]), files=("m.csv",) * 2)
     place = {"file": "m.csv", "line": 8, "column": "payload"}
     for name, reason in (
         ("heavi", ["no payload 'heavi'", "mean 'heavy'?"]),

@@ -95,8 +95,8 @@ def test_noise_free_recovery() -> None:
     measured = exact_problem(nominal, truth, q, ("",) * len(q))
     found = fit(make_problem(chain, measured.data, SETUP), rng)
     new = chain.random_configurations(20, rng)
-    expected = nominal.error.poses(new, truth)
-    fitted = found.problem.error.poses(new, found.theta)
+    expected = nominal.only.error.poses(new, truth)
+    fitted = found.problem.only.error.poses(new, found.theta)
     np.testing.assert_allclose(fitted, expected, atol=1e-9)
 
 

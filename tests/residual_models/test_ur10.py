@@ -16,7 +16,9 @@ import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Observations
 from calib_pin.residual_models import Linearized, ResidualModel, TrainingRows
 from calib_pin.residual_models.gaussian_process import (
     GaussianProcessOptions,
@@ -26,7 +28,7 @@ from calib_pin.residual_models.network import NetworkOptions, fit_network
 
 
 @pytest.fixture(scope="module")
-def fitted(data_folder: Path) -> tuple[Fit, calib_pin.Measurements]:
+def fitted(data_folder: Path) -> tuple[Fit, Observations]:
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     training, unseen = (
         calib_pin.read_measurements(
@@ -41,23 +43,24 @@ def fitted(data_folder: Path) -> tuple[Fit, calib_pin.Measurements]:
 @pytest.fixture(scope="module")
 def rows(fitted: Any) -> TrainingRows:
     found = fitted[0]
-    problem, columns = found.problem, shifts(found)
+    (block,), columns = found.problem.blocks, shifts(found)
+    part, data, sigma = block.part, block.data, block.table(found.problem.sigma)
 
     def by_joint(dq: Floats, shift: Floats) -> Linearized:
-        of_robot, own = problem.split(found.theta + columns @ shift)
-        poses = problem.error.linearize(problem.data.q + dq, of_robot)
-        linear = problem.measurement.linearize(poses.T, own, problem.data)
-        J_pose = linear.J_pose / problem.sigma[:, :, None]
+        of_robot, own = part.split(found.theta + columns @ shift)
+        poses = part.error.linearize(data.q + dq, of_robot)
+        linear = part.measurement.linearize(poses.T, own, data)
+        J_pose = linear.J_pose / sigma[:, :, None]
         return Linearized(
-            linear.residual / problem.sigma,
+            linear.residual / sigma,
             J_pose @ poses.joint_twists(),
             poses.derivative(J_pose) @ columns,
         )
 
     return TrainingRows(
-        q=problem.data.q,
-        groups=problem.data.groups(),
-        revolute=np.asarray(problem.error.chain.revolute, bool),
+        q=data.q,
+        groups=data.groups(),
+        revolute=np.asarray(part.error.chain.revolute, bool),
         by_joint=by_joint,
         by_tip=by_joint,
         shifts=columns.shape[1],
@@ -74,8 +77,9 @@ def left(fitted: tuple[Fit, Any], model: ResidualModel) -> float:
     found, unseen = fitted
     assert model.region.inside(unseen.q).mean() > 0.995
     theta = found.theta + shifts(found) @ model.shift
-    corrected = replace(unseen, q=unseen.q + model(unseen.q))
-    residual = replace(found.problem, data=corrected).errors(theta)
+    corrected = replace(unseen.only, q=unseen.q + model(unseen.q))
+    there = replace(found.problem, data=Observations.of(corrected))
+    residual = error_table(there, theta)
     return float(np.linalg.norm(residual, axis=1).mean())
 
 

@@ -1,0 +1,274 @@
+"""Blocks of measurements before their parts: what these share, and what adds up."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.configurations import asked, named_targets
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.population import PopulationCost
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.registration import registered
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey, Observations, states_sigmas
+from calib_pin.setup import (
+    CameraSetup,
+    DistanceSetup,
+    FrameSetup,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+)
+from calib_pin.simulation import exact_at
+
+Simulated = Callable[..., tuple[Problem, Floats]]
+Equipped = Callable[..., Problem]
+
+ARM = calib_pin.load_chain("space6")
+BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True)
+SOCKETS = {"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))}
+SETUP = Setup(base_frame=BASE, tool_frame=TOOL, sockets=SOCKETS)
+SEVERAL = ("position", "pose", "fixed-point", "plane-contact", "camera")
+
+
+def keys(*models: str) -> list[BlockKey]:
+    return [BlockKey(model) for model in models]
+
+
+def anywhere(problem: Problem, theta: Floats, rng: np.random.Generator) -> Problem:
+    """Measurements of every target of every block, at random configurations."""
+    at = []
+    for key in problem.parts:
+        names = named_targets(problem, key)
+        q = problem.chains.random_configurations(len(names), rng)
+        at.append(asked(problem, key, q, names))
+    return exact_at(problem, theta, *at)
+
+
+@pytest.fixture
+def several(equipped_problem: Equipped) -> tuple[Problem, Floats]:
+    """A problem with noisy measurements of several instruments, and parameters."""
+    problem, rng = equipped_problem(ARM, keys(*SEVERAL)), np.random.default_rng(0)
+    theta = 0.01 * rng.normal(size=len(problem.parameters))
+    there, blocks = anywhere(problem, theta, rng), []
+    for part, data, _, _ in there.blocks:
+        noise = 0.1 * rng.normal(size=(len(data), part.components))
+        values = part.measurement.disturb(data.values, noise)
+        blocks.append(replace(data, values=values))
+    return replace(there, data=Observations(tuple(blocks))), theta
+
+
+# What blocks share.
+
+
+def test_what_several_blocks_name_is_one_reference(simulated: Simulated) -> None:
+    """The ball that a tracker sees rests in the sockets."""
+    setup = replace(SETUP, targets={"ball": PointSetup((0.05, 0.08, 0.12))})
+    problem = nominal_problem(ARM, keys("position", "fixed-point"), setup)
+    assert list(problem.references) == [
+        ("targets", "ball"),
+        ("sockets", "s/0"),
+        ("sockets", "s/1"),
+    ]
+    assert len(problem.given) == 6 + 36 + 6 + 9
+    theta = np.zeros(len(problem.given))
+    theta[-9], theta[-5] = 0.1, 0.2
+    moved, _ = problem.rebased(theta)
+    for part in moved.parts.values():
+        ball = part.measurement.references[0]
+        np.testing.assert_allclose(ball.xyz, [0.15, 0.08, 0.12])
+    np.testing.assert_allclose(moved.references["sockets", "s/0"].xyz[1], 0.5)
+
+
+@pytest.mark.parametrize("order", [1, -1])
+def test_what_one_block_estimates_is_estimated(order: int) -> None:
+    """Points are known to a camera unless it is told, and unknown to a tracker."""
+    setup = Setup(
+        targets={"m": PointSetup((0.05, 0.08, 0.12)), "n": PointSetup((0.1, 0, 0))},
+        tools={"camera": TOOL, "ball": TOOL},
+        camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0)),
+    )
+    found = [
+        nominal_problem(
+            ARM, [BlockKey(m, tool=t) for m in ("position", "camera")[::order]], setup
+        )
+        for t in ("", "ball")
+    ]
+    # Among others a camera looks at something of its own, unless that has one name.
+    own, shared = ({name for _, name in problem.references} for problem in found)
+    assert own == {"m", "n", "camera/m", "camera/n", "camera"}
+    assert shared == {"m", "n", "camera"}
+    free = [p.given.free[[n.startswith("m.") for n in p.given.names]] for p in found]
+    assert all(f.tolist() == [True] * 3 for f in free)
+    assert not any(name.startswith("camera/m") for name in found[0].given.names)
+
+
+def test_rebased_parts_measure_the_same(several: tuple[Problem, Floats]) -> None:
+    problem, theta = several
+    moved, about = problem.rebased(theta)
+    assert not about[problem.given.nuisance].any()
+    np.testing.assert_array_equal(
+        about[~problem.given.nuisance], theta[~problem.given.nuisance]
+    )
+    np.testing.assert_allclose(
+        moved.errors(about), problem.errors(theta), rtol=1e-10, atol=1e-10
+    )
+
+
+# Residuals.
+
+
+def test_residuals_are_those_of_each_block_alone(
+    several: tuple[Problem, Floats],
+) -> None:
+    problem, theta = several
+    errors, sigma = problem.errors(theta), problem.sigma
+    r, J = problem.linearize(theta)
+    stop = 0
+    for block in problem.blocks:
+        part, data = block.part, block.data
+        assert block.values.start == stop
+        stop = block.values.stop
+        own = theta[part.index]
+        residual = part.measurement.residual(
+            part.poses(own, data), part.split(own)[1], data
+        )
+        np.testing.assert_array_equal(block.table(errors), residual)
+        alone = replace(problem, data=Observations.of(data), setup=problem.setup)
+        # Of the only block the same rows, and behind them the known distance.
+        _, expected = alone.linearize(theta)
+        np.testing.assert_array_equal(J[block.values], expected[:-1])
+        others = np.setdiff1d(np.arange(len(theta)), part.index)
+        assert not J[block.values][:, others].any()
+    assert stop == len(errors) == len(problem.layout.row) == len(r) - 1
+    np.testing.assert_allclose(r[:-1], errors / sigma, rtol=1e-12, atol=1e-9)
+
+
+def test_the_cost_is_the_sum_over_blocks(several: tuple[Problem, Floats]) -> None:
+    problem, theta = several
+    assert problem.values == len(problem.sigma)
+    assert problem.count == problem.values + 1  # A known distance.
+    sigma = {"position": 1e-4, "orientation": 1e-4, "contact": 1e-4, "pixel": 0.5}
+    errors = problem.errors(theta)
+    cost = 0.5 * float(problem.residual(theta)[-1] ** 2)
+    for k, component in enumerate(problem.layout.components):
+        own = errors[problem.layout.component == k]
+        cost += 0.5 * float(np.sum((own / sigma[component.quantity.name]) ** 2))
+    assert problem.cost(theta) == pytest.approx(cost, rel=1e-12)
+    (other,) = PopulationCost(problem)(theta[None])
+    assert other == pytest.approx(cost, rel=1e-10)
+
+
+def test_the_noise_of_a_setup_holds_for_its_quantities(equipped: Setup) -> None:
+    setup = replace(equipped, noise={"position": 3e-5})
+    problem = nominal_problem(ARM, keys("position", "pose", "plane-contact"), setup)
+    expected = ([3e-5] * 3, [3e-5] * 3 + [1e-4] * 3, [1e-4])
+    for block, sigma in zip(problem.blocks, expected, strict=True):
+        table = block.table(problem.sigma)
+        np.testing.assert_array_equal(table, np.tile(sigma, (len(table), 1)))
+
+
+def test_stated_sigmas_are_those_of_their_block(simulated: Simulated) -> None:
+    """Measurements of one block state theirs, those of the other do not."""
+    position, fixed = (
+        simulated(model, SETUP, 4)[0].data.only for model in ("position", "fixed-point")
+    )
+    stated = replace(position, sigma=np.full((4, 3), 2e-5))
+    data = Observations.of(stated, fixed)
+    problem = make_problem(ARM, data, SETUP)
+    assert not states_sigmas(data)
+    np.testing.assert_array_equal(problem.sigma, [2e-5] * 12 + [1e-4] * 12)
+
+
+# Fits.
+
+
+def together(simulated: Simulated, setup: Setup, **counts: int) -> Observations:
+    """Measurements of several models on one robot."""
+    return Observations.of(
+        *(
+            simulated(model.replace("_", "-"), setup, count)[0].data
+            for model, count in counts.items()
+        )
+    )
+
+
+def test_each_block_weighs_by_its_sigma(simulated: Simulated) -> None:
+    """Sockets that a tracker of half their noise has seen are worth a fifth."""
+    setup = replace(SETUP, parameters=("joint-offset",))
+    data = together(simulated, setup, position=20, fixed_point=20)
+    rng, gaps = np.random.default_rng(0), []
+    positions, sockets = data.blocks
+    values = positions.values + 1e-4 * rng.normal(size=(20, 3))
+    for sigma in (1e-4, 1e-2):
+        stated = (
+            replace(positions, values=values, sigma=np.full((20, 3), sigma)),
+            replace(sockets, sigma=np.full((20, 3), 1e-4)),
+        )
+        found = fit(make_problem(ARM, Observations(stated), setup), rng)
+        gaps.append(np.abs(found.problem.errors(found.theta)[60:]).max())
+    # The gap is all that counts where the tracker says nothing.
+    assert gaps[1] < 0.05 * gaps[0]
+
+
+def test_positions_give_the_sockets_their_scale(simulated: Simulated) -> None:
+    data = together(simulated, SETUP, position=30, fixed_point=30)
+    fitted = fit(make_problem(ARM, data, Setup()), np.random.default_rng(0))
+    assert (fitted.rank, fitted.structure.scaled) == (33, True)
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-10
+    table = {"table": PlaneSetup((0.0, 0.1, 1.0), -0.4)}
+    alone = Setup(sockets=SOCKETS, tool_frame=TOOL, planes=table)
+    found = structure_of(keys("fixed-point", "plane-contact"), alone)
+    assert not found
+
+
+def test_known_distances_reach_across_blocks() -> None:
+    """Between sockets, and what a draw-wire shows has a scale as well."""
+    distances = (DistanceSetup(("s/0", "s/1"), 0.5, 1e-5),)
+    setup = Setup(sockets=SOCKETS, tool_frame=TOOL, distances=distances)
+    assert structure_of(keys("fixed-point", "relative-distance"), setup)
+
+
+def structure_of(measured: Sequence[BlockKey], setup: Setup) -> bool:
+    """Whether the scale of the arm is observable."""
+    from calib_pin.estimation.nominal import analyze_structure
+
+    problem = nominal_problem(ARM, measured, setup)
+    zero = np.zeros(len(problem.parameters))
+    found, _ = analyze_structure(problem, zero, np.random.default_rng(0))
+    return found.scaled
+
+
+# What does not go.
+
+
+def test_unknown_models() -> None:
+    with pytest.raises(OptionError, match="unknown measurement model 'fixed-pont'"):
+        nominal_problem(ARM, keys("position", "fixed-pont"), SETUP)
+
+
+def test_measurements_of_an_unknown_socket(simulated: Simulated) -> None:
+    data = together(simulated, SETUP, position=5, fixed_point=5)
+    positions, sockets = data.blocks
+    wrong = replace(
+        sockets,
+        target=(*list(sockets.target)[:-1], "s/2"),
+        lines=np.arange(6, 11),
+        files=("m.csv",) * 5,
+    )
+    problem = make_problem(ARM, Observations((positions, wrong)), SETUP)
+    with pytest.raises(InputError, match=r"m\.csv:10: there is no socket 's/2'"):
+        registered(problem, np.zeros(len(problem.parameters)))
+
+
+def test_a_study_lacks_what_a_block_lacks() -> None:
+    with pytest.raises(OptionError, match="'sockets' in a setup file"):
+        nominal_problem(ARM, keys("pose", "fixed-point"), Setup())

@@ -27,7 +27,7 @@ if TYPE_CHECKING:
     from calib_pin.io.result_file import read_result
     from calib_pin.io.results import read_calibration, write_urdf
     from calib_pin.io.setup import read_setup
-    from calib_pin.io.urdf import load_chain, robot_file
+    from calib_pin.io.urdf import load_chain, load_chains, robot_file
     from calib_pin.kinematics.chain import Chain
     from calib_pin.observations import Measurements
     from calib_pin.planning.plan import plan
@@ -54,6 +54,7 @@ __all__ = [
     "format_report",
     "identify",
     "load_chain",
+    "load_chains",
     "load_collisions",
     "plan",
     "read_calibration",
@@ -81,6 +82,7 @@ _HOMES = {
     "format_report": "report.text",
     "identify": "validation.assessment",
     "load_chain": "io.urdf",
+    "load_chains": "io.urdf",
     "load_collisions": "io.collision",
     "plan": "planning.plan",
     "read_calibration": "io.results",

@@ -29,7 +29,8 @@ if TYPE_CHECKING:
     from calib_pin.io.setup import read_setup
     from calib_pin.io.urdf import load_chain, load_chains, robot_file
     from calib_pin.kinematics.chain import Chain
-    from calib_pin.observations import Measurements
+    from calib_pin.observations.blocks import Observations
+    from calib_pin.observations.measurements import Measurements
     from calib_pin.planning.plan import plan
     from calib_pin.report.html import report
     from calib_pin.report.text import format_report
@@ -45,6 +46,7 @@ __all__ = [
     "CalibrationResult",
     "Chain",
     "Measurements",
+    "Observations",
     "Setup",
     "calibrate",
     "compare",
@@ -72,7 +74,8 @@ _HOMES = {
     "CalibPinError": "errors",
     "CalibrationResult": "validation.result",
     "Chain": "kinematics.chain",
-    "Measurements": "observations",
+    "Measurements": "observations.measurements",
+    "Observations": "observations.blocks",
     "Setup": "setup",
     "calibrate": "calibration",
     "compare": "validation.comparison",

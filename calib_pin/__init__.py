@@ -27,9 +27,10 @@ if TYPE_CHECKING:
     from calib_pin.io.result_file import read_result
     from calib_pin.io.results import read_calibration, write_urdf
     from calib_pin.io.setup import read_setup
-    from calib_pin.io.urdf import load_chain, robot_file
+    from calib_pin.io.urdf import load_chain, load_chains, robot_file
     from calib_pin.kinematics.chain import Chain
-    from calib_pin.observations import Measurements
+    from calib_pin.observations.blocks import Observations
+    from calib_pin.observations.measurements import Measurements
     from calib_pin.planning.plan import plan
     from calib_pin.report.html import report
     from calib_pin.report.text import format_report
@@ -45,6 +46,7 @@ __all__ = [
     "CalibrationResult",
     "Chain",
     "Measurements",
+    "Observations",
     "Setup",
     "calibrate",
     "compare",
@@ -54,6 +56,7 @@ __all__ = [
     "format_report",
     "identify",
     "load_chain",
+    "load_chains",
     "load_collisions",
     "plan",
     "read_calibration",
@@ -71,7 +74,8 @@ _HOMES = {
     "CalibPinError": "errors",
     "CalibrationResult": "validation.result",
     "Chain": "kinematics.chain",
-    "Measurements": "observations",
+    "Measurements": "observations.measurements",
+    "Observations": "observations.blocks",
     "Setup": "setup",
     "calibrate": "calibration",
     "compare": "validation.comparison",
@@ -81,6 +85,7 @@ _HOMES = {
     "format_report": "report.text",
     "identify": "validation.assessment",
     "load_chain": "io.urdf",
+    "load_chains": "io.urdf",
     "load_collisions": "io.collision",
     "plan": "planning.plan",
     "read_calibration": "io.results",

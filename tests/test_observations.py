@@ -1,4 +1,4 @@
-"""The `Measurements` dataclass: its checks, and how rows are picked and joined."""
+"""Blocks of measurements: their checks, and how rows are picked and joined."""
 
 from __future__ import annotations
 
@@ -12,8 +12,14 @@ import pytest
 
 from calib_pin.errors import InputError
 from calib_pin.measurement_models import declared
-from calib_pin.measurement_models.side_by_side import concatenate, targets_of
-from calib_pin.observations import Measurements, fitted_and_held_out, states_sigmas
+from calib_pin.observations import (
+    BlockKey,
+    Labels,
+    Measurements,
+    Observations,
+    fitted_and_held_out,
+    states_sigmas,
+)
 
 Q = np.arange(10.0).reshape(5, 2)
 VALUES = np.arange(15.0).reshape(5, 3)
@@ -48,8 +54,8 @@ def test_defaults() -> None:
     assert plain.sigma is None
     assert plain.target == plain.payload == plain.files == ("",) * 5
     assert plain.start.size == 0
-    assert plain.parts == ("position",)
-    assert not states_sigmas(plain)
+    assert plain.key == BlockKey("position")
+    assert not states_sigmas(Observations.of(plain))
     assert plain.validate.tolist() == [False] * 5
     assert plain.lines.tolist() == [0] * 5
     assert plain.source(3) == "row 3"
@@ -119,7 +125,7 @@ def test_rows_keep_together(index: Any) -> None:
 
 
 def test_split() -> None:
-    training, validation = fitted_and_held_out(measurements())
+    training, validation = fitted_and_held_out(Observations.of(measurements()))
     assert (training.target, validation.target) == (("u", "w", "x"), ("v", "y"))
     assert not training.validate.any() and validation.validate.all()
 
@@ -228,34 +234,76 @@ def _cut(q: np.ndarray, rows: list[int]) -> list[list[int]]:
     return sorted(sorted(part) for part in parts)
 
 
+# Names.
+
+
+def test_labels_are_a_sequence_of_names() -> None:
+    labels = Labels.of(["b", "a", "b", ""])
+    assert labels == ["b", "a", "b", ""] and labels != ["b", "a", "b"]
+    assert (labels.names, labels.codes.tolist()) == (("b", "a", ""), [0, 1, 0, 2])
+    assert labels[1] == "a" and labels[1:] == ("a", "b", "")
+    some = labels[np.array([3, 1])]
+    assert some == ("", "a") and some.distinct == ("", "a")
+    assert labels.where("b").tolist() == [True, False, True, False]
+    assert not labels.where("c").any()
+    assert Labels.of(labels) is labels
+
+
+def test_changed_names_may_coincide() -> None:
+    labels = Labels.of(["ball@1", "rod@1", "ball@2"])[np.array([0, 2, 0])]
+    changed = labels.map(lambda name: name.partition("@")[0])
+    assert changed == ("ball",) * 3 and changed.names == ("ball",)
+
+
+def test_labels_behind_one_another() -> None:
+    joined = Labels.concatenate([Labels.of("ab"), Labels.of("ca"), Labels.none()])
+    assert joined == ("a", "b", "c", "a") and joined.names == ("a", "b", "c")
+
+
+# Blocks.
+
+
 def test_concatenate() -> None:
     data = measurements()
     parts = [data.rows(np.array(rows, int)) for rows in ([0], [1, 2, 3], [], [4])]
-    joined = concatenate(parts)
+    joined = Measurements.concatenate(parts)
     for name in ("q", "values", "sigma", "start", "validate", "lines"):
         np.testing.assert_array_equal(getattr(joined, name), getattr(data, name))
     for name in ("target", "payload", "files"):
         assert getattr(joined, name) == getattr(data, name)
     plain = [replace(part, sigma=None) for part in parts]
-    assert concatenate(plain).sigma is None
+    assert Measurements.concatenate(plain).sigma is None
     # Rows that are not there have no standard deviations that could be unlike others.
     empty = data.rows(np.array([], int))
     for pair in (
         [data, replace(empty, sigma=None)],
         [replace(empty, sigma=None), data],
     ):
-        assert states_sigmas(concatenate(pair))
-    assert concatenate([empty, empty]).sigma is not None
+        assert Measurements.concatenate(pair).sigma is not None
+    assert Measurements.concatenate([empty, empty]).sigma is not None
+
+
+@pytest.mark.parametrize(
+    ("changes", "part"),
+    [
+        ({"joints": ("a", "c")}, "cannot join measurements of different joints"),
+        ({"sigma": None}, "with and without standard deviations"),
+        ({"station": "north"}, "cannot join measurements of different blocks"),
+        ({"model": "camera"}, "cannot join measurements of different blocks"),
+    ],
+)
+def test_what_cannot_be_joined(changes: dict[str, Any], part: str) -> None:
+    pair = [measurements(), measurements(**changes)]
+    assert part in reason(lambda: Measurements.concatenate(pair))
 
 
 def rows_of(model: str, count: int, **changes: Any) -> Measurements:
     """Rows of a model with values that tell them apart."""
     stated = declared(model)
     width, components = len(stated.values), len(stated.components)
-    q = np.arange(2.0 * count).reshape(count, 2) + len(model)
     fields: dict[str, Any] = {
         "joints": ("a", "b"),
-        "q": q,
+        "q": np.arange(2.0 * count).reshape(count, 2) + len(model),
         "model": model,
         "values": np.arange(1.0, 1.0 + count * width).reshape(count, width),
         "sigma": np.full((count, components), 0.5),
@@ -264,108 +312,102 @@ def rows_of(model: str, count: int, **changes: Any) -> Measurements:
     return Measurements(**{**fields, **changes})
 
 
-def test_concatenate_models() -> None:
-    sockets = rows_of("fixed-point", 2, sigma=None, payload=("p", ""))
-    cameras = rows_of("camera", 1, lines=np.array([7]), files=("c.csv",))
-    moved = rows_of("relative-distance", 1, start=np.array([[8.0, 9.0]]))
-    data = concatenate([sockets, cameras, moved, sockets])
-    assert data.model == "fixed-point+camera+relative-distance"
-    assert data.parts == ("fixed-point", "camera", "relative-distance")
-    assert data.target == (
-        *("fixed-point:f0", "fixed-point:f1", "camera:c0", "relative-distance:r0"),
-        *("fixed-point:f0", "fixed-point:f1"),
+SOCKETS = rows_of("fixed-point", 2, payload=("p", ""))
+IMAGE = rows_of("camera", 1, lines=np.array([7]), files=("c.csv",), tool="eye")
+MORE = rows_of("fixed-point", 3, lines=np.array([9, 4, 3]), files=("c.csv",) * 3)
+MIXED = Observations.of(SOCKETS, IMAGE, MORE)
+
+
+def test_measurements_of_one_block_are_joined() -> None:
+    assert MIXED.keys == (BlockKey("fixed-point"), BlockKey("camera", tool="eye"))
+    assert [str(key) for key in MIXED.keys] == ["fixed-point", "camera, tool eye"]
+    assert MIXED.models == ("fixed-point", "camera")
+    assert [len(block) for block in MIXED.blocks] == [5, 1] and len(MIXED) == 6
+    assert MIXED.slices == (slice(0, 5), slice(5, 6))
+    assert MIXED.block_of.tolist() == [0] * 5 + [1]
+    assert MIXED.target == ("f0", "f1", "f0", "f1", "f2", "c0")
+    assert MIXED.payload == ("p", "", "", "", "", "")
+    np.testing.assert_array_equal(MIXED.q, np.vstack([SOCKETS.q, MORE.q, IMAGE.q]))
+    assert MIXED.weight.tolist() == [1.0] * 6
+    again = Observations.of(MIXED, SOCKETS)
+    assert again.keys == MIXED.keys and len(again) == 8
+    assert Observations.of(MIXED) is MIXED
+
+
+def test_blocks_without_measurements_are_left_out() -> None:
+    empty = IMAGE.rows(np.array([], int))
+    assert Observations.of(empty, SOCKETS).keys == (SOCKETS.key,)
+    assert Observations.of(empty).only is not None
+    assert "no measurements" in reason(lambda: Observations.of())
+
+
+def test_the_only_block() -> None:
+    assert Observations.of(SOCKETS).only is SOCKETS
+    assert "there are 2 blocks" in reason(lambda: MIXED.only)
+
+
+def test_all_blocks_have_the_same_joints() -> None:
+    other = replace(IMAGE, joints=("a", "c"))
+    assert "different joints" in reason(lambda: Observations.of(SOCKETS, other))
+
+
+def test_rows_of_several_blocks() -> None:
+    some = MIXED.rows(np.array([1, 4, 5]))
+    assert some.keys == MIXED.keys and some.target == ("f1", "f2", "c0")
+    mask = np.arange(6) == 5
+    assert MIXED.rows(mask).keys == (IMAGE.key,)
+    np.testing.assert_array_equal(MIXED.rows(mask).only.values, IMAGE.values)
+    nothing = MIXED.rows(np.zeros(6, bool))
+    assert len(nothing) == 0 and nothing.keys == (SOCKETS.key,)
+
+
+def test_weights_of_several_blocks() -> None:
+    weight = np.arange(6.0)
+    grouped = MIXED.groups()
+    found = MIXED.weighted(weight)
+    assert found.weight.tolist() == weight.tolist()
+    assert found.blocks[1].weight.tolist() == [5.0]
+    assert found.groups() is grouped and found.target == MIXED.target
+    assert MIXED.weight.tolist() == [1.0] * 6
+
+
+def test_one_target_of_two_instruments_is_two_things() -> None:
+    twice = Observations.of(
+        rows_of("position", 2, target=("a", "a")),
+        rows_of("camera", 2, target=("a", "b")),
     )
-    assert targets_of(data, "fixed-point") == ("f0", "f1", "", "", "f0", "f1")
-    assert targets_of(data, "camera") == ("", "", "c0", "", "", "")
-    assert data.payload == ("p", "", "", "", "p", "")
-    assert data.values.tolist() == [
-        *([[0, 0, 0]] * 2),
-        [1, 2, 0],
-        [0, 0, 1],
-        *([[0, 0, 0]] * 2),
-    ]
-    nan, inf = np.nan, np.inf
-    socket = [nan, nan, nan, inf, inf, inf]
-    assert data.sigma is not None and not states_sigmas(data)
-    np.testing.assert_array_equal(
-        data.sigma,
-        [
-            *(socket, socket),
-            [inf, inf, inf, 0.5, 0.5, inf],
-            [inf, inf, inf, inf, inf, 0.5],
-            *(socket, socket),
-        ],
+    first, second, third, fourth = twice.things().tolist()
+    assert first == second and len({second, third, fourth}) == 3
+
+
+def test_configurations_are_those_of_all_blocks() -> None:
+    seen = rows_of("camera", 2, q=SOCKETS.q)
+    both = Observations.of(SOCKETS, seen)
+    assert both.configurations == 2
+    assert both.groups().tolist() == [*SOCKETS.groups(), *seen.groups()]
+
+
+def test_rows_in_the_order_of_their_files() -> None:
+    assert MIXED.in_order.tolist() == [0, 1, 4, 3, 5, 2]
+    assert MIXED.source(5) == "c.csv:7" and MIXED.source(1) == "row 1"
+    error = MIXED.error(3, "no", column="target", allowed="yes")
+    assert (error.file, error.line, error.column) == ("c.csv", 4, "target")
+    assert MIXED.error(1, "no").reason == "row 1: no"
+
+
+def test_a_sample_of_several_blocks() -> None:
+    many = Observations.of(
+        rows_of("position", 4000, target=()), rows_of("camera", 100, target=())
     )
-    nowhere = [nan, nan]
-    np.testing.assert_array_equal(
-        data.start, [nowhere, nowhere, nowhere, [8, 9], nowhere, nowhere]
-    )
-    assert data.source(2) == "c.csv:7"
-    np.testing.assert_array_equal(data.q[3:4], moved.q)
-    part = data.rows(np.array([3, 2]))
-    assert part.model == data.model
-    np.testing.assert_array_equal(part.start, [[8, 9], nowhere])
+    few = many.sample(400)
+    assert few.keys == many.keys
+    assert [len(block) for block in few.blocks] == [390, 20]
+    assert many.sample(5000) is many
 
 
-def test_concatenate_mixtures() -> None:
-    one = rows_of("position", 2)
-    two = rows_of("camera", 2)
-    three = rows_of("plane-contact", 1)
-    at_once = concatenate([one, two, three])
-    assert states_sigmas(at_once)
-    for parts in (
-        [concatenate([one, two]), three],
-        [one, concatenate([two, three])],
-        [one, two.rows(np.array([], int)), two, three.rows(np.array([], int)), three],
-        # What a mixture has no rows of does not count.
-        [concatenate([one, two]).rows(np.array([0, 1])), two, three],
-    ):
-        joined = concatenate(parts)
-        assert (joined.model, joined.target) == (at_once.model, at_once.target)
-        for name in ("q", "values", "sigma"):
-            np.testing.assert_array_equal(getattr(joined, name), getattr(at_once, name))
-    turned = concatenate([two, concatenate([one, two])])
-    assert turned.model == "camera+position"
-    np.testing.assert_array_equal(
-        turned.values[:, :2], [[1, 2], [3, 4], [0, 0], [0, 0], [1, 2], [3, 4]]
-    )
-    # Without rows it still has the columns.
-    empty = concatenate([one, two.rows(np.array([], int))])
-    assert empty.model == "position+camera"
-    assert empty.values.shape == (2, 5)
-
-
-def test_some_rows_of_a_model_without_standard_deviations_cannot_be_joined() -> None:
-    one, two = rows_of("position", 2), rows_of("camera", 2)
-    plain = replace(two, sigma=None, files=("c.csv", "c.csv"))
-    for parts in (
-        [one, two, plain],
-        [concatenate([one, two]), plain],
-        [two, concatenate([one, plain])],
-    ):
-        refused = reason(lambda parts=parts: concatenate(parts))
-        assert "with and without standard deviations" in refused
-
-
-@pytest.mark.parametrize("wrong", [0.0, -1.0, -np.inf])
-def test_standard_deviations_of_mixtures_are_positive(wrong: float) -> None:
-    data = concatenate([rows_of("position", 1), rows_of("camera", 1)])
-    assert data.sigma is not None
-    sigma = data.sigma.copy()
-    sigma[0, 0] = wrong
-    assert "positive" in reason(lambda: replace(data, sigma=sigma))
-
-
-@pytest.mark.parametrize(
-    ("changes", "part"),
-    [
-        ({"joints": ("a", "c")}, "cannot join measurements of different joints"),
-        ({"sigma": None}, "with and without standard deviations"),
-    ],
-)
-def test_what_cannot_be_joined(changes: dict[str, Any], part: str) -> None:
-    pair = [measurements(), measurements(**changes)]
-    assert part in reason(lambda: concatenate(pair))
+def test_stated_standard_deviations() -> None:
+    assert states_sigmas(MIXED)
+    assert not states_sigmas(Observations.of(SOCKETS, replace(IMAGE, sigma=None)))
 
 
 def test_repetitions_with_jitter_across_a_rounding_edge_stay_together() -> None:

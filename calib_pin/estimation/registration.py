@@ -58,7 +58,7 @@ def registered(problem: Problem, theta: Floats) -> Problem:
 
 @dataclass
 class Located:
-    """What has been located so far, by its name among all.
+    """References located so far, by name among all.
 
     Attributes:
         bases: Base frames of stations.

@@ -128,7 +128,7 @@ def _owners(places: set[Place], default: str) -> dict[Place, str]:
 def _stated(
     frames: Mapping[str, FrameSetup], owner: str, name: str, default: FrameSetup
 ) -> FrameSetup:
-    """What a setup states of a frame, by its owner or by the name in measurements."""
+    """Frame that a setup states, by its owner or by the name in measurements."""
     if owner in frames or name in frames:
         return frames[owner if owner in frames else name]
     return FrameSetup() if owner else default

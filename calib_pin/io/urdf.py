@@ -157,6 +157,8 @@ def load_chains(
 ) -> Chains:
     """Load a robot and take several chains of its tree.
 
+    Their names are those in the column `chain` of measurements.
+
     Args:
         name_or_path: As for `load_robot`.
         base: Link at which chains start that do not state another; default the root.
@@ -168,9 +170,10 @@ def load_chains(
         RobotError: If the robot, a chain or a link cannot be used.
 
     Example:
-        >>> names = ("panda_leftfinger", "world")
-        >>> load_chains("example:panda", names=names).joints[-1]
-        'panda_finger_joint1'
+        >>> hands = ("arm_left_7_link", "arm_right_7_link")
+        >>> chains = load_chains("example:talos_reduced", names=hands)
+        >>> len(chains.joints), len(chains["arm_left_7_link"].joints)
+        (16, 9)
     """
     return Chains(load_robot(name_or_path), base, tip, stated or {}, names)
 

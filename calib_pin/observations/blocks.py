@@ -10,12 +10,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError
-from calib_pin.observations.labels import Booleans, Floats, Indices, Labels, grouped
-from calib_pin.observations.measurements import BlockKey, Measurements
+from calib_pin.observations.labels import Booleans, Floats, Indices, Labels
+from calib_pin.observations.measurements import BlockKey, Measurements, SourcedRows
 
 
 @dataclass(frozen=True)
-class Observations:
+class Observations(SourcedRows):
     """Blocks of measurements, one behind the other.
 
     Row k of the N measurements is counted through the blocks in their order; blocks
@@ -64,7 +64,7 @@ class Observations:
 
     @property
     def keys(self) -> tuple[BlockKey, ...]:
-        """What the measurements of each block have in common."""
+        """Model, chain, station and tool of each block."""
         return tuple(block.key for block in self.blocks)
 
     @property
@@ -173,19 +173,6 @@ class Observations:
             )
         )
 
-    def groups(self) -> Indices:
-        """Label rows that must stay together when data are split, see `grouped`."""
-        return self._groups
-
-    @cached_property
-    def _groups(self) -> Indices:
-        return grouped(self.q)
-
-    @property
-    def configurations(self) -> int:
-        """Number of different configurations; repetitions show nothing new."""
-        return int(self.groups().max(initial=-1)) + 1
-
     def things(self) -> Indices:
         """Label of the block and the target of each row, shape (N,)."""
         return self._things
@@ -193,17 +180,6 @@ class Observations:
     @cached_property
     def _things(self) -> Indices:
         return np.asarray(self.block_of * len(self.target.names) + self.target.codes)
-
-    def source(self, row: int) -> str:
-        """Where a row stands, as `file:line`, or `row k` where there is no file."""
-        return (
-            f"{self.files[row]}:{self.lines[row]}" if self.files[row] else f"row {row}"
-        )
-
-    def error(self, row: int, reason: str, **told: Any) -> InputError:
-        """The error that refuses a row, see `Measurements.error`."""
-        block = int(self.block_of[row])
-        return self.blocks[block].error(row - self.slices[block].start, reason, **told)
 
     def _joined(self, name: str) -> Floats:
         if len(self.blocks) == 1:

@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections.abc import Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
-from typing import Any, NamedTuple
+from typing import TYPE_CHECKING, Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -19,7 +19,7 @@ WORDS = ("target", "payload", "files")
 
 
 class BlockKey(NamedTuple):
-    """What the measurements of a block have in common; empty names are defaults.
+    """Model, chain, station and tool of a block; empty names are defaults.
 
     Attributes:
         model: Name of the measurement model.
@@ -39,8 +39,58 @@ class BlockKey(NamedTuple):
         return ", ".join([self.model, *(f"{k} {name}" for k, name in pairs if name)])
 
 
+class SourcedRows:
+    """Rows with joint positions, and with the place in a file where each stands."""
+
+    if TYPE_CHECKING:
+
+        @property
+        def q(self) -> Floats:
+            """Commanded joint positions, shape (N, n) [rad, m]."""
+
+        @property
+        def lines(self) -> Indices:
+            """Line of each row in its file, shape (N,); 0 where there is no file."""
+
+        @property
+        def files(self) -> Labels:
+            """File of each row."""
+
+    def groups(self) -> Indices:
+        """Label rows that must stay together when data are split, see `grouped`."""
+        return self._groups
+
+    @cached_property
+    def _groups(self) -> Indices:
+        return grouped(self.q)
+
+    @property
+    def configurations(self) -> int:
+        """Number of different configurations; repetitions show nothing new."""
+        return int(self.groups().max(initial=-1)) + 1
+
+    def source(self, row: int) -> str:
+        """Where a row stands, as `file:line`, or `row k` where there is no file."""
+        file = self.files[row]
+        return f"{file}:{self.lines[row]}" if file else f"row {row}"
+
+    def error(
+        self,
+        row: int,
+        reason: str,
+        *,
+        column: str | None = None,
+        allowed: str | None = None,
+    ) -> InputError:
+        """The error that refuses a row, with the place where the row stands."""
+        told: dict[str, Any] = {"column": column, "allowed": allowed}
+        if file := self.files[row]:
+            return InputError(reason, file=file, line=int(self.lines[row]), **told)
+        return InputError(f"{self.source(row)}: {reason}", **told)
+
+
 @dataclass(frozen=True)
-class Measurements:
+class Measurements(SourcedRows):
     """N measurements with one model, of one chain and tool, from one station.
 
     A block of `Observations`. Names may be given as any sequence of strings.
@@ -207,39 +257,6 @@ class Measurements:
             )
         ]
         return self.rows(np.sort(np.concatenate(chosen)))
-
-    def groups(self) -> Indices:
-        """Label rows that must stay together when data are split, see `grouped`."""
-        return self._groups
-
-    @cached_property
-    def _groups(self) -> Indices:
-        return grouped(self.q)
-
-    @property
-    def configurations(self) -> int:
-        """Number of different configurations; repetitions show nothing new."""
-        return int(self.groups().max(initial=-1)) + 1
-
-    def source(self, row: int) -> str:
-        """Where a row stands, as `file:line`, or `row k` where there is no file."""
-        if self.files[row]:
-            return f"{self.files[row]}:{self.lines[row]}"
-        return f"row {row}"
-
-    def error(
-        self,
-        row: int,
-        reason: str,
-        *,
-        column: str | None = None,
-        allowed: str | None = None,
-    ) -> InputError:
-        """The error that refuses a row, with the place where the row stands."""
-        told: dict[str, Any] = {"column": column, "allowed": allowed}
-        if file := self.files[row]:
-            return InputError(reason, file=file, line=int(self.lines[row]), **told)
-        return InputError(f"{self.source(row)}: {reason}", **told)
 
 
 def trusted(data: Measurements) -> Measurements:

@@ -108,10 +108,10 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         f"{CALIBRATE} --setup bad.yaml",
         {"bad.yaml": "tip: tool\nparamters: [dh]\n"},
         "bad.yaml:2: unknown key 'paramters' (did you mean 'parameters'?); "
-        "allowed: base, tip, model, parameters, learned, frames, planes, "
-        "targets, sockets, spheres, anchors, camera, distances, joints, gravity, "
-        "payloads, gear_ratios, fixed, bounds, prior, noise, solver, loss, "
-        "obstacles, region, limits, ranger",
+        "allowed: base, tip, chains, model, parameters, learned, frames, stations, "
+        "tools, planes, targets, sockets, spheres, anchors, camera, board, distances, "
+        "joints, gravity, payloads, gear_ratios, fixed, bounds, prior, noise, solver, "
+        "loss, obstacles, region, limits, ranger",
     ),
     (
         f"{CALIBRATE} --setup bad.yaml",

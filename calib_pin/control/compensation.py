@@ -327,7 +327,7 @@ def _compensation(
     nominal: Floats,
     orientation: bool,
 ) -> Compensation:
-    known = np.isfinite(nominal).all(axis=1)
+    joints, known = Joints.of(model.chain), np.isfinite(nominal).all(axis=1)
     T = np.full((len(targets), 4, 4), np.nan)
     if known.any():
         T[known] = real(nominal[known])[0]
@@ -341,7 +341,7 @@ def _compensation(
         orientation=found.orientation,
         position_before=np.linalg.norm((T - targets)[:, :3, 3], axis=1),
         orientation_before=angles if orientation else 0.0 * angles,
-        at_limit=np.asarray(Joints.of(model.chain).at_limit(found.q).any(axis=1)),
+        at_limit=np.asarray(joints.at_limit(joints.driven(found.q)).any(axis=1)),
         outside=model.outside(found.q),
         oriented=orientation,
     )

@@ -3,13 +3,14 @@
 from __future__ import annotations
 
 from collections.abc import Callable, Sequence
-from dataclasses import Field, dataclass, replace
+from dataclasses import Field, dataclass, field, replace
 from typing import Any, ClassVar, Self, TypeAlias
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.joint_space import JointSpace
 from calib_pin.kinematics.spatial import Floats, so3_log, times
 
 Kinematics: TypeAlias = Callable[[Floats], tuple[Floats, Floats]]
@@ -44,31 +45,75 @@ class Stacked:
 
 @dataclass(frozen=True)
 class Joints:
-    """Limits and kinds of the joints of a chain.
+    """Limits and kinds of the n joints that move a chain: those with a drive.
+
+    The m joints of a chain are the same, but for those that mimic others.
 
     Attributes:
         lower: Lower limits, shape (n,) [rad, m]; minus infinity where there is none.
         upper: Upper limits, shape (n,) [rad, m]; infinity where there is none.
-        revolute: True for revolute joints, shape (n,).
+        revolute: True for revolute joints of which whole turns move nothing, (n,).
+        factors: Derivative of the chain's joints by these, shape (m, n); None where
+            they are the same.
+        offsets: Positions of the chain's joints where these are zero, shape (m,).
+        tells: The joint of the chain that tells the position of each, shape (n,).
     """
 
     lower: Floats
     upper: Floats
     revolute: Booleans
+    factors: Floats | None = None
+    offsets: Floats = field(default_factory=lambda: np.zeros(0))
+    tells: Indices = field(default_factory=lambda: np.zeros(0, np.int64))
 
     @staticmethod
     def of(chain: Chain) -> Joints:
         """The joints of a chain within the limits of its URDF."""
-        model = chain.robot.model
-        index = [model.idx_qs[model.getJointId(name)] for name in chain.joints]
-        lower, upper = model.lowerPositionLimit[index], model.upperPositionLimit[index]
-        # A chain gives limits of its own to joints whose URDF states none.
-        free = (chain.lower != lower) | (chain.upper != upper)
-        return Joints(
-            np.where(free, -np.inf, chain.lower),
-            np.where(free, np.inf, chain.upper),
-            chain.revolute,
+        space = JointSpace(chain.robot.model, chain.joints, chain.robot.mimics)
+        lower = np.where(space.limited, space.lower, -np.inf)
+        upper = np.where(space.limited, space.upper, np.inf)
+        if not space.mimics:
+            return Joints(lower, upper, space.revolute)
+        count = len(chain.joints)
+        units = np.concatenate([np.zeros((1, len(lower))), np.eye(len(lower))])
+        zero, *ends = space.follow(units)[:, :count]
+        factors = np.column_stack([end - zero for end in ends])
+        # A column of a mimic joint is zero: it follows, whatever it is asked.
+        (own,) = np.nonzero(factors.any(axis=0))
+        factors = factors[:, own]
+        # After a turn of its leader a mimic joint may stand elsewhere.
+        of_turn = np.where(
+            space.revolute[:count, None], factors - np.round(factors), factors
         )
+        whole = (np.abs(of_turn) < 1e-12).all(axis=0)
+        # A leader tells its position itself where it is one of the chain's joints.
+        tells = np.where(own < count, own, np.abs(factors).argmax(axis=0))
+        return Joints(
+            lower[own], upper[own], space.revolute[own] & whole, factors, zero, tells
+        )
+
+    def positions(self, q: Floats) -> Floats:
+        """Positions of the joints of the chain, shape (N, n) -> (N, m)."""
+        return q if self.factors is None else q @ self.factors.T + self.offsets
+
+    def driven(self, q: Floats) -> Floats:
+        """Positions of these joints at those of the chain, shape (N, m) -> (N, n)."""
+        if self.factors is None:
+            return q
+        factors = self.factors[self.tells, np.arange(len(self.lower))]
+        return (q[:, self.tells] - self.offsets[self.tells]) / factors
+
+    def driving(self, evaluate: Kinematics) -> Kinematics:
+        """The kinematics of a chain as those of the joints that move it."""
+        if self.factors is None:
+            return evaluate
+        factors = self.factors
+
+        def moved(q: Floats) -> tuple[Floats, Floats]:
+            T, J = evaluate(self.positions(q))
+            return T, J @ factors
+
+        return moved
 
     @property
     def home(self) -> Floats:
@@ -159,7 +204,7 @@ class Solutions(Stacked):
 
 @dataclass(frozen=True)
 class Task(Stacked):
-    """Targets that a chain of n joints shall reach.
+    """Targets that n joints shall reach.
 
     Attributes:
         evaluate: The kinematics.

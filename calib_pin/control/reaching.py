@@ -69,7 +69,7 @@ def reach(
         evaluate: The kinematics.
         targets: Poses to reach, shape (N, 4, 4).
         start: Joint positions that solutions shall be close to, shape (N, n) [rad, m].
-        joints: Limits, which are never left.
+        joints: Limits, which are never left, and which joints follow others.
         orientation: Whether orientations count; else only positions do.
 
     Example:
@@ -85,9 +85,15 @@ def reach(
         >>> bool(np.abs(found.q - q).max() < 1e-8)
         True
     """
-    task = Task(evaluate, targets, start, joints, orientation)
-    found = descend(task, start, FULL)
-    turned = joints.turned(found.q, start)
+    near = joints.driven(start)
+    task = Task(joints.driving(evaluate), targets, near, joints, orientation)
+    return _commanded(_reached(task), joints)
+
+
+def _reached(task: Task) -> Solutions:
+    """Solutions close to the start of a task."""
+    found = descend(task, task.start, FULL)
+    turned = task.joints.turned(found.q, task.start)
     (far,) = np.nonzero((turned != found.q).any(axis=1))
     if not len(far):
         return found
@@ -115,7 +121,7 @@ def search(
     Args:
         evaluate: The kinematics.
         targets: Poses to reach, shape (N, 4, 4).
-        joints: Limits, which are never left.
+        joints: Limits, which are never left, and which joints follow others.
         start: Joint positions that solutions shall be close to, shape (N, n)
             [rad, m]; by default those in the middle are preferred, and redundant
             joints stay where they are found.
@@ -151,25 +157,33 @@ def search(
                 for half in halves
             ]
         )
-    home = np.tile(joints.home, (len(targets), 1)) if start is None else start
-    task = Task(evaluate, targets, home, joints, orientation)
+    home = np.tile(joints.home, (len(targets), 1))
+    home = home if start is None else joints.driven(start)
+    task = Task(joints.driving(evaluate), targets, home, joints, orientation)
     if start is None:
-        rough = task if nominal is None else replace(task, evaluate=nominal)
+        rough = task
+        if nominal is not None:
+            rough = replace(task, evaluate=joints.driving(nominal))
         index = _Index.of(rough)
         first = descend(rough, index.nearest(rough, 1)[:, 0], ROUGH)
         guess = _retried(rough, index, first, ROUGH)
         found = descend(task, joints.turned(guess.q, home), EXACT)
     else:
-        found = reach(evaluate, targets, start, joints, orientation=orientation)
+        found = _reached(task)
     (lost,) = np.nonzero(~found.reached)
     if not len(lost):
-        return found
+        return _commanded(found, joints)
     some, failed = task.rows(lost), found.rows(lost)
     guess = _retried(some, _Index.of(some), failed, THOROUGH)
     turned = joints.turned(guess.q, some.start)
     others = descend(some, turned, EXACT if start is None else FULL)
     better = others.score < failed.score
-    return found.replaced(lost[better], others.rows(better))
+    return _commanded(found.replaced(lost[better], others.rows(better)), joints)
+
+
+def _commanded(found: Solutions, joints: Joints) -> Solutions:
+    """Solutions as positions of all joints of the chain."""
+    return replace(found, q=joints.positions(found.q))
 
 
 def _retried(task: Task, index: _Index, found: Solutions, effort: Effort) -> Solutions:

@@ -47,6 +47,8 @@ class JointSpace:
             turn back, or `FREE_TRAVEL` for a prismatic joint. A leader goes only as far
             as its mimic joints here can follow, and these as far as it goes.
         upper: Upper position limits, shape (n,) [rad, m]; the same forward.
+        limited: True where the URDF states limits, of a leader also where those of its
+            mimic joints narrow it, shape (n,).
         inverted: Names of joints with inverted limits in the URDF; they count as none.
     """
 
@@ -71,6 +73,7 @@ class JointSpace:
         free = np.where(self.revolute, np.pi, FREE_TRAVEL)
         self.lower: Floats = np.where(limited, lower, -free)
         self.upper: Floats = np.where(limited, upper, free)
+        self.limited = limited.copy()
         self._followers = [
             (self.joints.index(name), self.joints.index(mimic.leader), mimic)
             for name, mimic in self.mimics.items()
@@ -84,6 +87,7 @@ class JointSpace:
                 # Limits that a mimic joint never keeps are a slip of the URDF.
                 if low < high:
                     self.lower[leader], self.upper[leader] = low, high
+                    self.limited[leader] = True
         ends = self.follow(np.array([self.lower, self.upper]))
         self.lower, self.upper = ends.min(axis=0), ends.max(axis=0)
 

@@ -120,6 +120,60 @@ def test_from_a_start_nearby(name):
     assert np.median(np.abs(found.q - start)) < 0.01
 
 
+# Of the mimic joints the leader is a joint of the chain, or stands beside it.
+FOLLOWERS = {
+    "within": {"j3": ("j1", -0.5, 0.2)},
+    "beside": {"j1": ("side", 2.0, 0.1), "j4": ("side", -1.0, 0.0)},
+}
+
+
+@pytest.fixture
+def following(request, urdf_of, chain_of) -> Chain:
+    """A chain of seven joints, some of which follow others."""
+    rng = np.random.default_rng(7)
+
+    def joint(name: str, parent: str, child: str, **more: Any) -> dict[str, Any]:
+        placement = pin.SE3(pin.exp3(rng.normal(size=3)), rng.uniform(-0.4, 0.4, 3))
+        axis = (0.0, 0.6, 0.8)
+        return {
+            **{"name": name, "parent": parent, "child": child},
+            **{"placement": placement, "axis": axis, **more},
+        }
+
+    mimics = {
+        name: f'<mimic joint="{leader}" multiplier="{factor}" offset="{offset}"/>'
+        for name, (leader, factor, offset) in FOLLOWERS[request.param].items()
+    }
+    links = [f"l{k}" for k in range(8)]
+    joints = [
+        joint(f"j{k}", links[k], links[k + 1], more=mimics.get(f"j{k}", ""))
+        for k in range(7)
+    ]
+    return chain_of(urdf_of(joint("side", "l0", "s"), *joints), "l0", "l7")
+
+
+@pytest.mark.parametrize("following", FOLLOWERS, indirect=True)
+@pytest.mark.parametrize("near", [False, True])
+def test_mimic_joints_follow(following, near):
+    model = calibrated(following)
+    q = following.random_configurations(60, np.random.default_rng(3))
+    targets = model.poses(q)
+    # A start of which the mimic joints do not follow counts by what moves them.
+    start = q + 3e-3 * np.random.default_rng(2).normal(size=q.shape) if near else None
+    found = commands(model, targets, start)
+    assert found.reached.all()
+    distances, angles = errors(model.poses(found.q), targets)
+    assert distances.max() < 1e-9 and angles.max() < 1e-9
+    assert not near or np.abs(found.q - q).max() < 0.1
+    assert len(Joints.of(following).lower) == 6
+    if "j3" in following.mimics:
+        np.testing.assert_allclose(found.q[:, 3], 0.2 - 0.5 * found.q[:, 1], atol=1e-12)
+    else:
+        side = -found.q[:, 4]
+        np.testing.assert_allclose(found.q[:, 1], 2.0 * side + 0.1, atol=1e-12)
+    assert (found.q >= following.lower).all() and (found.q <= following.upper).all()
+
+
 def test_corrections_that_no_urdf_can_hold():
     chain = robot("ur10")
     model = calibrated(chain, parameters=("placement", "transmission"))

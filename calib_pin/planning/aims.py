@@ -1,4 +1,4 @@
-"""What is measured at one configuration.
+"""Aims: the measurements that may be made at one configuration.
 
 A tracker sees all its reflectors and an image shows all corners of a board, while a
 beam meets one plane and a wire hangs on one anchor. Instruments of different kinds that
@@ -32,7 +32,7 @@ SWAY = np.array(
 
 
 class Aim(NamedTuple):
-    """What is measured at a configuration.
+    """The measurements that are made of one tool at a configuration.
 
     Attributes:
         key: The first block of those of a chain, a station and a tool.
@@ -99,7 +99,7 @@ class Look:
 
 @dataclass(frozen=True)
 class Aims:
-    """What can be measured at one configuration, and with what.
+    """The aims that there are, and the instruments that measure them.
 
     Attributes:
         each: The aims.

@@ -127,7 +127,7 @@ def _within(value: float, sigma: float, factor: float) -> str:
 
 
 def told(found: Breakdown) -> Iterator[Block]:
-    """What each block tells of the robot, and what hangs together through it."""
+    """Rank that each block adds, and the frames that hang together through it."""
     for chain in found.chains:
         if chain.still:
             of_chain = f" of chain {chain.name}" if chain.name else ""

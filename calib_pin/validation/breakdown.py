@@ -112,7 +112,7 @@ class CoupledFrames:
 
 @dataclass(frozen=True, kw_only=True)
 class Breakdown:
-    """What a calibration found, part by part.
+    """The findings of a calibration, part by part.
 
     Attributes:
         accuracies: The expected errors of the tool by the name of the chain; the first

@@ -44,7 +44,7 @@ def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
 
 
 def _ends(chain: Chain) -> tuple[object, ...]:
-    """What makes a chain: its ends and its joints."""
+    """The identity of a chain: its ends and its joints."""
     return chain.base, chain.tip, chain.joints, tuple(chain.revolute)
 
 

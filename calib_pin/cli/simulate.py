@@ -100,7 +100,8 @@ def simulate(
 
     Errors that are not given are drawn uniformly within the expected size of each
     parameter, such as plus and minus 1 mm and 3 mrad for a placement. Frames and planes
-    are taken from the setup file.
+    are taken from the setup file. Of a board in it each image shows all corners that
+    are in sight.
     """
     import numpy as np
 
@@ -147,6 +148,8 @@ def simulate(
             target=target,
             payload=payload,
             count=count,
+            # An image shows all corners of a board.
+            per_configuration=stated.board is not None and not len(target),
             noise=noise,
             repeats=repeats,
             average=average,

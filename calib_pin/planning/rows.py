@@ -187,7 +187,7 @@ class LookRows:
 
         Returns:
             The poses, the derivatives target by target, shape (N, L d, 6 + K), zero of
-            targets that are not seen, and the positions of those that are measured,
+            targets out of sight, and the positions of those that are measured,
             counted target by target.
         """
         part, each, size = self.look.part, self.look.each, len(self.sigma)

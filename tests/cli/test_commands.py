@@ -890,6 +890,20 @@ def test_repeated_readings(here, run):
     assert kept[:25, x].mean() == pytest.approx(mean[0, x], abs=1e-3)
 
 
+def test_images_of_a_board(here, run):
+    Path("board.yaml").write_text(
+        "model: camera\n"
+        "camera: {mount: world, focal: [900, 900], center: [640, 480]}\n"
+        "board: {type: charuco, columns: 4, rows: 3, square: 0.03}\n"
+        "frames: {base: {xyz: [0, 0, 3]}}\n"
+    )
+    words = "simulate arm.urdf --setup board.yaml --count 30 --seed 1 -o out.csv"
+    assert run(words).status == 0
+    rows = calib_pin.read_measurements("out.csv", calib_pin.load_chain("arm.urdf")).only
+    assert rows.configurations == 30 and len(rows) > 5 * 30
+    assert set(rows.target.distinct) == set("012345")
+
+
 def test_noise_of_the_setup_file(here, run):
     Path("setup.yaml").write_text("noise: {position: 2.0e-5}\n")
     words = "simulate arm.urdf --setup setup.yaml --model position --count 3 -o out.csv"

@@ -124,7 +124,10 @@ def simulate(
     if (q is None) == (count is None):
         raise OptionError("give either configurations or their count")
     if len(keys) > 1 and len(target):
-        raise OptionError("targets are those of a single block; say which one")
+        raise OptionError(
+            "targets are those of a single block; say which one",
+            allowed="; ".join(map(str, keys)),
+        )
     found = []
     for number, one in enumerate(keys):
         declared = problem.parts[one].measurement.declaration

@@ -9,12 +9,15 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError, OptionError
+from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
+from calib_pin.io.urdf import load_chains
 from calib_pin.kinematics.spatial import from_quaternion, so3_log
 from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import (
+    CameraSetup,
     FrameSetup,
     Payload,
     PlaneSetup,
@@ -22,7 +25,7 @@ from calib_pin.setup import (
     Setup,
     SphereSetup,
 )
-from calib_pin.simulation import draw_errors, simulate
+from calib_pin.simulation import draw_errors, exact_at, simulate
 
 PLANES = {
     "wall": PlaneSetup((0, 1, 4.6), -0.69),
@@ -367,6 +370,111 @@ def test_blocks_have_their_own_noise():
     # 46 and 45 draws: the deviation of a standard deviation is at most 11 %.
     for block in measured.blocks:
         assert block.table(gaps).std() == pytest.approx(1.0, rel=0.4)
+
+
+BOARD = {f"c{k}": PointSetup((0.04 * (k % 4), 0.04 * (k // 4), 0.1)) for k in range(12)}
+SEEN = Setup(
+    base_frame=FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4)),
+    camera=CameraSetup("world", (900.0, 900.0), (320.0, 240.0), size=(640, 480)),
+    targets=BOARD,
+)
+
+
+@pytest.mark.parametrize("given", [False, True])
+def test_images_show_all_corners_that_are_seen(given: bool) -> None:
+    loads = {"light": Payload(1.0, (0.1, 0, 0)), "heavy": Payload(5.0, (0.1, 0, 0))}
+    setup = replace(SEEN, parameters=("compliance",), payloads=loads)
+    problem = nominal_problem(calib_pin.load_chain("space6"), "camera", setup)
+    theta, rng = errors(problem), np.random.default_rng(1)
+    options = (
+        {"count": 30}
+        if not given
+        else {"q": simulated(problem, theta, rng, count=30).q}
+    )
+    rows = simulated(problem, theta, rng, per_configuration=True, noise=0.0, **options)
+    assert np.abs(residuals(problem, rows, theta)).max() < 1e-9
+    assert rows.configurations == 30 and set(rows.payload) == {"light", "heavy"}
+    part = problem.only
+    names = tuple(BOARD)
+    for label in np.unique(rows.groups()):
+        image = rows.rows(rows.groups() == label)
+        each = np.repeat(image.q[:1], len(names), axis=0)
+        carried = (image.payload[0],) * len(names)
+        at = asked(problem, part.key, each, names, carried)
+        seen = problem.observable(theta, at)
+        assert list(image.target) == [n for n, s in zip(names, seen, strict=True) if s]
+    # Some images lack a corner, and beams and wires have one target all the same.
+    assert len(rows) < 30 * 12
+    problem = make("plane-distance")
+    rows = simulated(problem, errors(problem), rng, count=10, per_configuration=True)
+    assert len(rows) == 10
+
+
+def arms() -> tuple[Problem, list[BlockKey]]:
+    """Two hands of one robot before two trackers, and a post that stands still."""
+    hands = ("arm_left_7_link", "arm_right_7_link")
+    chains = load_chains("example:talos_reduced", names=(*hands, "world"))
+    stations = {
+        name: FrameSetup((3.0, y, 1.0), (0.0, 0.0, 0.3), estimate=True)
+        for name, y in (("day 1", 2.0), ("day 2", -2.0))
+    }
+    keys = [BlockKey("position", hand, day) for hand in hands for day in stations]
+    keys.append(BlockKey("position", "world", "day 1"))
+    setup = Setup(stations=stations, noise={"position": 1e-5})
+    return nominal_problem(chains, keys, setup), keys
+
+
+def test_chains_and_stations_share_the_count() -> None:
+    problem, keys = arms()
+    theta = errors(problem)
+    found = simulate(problem, theta, np.random.default_rng(1), count=23, repeats=2)
+    assert found.keys == tuple(keys)
+    assert [len(block) for block in found.blocks] == [10, 10, 10, 8, 8]
+    assert found.joints == problem.chains.joints
+    measured = replace(problem, data=found)
+    assert np.abs(measured.errors(theta) / measured.sigma).max() < 5.0
+    # One torso: an error of it is one of both hands.
+    moved = theta.copy()
+    moved[problem.parameters.names.index("torso_1_joint.placement.rz")] += 1e-2
+    change = np.abs(measured.errors(moved) - measured.errors(theta))
+    for block in measured.blocks:
+        still = block.part.key.chain == "world"
+        assert (block.table(change).max(axis=1) > 1e-4).all() != still
+
+
+def test_a_block_by_itself_and_all_of_them_at_configurations() -> None:
+    problem, keys = arms()
+    theta, rng = errors(problem), np.random.default_rng(1)
+    q = problem.chains.random_configurations(4, rng)
+    every = simulate(problem, theta, rng, q=q, noise=0.0)
+    assert len(every) == 5 * 4
+    exact = exact_at(
+        problem, theta, *(asked(problem, key, q, ("",) * 4) for key in keys)
+    )
+    for block, one, key in zip(every.blocks, exact.data.blocks, keys, strict=True):
+        alone = simulate(problem, theta, rng, key=key, q=q, noise=0.0).only
+        np.testing.assert_array_equal(alone.values, block.values)
+        np.testing.assert_array_equal(one.values, block.values)
+    with pytest.raises(OptionError, match="targets are those of a single block"):
+        simulate(problem, theta, rng, q=q, target=("",) * 4)
+    with pytest.raises(OptionError, match="unknown block 'pose'"):
+        simulate(problem, theta, rng, q=q, key=BlockKey("pose"))
+    with pytest.raises(OptionError, match="count is too small.* 5 or more"):
+        simulate(problem, theta, rng, count=4)
+
+
+def test_each_instrument_measures_what_it_can() -> None:
+    """Of given configurations; one that can measure none of them is named."""
+    keys = [BlockKey("position"), BlockKey("plane-distance")]
+    floor = Setup(planes={"floor": PLANES["floor"]})
+    problem = nominal_problem(calib_pin.load_chain("space6"), keys, floor)
+    theta, rng = errors(problem), np.random.default_rng(1)
+    down = simulate(problem, theta, rng, key=keys[1], count=3).only.q
+    up = np.array([[0.0, -np.pi / 2, 0.0, 0.0, 0.0, 0.0]])
+    found = simulate(problem, theta, rng, q=np.concatenate([up, down]))
+    assert [len(block) for block in found.blocks] == [4, 3]
+    with pytest.raises(InputError, match=r"none of 1 configurations .*plane-distance"):
+        simulate(problem, theta, rng, q=up)
 
 
 def test_what_is_carried_takes_turns():

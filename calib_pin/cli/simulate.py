@@ -2,9 +2,10 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator, Mapping, Sequence
 from functools import partial
 from pathlib import Path
-from typing import Annotated
+from typing import TYPE_CHECKING, Annotated
 
 import typer
 
@@ -22,9 +23,15 @@ from calib_pin.cli.printing import (
     stage,
     told_command,
 )
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError
+
+if TYPE_CHECKING:
+    from calib_pin.observations import BlockKey, Booleans, Labels
 
 study_option = partial(options.option, "Simulation")
+
+PLACES = ("chain", "station", "tool")
+"""Columns of a file that say which block measures a configuration."""
 
 
 def simulate(
@@ -86,6 +93,14 @@ def simulate(
             "--average", "Average the readings of a configuration into one measurement."
         ),
     ] = False,
+    all_targets: Annotated[
+        bool,
+        study_option(
+            "--all-targets",
+            "Measure all targets that the instrument sees at each configuration, as "
+            "the corners of a board in an image.",
+        ),
+    ] = False,
     truth: Annotated[
         Path | None,
         options.output("--truth URDF", "Write the robot with its true errors."),
@@ -114,7 +129,7 @@ def simulate(
     )
     from calib_pin.io.results import encode_urdf
     from calib_pin.io.setup import read_true_errors
-    from calib_pin.observations import Labels
+    from calib_pin.observations import Observations
     from calib_pin.simulation import draw_errors
     from calib_pin.simulation import simulate as run
     from calib_pin.validation.calibrated_model import CalibratedModel
@@ -132,28 +147,41 @@ def simulate(
     else:
         given = read_true_errors(errors, problem.parameters.names)
         theta = problem.parameters.vector(given)
-    q, target, payload = None, Labels.none(), Labels.none()
-    if configurations is not None:
-        q = read_configurations(configurations, chains, stated.joints)
-        target = read_names(configurations, "target")
-        payload = read_names(configurations, "payload")
+    measure = partial(
+        run,
+        problem,
+        theta,
+        rng,
+        # An image shows all corners of a board.
+        per_configuration=all_targets or stated.board is not None,
+        noise=noise,
+        repeats=repeats,
+        average=average,
+    )
     comment = f"simulated by: {told_command(context)}"
     with progress_bar() as bar:
         stage(bar, "measure")
-        rows = run(
-            problem,
-            theta,
-            rng,
-            q=q,
-            target=target,
-            payload=payload,
-            count=count,
-            # An image shows all corners of a board.
-            per_configuration=stated.board is not None and not len(target),
-            noise=noise,
-            repeats=repeats,
-            average=average,
-        )
+        if configurations is None:
+            rows = measure(count=count)
+        else:
+            q = read_configurations(configurations, chains, stated.joints)
+            target = read_names(configurations, "target")
+            payload = read_names(configurations, "payload")
+            places = {kind: read_names(configurations, kind) for kind in PLACES}
+            if not any(map(len, (target, *places.values()))):
+                rows = measure(q=q, payload=payload)
+            else:
+                rows = Observations.of(
+                    *(
+                        measure(
+                            key=key,
+                            q=q[at],
+                            target=target[at] if len(target) else target,
+                            payload=payload[at] if len(payload) else payload,
+                        )
+                        for key, at in _shared(configurations, keys, places, len(q))
+                    )
+                )
         tell = stage(bar, "write")
         contents = {output: encode_measurements(rows, [comment], tell)}
         true = CalibratedModel.create(problem, theta)
@@ -170,3 +198,31 @@ def simulate(
         told.append(f"wrote the true robot to {truth}")
     say_written(told)
     return 0
+
+
+def _shared(
+    file: Path, keys: Sequence[BlockKey], places: Mapping[str, Labels], count: int
+) -> Iterator[tuple[BlockKey, Booleans]]:
+    """The blocks that measure configurations of a file, and which, shape (count,).
+
+    Raises:
+        InputError: If a configuration is of none of them.
+    """
+    import numpy as np
+
+    left = np.ones(count, bool)
+    for key in keys:
+        at = np.ones(count, bool)
+        for kind, labels in places.items():
+            if len(labels):
+                at &= labels.where(getattr(key, kind))
+        left &= ~at
+        if at.any():
+            yield key, at
+    if left.any():
+        raise InputError(
+            f"configuration {int(np.argmax(left)) + 1} is of no chain, station and "
+            "tool that the setup states",
+            file=file,
+            allowed="; ".join(map(str, keys)),
+        )

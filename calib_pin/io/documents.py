@@ -195,6 +195,7 @@ def plan_document(plan: Plan) -> Json:
         **stated("plan"),
         "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
+        **{name: list(names) for name, names in plan.places.items()},
         "target": list(plan.target),
         "criterion": {"name": plan.criterion, "value": plan.value},
         "random": plan.random,

@@ -207,6 +207,7 @@ def encode_configurations(
     q: Floats,
     target: Sequence[str] = (),
     *,
+    places: Mapping[str, Sequence[str]] = {},
     joints: Mapping[str, JointMap] = {},
     comments: Sequence[str] = (),
 ) -> bytes:
@@ -216,6 +217,7 @@ def encode_configurations(
         chain: The chain, or several.
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each; no column where none is named.
+        places: Chain, station and tool of each, by the name of the column.
         joints: How file columns become joints; the file holds what a controller
             needs.
         comments: Lines for the head of the file.
@@ -236,8 +238,9 @@ def encode_configurations(
     columns: dict[str, Floats | Sequence[str]] = {}
     for name, values in column_values(q, joint_sources(chain, joints)).items():
         columns[column_name(name)] = values
-    if any(target):
-        columns["target"] = writable("target", target)
+    for name, labels in {**places, "target": target}.items():
+        if any(labels):
+            columns[name] = writable(name, labels)
     return encode_table(columns, comments)
 
 

@@ -9,6 +9,7 @@ import signal
 import subprocess
 import sys
 import time
+from itertools import groupby
 from pathlib import Path
 from typing import Any
 
@@ -84,6 +85,55 @@ def test_what_is_written_and_printed(here, run):
     assert "8  random baseline" in result.out
     assert "Collisions are not checked." in result.out
     assert max(map(len, result.out.splitlines())) <= 80
+
+
+def test_stations_and_tools_of_a_plan_are_measured_and_added_to(here, run):
+    """Every configuration says from where and with which tool."""
+    Path("places.yaml").write_text(
+        """\
+model: position
+parameters: [joint-offset]
+stations: {day 1: {xyz: [1, 0, 0], estimate: true}, day 2: {xyz: [0, 2, 0]}}
+tools: {ball: {xyz: [0.02, 0.05, 0.1]}, tip: {xyz: [0.1, 0.02, 0.02]}}
+targets: {a: {xyz: [0.02, 0, 0]}, b: {xyz: [0, 0.02, 0]}, c: {xyz: [0, 0, 0.03]}}
+"""
+    )
+    words = f"plan arm.urdf --setup places.yaml {QUICK}"
+    assert run(f"{words} --count 16 -o plan.csv").status == 0
+    header, rows = table("plan.csv")
+    assert header == ["joint1", "joint2", "joint3", "joint4", "station", "tool"]
+    places = [tuple(row[4:]) for row in rows]
+    # One after another: an instrument is placed and a tool mounted once.
+    assert len([place for place, _ in groupby(places)]) == len(set(places)) == 4
+    simulate = "simulate arm.urdf --setup places.yaml"
+    result = run(f"{simulate} --configurations plan.csv --all-targets -o all.csv")
+    assert (result.status, result.err) == (0, "")
+    # A configuration is measured at all three targets, and at one without the flag.
+    header, measured = table("all.csv")
+    assert len(measured) == 3 * 16
+    columns = [header.index(name) for name in ("station", "tool")]
+    found = {tuple(row[k] for k in columns) for row in measured}
+    assert found == set(places)
+    assert run(f"{simulate} --configurations plan.csv -o one.csv").status == 0
+    assert len(table("one.csv")[1]) == 16
+    result = run(f"{words} --add 4 --to all.csv -o more.csv")
+    assert (result.status, result.err) == (0, "")
+    assert len(table("more.csv")[1]) == 4
+
+
+def test_a_place_that_the_setup_does_not_state_is_named(here, run):
+    Path("places.yaml").write_text(
+        "model: position\nparameters: [joint-offset]\n"
+        "stations: {day 1: {xyz: [1, 0, 0]}}\n"
+    )
+    Path("plan.csv").write_text(
+        "joint1,joint2,joint3,joint4,station\n0,0,0.2,0,day 1\n0,0,0.5,0,day 3\n"
+    )
+    words = "simulate arm.urdf --setup places.yaml --configurations plan.csv"
+    result = run(f"{words} -o none.csv")
+    assert result.status == 1 and not Path("none.csv").exists()
+    assert "configuration 2 is of no chain, station and tool" in result.err
+    assert "position, station day 1" in result.err
 
 
 def test_the_file_is_what_the_next_commands_take(here, run):

@@ -11,7 +11,8 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import error_table
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.validation.moves import Job, Kind, Trial, moved
+from calib_pin.validation.file_order import Job, Kind
+from calib_pin.validation.moves import Trial, moved
 
 CODES: dict[Kind, str] = {"station": "instrument-moved", "tool": "tool-remounted"}
 

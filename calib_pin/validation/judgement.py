@@ -25,6 +25,7 @@ from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
+from calib_pin.validation.move_findings import move_findings
 from calib_pin.validation.plausibility import plausibility
 from calib_pin.validation.summaries import ToolAccuracy
 from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
@@ -68,12 +69,13 @@ def judge(
     fitted, data = model.fit, model.fit.problem.data
     chains = Chains.of(chains)
     errors = _quantity_errors(model, fitted_errors, held_out)
-    advice = CHECK
-    if unexplained(fitted, errors):
+    advice, moves = CHECK, move_findings(fitted)
+    if not moves and unexplained(fitted, errors):
         setup = fitted.problem.setup
         if suggestion := suggest_conventions(chains, data, setup, progress):
             advice = suggestion.text(chains.joints, setup.joints)
-    findings = held_out.findings + plausibility(fitted)
+    # All that is wrong else may follow from a move.
+    findings = held_out.findings + (moves or plausibility(fitted))
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:

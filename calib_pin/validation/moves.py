@@ -10,10 +10,9 @@ divides the measurements, everything is fitted anew, and so on, as long as it pa
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 from functools import cached_property
-from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -27,11 +26,9 @@ from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import EXACT, Problem, error_table
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import BlockKey, Indices, Observations
+from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.base import expected_size
-
-Kind = Literal["station", "tool"]
-KINDS: tuple[Kind, ...] = ("station", "tool")
+from calib_pin.validation.file_order import KINDS, Job, Kind, Move
 
 
 @dataclass(frozen=True)
@@ -76,76 +73,6 @@ class MoveOptions:
 
 
 OPTIONS = MoveOptions()
-
-
-class Move(NamedTuple):
-    """A frame that differs from some measurement on.
-
-    Attributes:
-        kind: Whose frame.
-        keys: Blocks that have the frame, before they are divided.
-        rank: Place of the first measurement after the move, in the order of the files.
-    """
-
-    kind: Kind
-    keys: frozenset[BlockKey]
-    rank: int
-
-
-@dataclass(frozen=True)
-class Job:
-    """Measurements in the order of their files.
-
-    Attributes:
-        data: The measurements.
-        rank: Place of each in that order among all of the job, shape (N,).
-    """
-
-    data: Observations
-    rank: Indices
-
-    @staticmethod
-    def of(data: Observations) -> Job:
-        """All measurements of a job, none of them set aside."""
-        rank = np.empty(len(data), np.int64)
-        rank[data.in_order] = np.arange(len(data))
-        return Job(data.weighted(np.ones(len(data))), rank)
-
-    def rows(self, index: NDArray[np.generic]) -> Job:
-        """Those of a mask, or of ascending positions."""
-        return Job(self.data.rows(index), self.rank[index])
-
-    def sample(self, count: int) -> Job:
-        """About so many, evenly over the files."""
-        if len(self.data) <= count:
-            return self
-        ranks = np.linspace(0, len(self.data) - 1, count).astype(np.int64)
-        return self.rows(np.isin(self.rank, ranks))
-
-    def divided(self, moves: Sequence[Move]) -> tuple[Job, Indices]:
-        """The same with a name of its own for each frame behind a move.
-
-        Returns:
-            The measurements in their new blocks, and the position of each of these
-            among what they were.
-        """
-        blocks = list(self.data.blocks)
-        index = [np.arange(s.start, s.stop) for s in self.data.slices]
-        for number, (kind, keys, at) in enumerate(moves):
-            for k in [k for k, block in enumerate(blocks) if block.key in keys]:
-                block, own = blocks[k], index[k]
-                after = self.rank[own] >= at
-                if kind == "station":
-                    moved = replace(block, station=f"{block.station}~{number}")
-                else:
-                    moved = replace(block, tool=f"{block.tool}~{number}")
-                blocks[k], index[k] = block.rows(~after), own[~after]
-                blocks.append(moved.rows(after))
-                index.append(own[after])
-        kept = [k for k, block in enumerate(blocks) if len(block)]
-        where = np.concatenate([index[k] for k in kept])
-        data = Observations(tuple(blocks[k] for k in kept))
-        return Job(data, self.rank[where]), where
 
 
 @dataclass(frozen=True)
@@ -283,6 +210,13 @@ class Trial:
         inverse = np.linalg.pinv(G, rcond=1e-8, hermitian=True)
         return np.asarray(np.einsum("ni,nij,nj->n", g, inverse, g))
 
+    def concerned(self, k: int, job: Job) -> Indices:
+        """Those of some measurements that have the frame of a move, in their order."""
+        own, index = job.divided(self.moves[:k])
+        has = np.array([block.key in self.moves[k].keys for block in own.data.blocks])
+        found = index[has[own.data.block_of]]
+        return np.asarray(found[np.argsort(job.rank[found])])
+
     def place(self, k: int, job: Job) -> int:
         """The best rank of a move if nothing else changes.
 
@@ -295,26 +229,25 @@ class Trial:
         first = max((at for at in others if at < move.rank), default=0)
         last = min((at for at in others if at > move.rank), default=np.inf)
         job = job.rows((job.rank >= first) & (job.rank < last))
-        parts, count = list(self.problem.parts), len(job.data)
-        squares, label = np.zeros((2, count)), np.zeros((2, count), int)
+        squares = np.zeros((2, len(job.data)))
         for side, at in enumerate((int(job.rank.max()) + 1, 0)):
             moves = [*self.moves[:k], move._replace(rank=at), *self.moves[k + 1 :]]
             own, index = job.divided(moves)
-            if any(key not in parts for key in own.data.keys):
+            if any(key not in self.problem.parts for key in own.data.keys):
                 return move.rank
             there = replace(self.problem, data=own.data)
             row = there.layout.row
             r = there.residual(self.theta)[: len(row)]
             r = np.where(np.isfinite(r), r, 1e6)
-            squares[side, index] = np.bincount(row, r**2, count)
-            codes = np.array([parts.index(block.key) for block in own.data.blocks])
-            label[side, index] = codes[own.data.block_of]
-        mine = np.flatnonzero(label[0] != label[1])
-        mine = mine[np.argsort(job.rank[mine])]
+            squares[side, index] = np.bincount(row, r**2, len(index))
+        mine = self.concerned(k, job)
         # Those before a place have the old frame, the others the new one.
         old, new = squares[:, mine]
         total = np.cumsum(old) - old + np.cumsum(new[::-1])[::-1]
-        return int(job.rank[mine[np.argmin(total)]]) if len(mine) else move.rank
+        allowed = _allowed(job.data.groups()[mine])
+        if not allowed.any():
+            return move.rank
+        return int(job.rank[mine[np.argmin(np.where(allowed, total, np.inf))]])
 
 
 @serial_blas
@@ -332,18 +265,17 @@ def moved(fitted: Fit) -> tuple[Trial, Trial] | None:
     plain = replace(fitted.problem, data=job.data, units=np.zeros(0), expected=None)
     if not _suspicious(Trial(job, (), plain, fitted.theta, job.rank), fitted.before):
         return None
-    try:
-        trials = [Trial.of(plain, job)]
-    except (CalibPinError, np.linalg.LinAlgError):
-        return None
-    while len(trials) <= OPTIONS.moves:
+    trials = list(_settled(plain, job, ()))
+    while 0 < len(trials) <= OPTIONS.moves:
         last = trials[-1]
-        found = [_further(plain, last, move) for _, move in last.candidates()]
-        better = [trial for trial in found[: OPTIONS.tried] if trial is not None]
-        best = min(better, key=lambda trial: trial.rms, default=last)
+        tried = [move for _, move in last.candidates()[: OPTIONS.tried]]
+        found = [t for m in tried for t in _settled(plain, job, (*last.moves, m))]
+        best = min(found, key=lambda trial: trial.rms, default=last)
         if not best.rms <= OPTIONS.each * last.rms:
             break
         trials.append(best)
+    if not trials:
+        return None
     while len(trials) > 1 and trials[-1].rms > OPTIONS.last * trials[-2].rms:
         trials.pop()
     first, last = trials[0], trials[-1]
@@ -368,22 +300,24 @@ def _suspicious(trial: Trial, nominal: Floats) -> bool:
     )
 
 
-def _further(plain: Problem, last: Trial, move: Move) -> Trial | None:
-    """A trial with one more move, all of them where both of their frames fit best."""
-    moves = (*last.moves, move)
+def _settled(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Iterator[Trial]:
+    """The trial of some moves, all of them where both of their frames fit best.
+
+    None where a part of the measurements cannot be registered.
+    """
     try:
-        trial = Trial.of(plain, last.job, moves)
+        trial = Trial.of(plain, job, moves)
         for _ in range(OPTIONS.rounds):
-            places = [trial.place(k, last.job) for k in range(len(moves))]
+            places = [trial.place(k, job) for k in range(len(moves))]
             moves = tuple(
                 m._replace(rank=k) for m, k in zip(moves, places, strict=True)
             )
             if moves == trial.moves:
                 break
-            trial = Trial.of(plain, last.job, moves)
+            trial = Trial.of(plain, job, moves)
+        yield trial
     except (CalibPinError, np.linalg.LinAlgError):
-        return None
-    return trial
+        return
 
 
 def _allowed(labels: Indices) -> NDArray[np.bool_]:

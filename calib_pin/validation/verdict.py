@@ -22,6 +22,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.gains import PRESS
+from calib_pin.validation.move_findings import CODES
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
@@ -172,6 +173,10 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
 def _distrust(grounds: Grounds) -> str:
     """The reason to distrust a fit whatever a check says."""
     fitted = grounds.fitted
+    moves = [f for f in grounds.findings if f.code in CODES.values()]
+    if moves:
+        remedies = dict.fromkeys(finding.remedy for finding in moves)
+        return "; ".join([*(finding.message for finding in moves), *remedies])
     if not fitted.structure.scaled:
         stated = bool(fitted.problem.setup.distances)
         return f"{SCALE}; {STATED if stated else MISSING}"
@@ -287,9 +292,9 @@ def _gain(grounds: Grounds, shown: bool, nothing: bool) -> tuple[str, str]:
         return "no-gain", _nothing(grounds)
     return "untrusted", (
         "the corrected robot is better where it was measured, but over the workspace"
-        f"{chain} {calibrated} instead of {nominal} are expected, better with a probability of "
-        f"only {100.0 * workspace.better:.0f} %; measure configurations that differ "
-        "more"
+        f"{chain} {calibrated} instead of {nominal} are expected, better with a "
+        f"probability of only {100.0 * workspace.better:.0f} %; measure configurations "
+        "that differ more"
     )
 
 

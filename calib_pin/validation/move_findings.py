@@ -1,0 +1,108 @@
+"""Findings of instruments that were moved, and of tools that were mounted again."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.problem import error_table
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.validation.file_order import Job, Kind
+from calib_pin.validation.moves import Trial, moved
+
+CODES: dict[Kind, str] = {"station": "instrument-moved", "tool": "tool-remounted"}
+
+REMEDIES: dict[Kind, str] = {
+    "station": "give the two parts different stations (a column 'station', or "
+    "--station-per-file)",
+    "tool": "give the two parts different tools (a column 'tool')",
+}
+
+AROUND = 50
+"""Measurements on each side of a move among which its line is found."""
+
+
+def move_findings(fitted: Fit) -> tuple[Finding, ...]:
+    """Where instruments were moved and tools mounted again, in their order."""
+    found = moved(fitted)
+    return () if found is None else tuple(_findings(fitted.problem.data, *found))
+
+
+def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding]:
+    every = Job.of(data)
+    quantity = first.problem.layout.quantities[0]
+    errors = [
+        float(np.sqrt(np.mean(quantity.errors(error_table(t.problem, t.theta)) ** 2)))
+        for t in (first, last)
+    ]
+    settled, _ = last.problem.rebased(last.theta)
+    for k in sorted(range(len(last.moves)), key=lambda k: last.moves[k].rank):
+        kind, _, at = last.moves[k]
+        one, other = (settled.parts[key] for key in _sides(last, k))
+        if kind == "station":
+            # Where the instrument stands, in the base link.
+            A, B = one.error.base.inverse(), other.error.base.inverse()
+        else:
+            A, B = one.error.tool, other.error.tool
+        # Of a single point nobody knows how it is turned.
+        turns = kind == "station" or len(one.measurement.quantities) > 1
+        distance = float(np.linalg.norm(B.translation - A.translation))
+        turn = float(np.linalg.norm(pin.log3(A.rotation.T @ B.rotation)))
+        angle = turn if turns else None
+        if len(every.data) > len(last.job.data):
+            step = len(every.data) // len(last.job.data)
+            at = last.place(k, every.rows(np.abs(every.rank - at) < AROUND + step))
+        own = last.concerned(k, every)
+        key = every.data.blocks[every.data.block_of[own[0]]].key
+        row, next_row = own[np.searchsorted(every.rank[own], at) + np.array([-1, 0])]
+        file, line = data.files[row], int(data.lines[row]) or int(every.rank[row]) + 1
+        place = f"after {'line' if file else 'measurement'} {line}"
+        if len(data.files.distinct) > 1:
+            place += f" of {file}"
+        if data.files[next_row] != file:
+            place = f"between {file} and {data.files[next_row]}"
+        yield Finding(
+            CODES[kind],
+            "error",
+            f"{_subject(kind, key)} {place} ({_size(distance, angle)})",
+            {
+                "file": file,
+                "line": line,
+                "distance": distance,
+                **({} if angle is None else {"angle": angle}),
+                "rms_before": errors[0],
+                "rms_after": errors[1],
+            },
+            REMEDIES[kind],
+        )
+
+
+def _sides(trial: Trial, k: int) -> tuple[BlockKey, BlockKey]:
+    """The blocks of the measurements before and after a move."""
+    ranks = trial.job.rank[trial.concerned(k, trial.job)]
+    after = int(np.searchsorted(ranks, trial.moves[k].rank))
+    data = trial.problem.data
+    before, behind = (
+        data.blocks[int(data.block_of[trial.rank == ranks[place]][0])].key
+        for place in (after - 1, after)
+    )
+    return before, behind
+
+
+def _subject(kind: Kind, key: BlockKey) -> str:
+    """What was moved, by the name that the measurements give."""
+    name = getattr(key, kind)
+    if kind == "station":
+        told = f" of the station '{name}'" if name else ""
+        return f"the instrument{told} moved"
+    return f"the tool '{name}' was re-mounted" if name else "the tool was re-mounted"
+
+
+def _size(distance: float, angle: float | None) -> str:
+    """A displacement that people read."""
+    found = f"{distance:.3g} m" if distance >= 0.1 else f"{1e3 * distance:.3g} mm"
+    return found if angle is None else f"{found}, {np.degrees(angle):.2g} deg"

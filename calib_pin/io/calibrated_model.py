@@ -48,7 +48,7 @@ CAMERA, CAMERAS = "camera", "cameras"
 """The section of the camera, and that of the cameras where stations have their own."""
 
 References = Mapping[str, Mapping[str, Any]]
-"""References of measurements, by section and by name among all."""
+"""The reference objects of measurements, by section and by name among all."""
 
 Blocks = Mapping[BlockKey, Sequence[str]]
 """The targets of each block of measurements."""

@@ -20,7 +20,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.validation.calibrated_model import CalibratedModel
 
 PLUS, PART = "+", ":"
-"""Separators of the names of models, and of a model and a target."""
+"""Sign between the names of models, and that between a model and a target."""
 
 SCREWS = ("x", "y", "z", "rx", "ry", "rz")
 

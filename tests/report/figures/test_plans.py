@@ -67,7 +67,7 @@ def test_positions_are_those_of_the_nominal_robot(
     planned: Plan, draw: Callable[..., Drawn]
 ) -> None:
     points = tool_positions(planned)
-    chain, error = planned.problem.error.chain, planned.problem.error
+    chain, error = planned.problem.only.error.chain, planned.problem.only.error
     tool = error.tool.translation
     for point, T in zip(points, chain.poses(planned.q), strict=True):
         np.testing.assert_allclose(point, T[:3, :3] @ tool + T[:3, 3], atol=1e-9)
@@ -79,5 +79,7 @@ def test_positions_are_those_of_the_nominal_robot(
         np.testing.assert_allclose(first.get_data(), points[:1, side].T)
         numbers = [text.get_text() for text in axes.texts]
         assert numbers[0] == "1" and set(numbers) <= {str(k) for k in range(1, 13)}
-    assert planned_positions(replace(planned, q=planned.q[:0], target=())) is None
-    assert draw(planned_positions, replace(planned, q=planned.q[:1])).svg()
+    assert planned_positions(replace(planned, q=planned.q[:0], aims=())) is None
+    assert draw(
+        planned_positions, replace(planned, q=planned.q[:1], aims=planned.aims[:1])
+    ).svg()

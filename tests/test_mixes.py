@@ -1,0 +1,199 @@
+"""All measurement models in any mix of stations, tools and chains.
+
+Of each mix the Jacobian of the whole problem agrees with central differences, and what
+simulation put in comes out of noise-free measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.problem import Problem
+from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import (
+    AnchorSetup,
+    CameraSetup,
+    FrameSetup,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+    ToolSetup,
+)
+from calib_pin.simulation import exact_at
+from calib_pin.solvers import Status
+
+MODELS = tuple(MEASUREMENT_MODELS)
+SETUP = Setup(
+    stations={
+        "one": FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
+        "two": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
+        "eye one": FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True),
+        "eye two": FrameSetup((-0.2, 0.1, 2.5), (-0.2, 0.1, 1.4), estimate=True),
+    },
+    tools={
+        "ball": ToolSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True),
+        "pin": ToolSetup((-0.04, 0.02, 0.15), (-0.3, 0.1, 0.4), estimate=True),
+        "tip": ToolSetup((0.03, -0.05, 0.08), (0.1, 0.2, -0.2), on="ball"),
+    },
+    targets={
+        name: PointSetup(xyz, estimate=False)
+        for name, xyz in {
+            "a": (0.05, 0.08, 0.12),
+            "b": (-0.06, 0.03, 0.1),
+            "c": (0.02, -0.07, 0.15),
+            "d": (0.1, 0.1, -0.05),
+        }.items()
+    }
+    | {
+        f"post {k}": PointSetup(xyz)
+        for k, xyz in enumerate([(0.9, 0.1, 0.2), (-0.3, 0.8, 0.1), (0.4, 0.5, 1.1)])
+    },
+    sockets={"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))},
+    planes={
+        "table": PlaneSetup((0.0, 0.1, 1.0), -0.4, estimate=False),
+        "wall": PlaneSetup((1.0, 0.1, 0.3), -0.5),
+        "door": PlaneSetup((0.2, 1.0, 0.1), -0.3),
+    },
+    spheres={"dome": SphereSetup((0.5, 0.2, 0.4), 0.15, estimate=True)},
+    anchors={"wire": AnchorSetup((1.5, 0.2, 0.4), 0.01, estimate_bias=True)},
+    camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
+)
+POINTS = ("a", "b", "c", "d")
+POSTS = ("post 0", "post 1", "post 2")
+LOOKED_AT: Mapping[str, Sequence[str]] = {
+    "camera": POINTS,
+    "fixed-point": ("s/0", "s/1"),
+    "plane-contact": ("table", "wall", "door"),
+    "plane-distance": ("wall", "door"),
+    "sphere-contact": ("dome",),
+    "point-distance": ("wire",),
+}
+"""What measurements of a model name."""
+
+
+@dataclass(frozen=True)
+class Mix:
+    """What is measured in one fit.
+
+    Attributes:
+        keys: The blocks.
+        setup: The setup.
+        robot: Name of the robot of the only chain; empty for a tree with two arms.
+        targets: What measurements of a block name, where others of its model do not.
+    """
+
+    keys: Sequence[BlockKey]
+    setup: Setup = SETUP
+    robot: str = "space6"
+    targets: Mapping[BlockKey, Sequence[str]] | None = None
+
+
+def station(model: str, number: str, beside: str = "") -> str:
+    """What a camera sees of a robot, and a tracker, and what is fixed to the floor.
+
+    What is fixed may stand in the frame of a tracker beside it.
+    """
+    if model == "camera":
+        return f"eye {number}"
+    followed = (name for name in (model, beside) if name and declared(name).tracks)
+    return number if any(followed) else f"floor {number}"
+
+
+def four(model: str) -> list[BlockKey]:
+    """A model at two stations with two tools."""
+    return [
+        BlockKey(model, station=station(model, number), tool=tool)
+        for number in ("one", "two")
+        for tool in ("ball", "pin")
+    ]
+
+
+def pair(first: str, second: str) -> list[BlockKey]:
+    """Two models that share a station and a tool, one of them elsewhere as well."""
+    return [
+        BlockKey(first, station=station(first, "one", second), tool="ball"),
+        BlockKey(second, station=station(second, "one", first), tool="ball"),
+        BlockKey(second, station=station(second, "two"), tool="pin"),
+    ]
+
+
+MIXES = {
+    **{model: Mix(four(model)) for model in MODELS},
+    **{f"{a}, {b}": Mix(pair(a, b)) for a, b in combinations(MODELS, 2)},
+}
+
+
+def problem_of(mix: Mix) -> Problem:
+    chains = Chains.of(load_chain(mix.robot))
+    measured = {
+        key: (mix.targets or {}).get(key, LOOKED_AT.get(key.model, ("",)))
+        for key in mix.keys
+    }
+    return nominal_problem(chains, measured, mix.setup)
+
+
+def drawn(
+    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
+) -> Problem:
+    """The problem with exact measurements of every block."""
+    at = [
+        observable_configurations(problem, key, theta, count, rng)
+        for key in problem.parts
+    ]
+    return exact_at(problem, theta, *at)
+
+
+@pytest.fixture(params=MIXES)
+def problem(request: pytest.FixtureRequest) -> Problem:
+    return problem_of(MIXES[request.param])
+
+
+def test_jacobians_agree_with_central_differences(problem: Problem) -> None:
+    rng = np.random.default_rng(3)
+    theta = 0.01 * rng.normal(size=len(problem.parameters))
+    exact, noisy = drawn(problem, theta, 5, rng), []
+    for part, data, _, _ in exact.blocks:
+        # Away from the prediction: the residual's own curvature counts.
+        noise = 0.05 * rng.normal(size=(len(data), part.components))
+        values = part.measurement.disturb(data.values, noise)
+        noisy.append(replace(data, values=values))
+    measured = replace(exact, data=Observations(tuple(noisy)))
+    r, J = measured.linearize_rows(theta)
+    np.testing.assert_allclose(r, measured.residual(theta), rtol=0, atol=1e-6)
+    for k, shift in enumerate(1e-6 * np.eye(len(theta))):
+        change = measured.residual(theta + shift) - measured.residual(theta - shift)
+        error = np.abs(J[:, k] - change / 2e-6).max()
+        assert error < 2e-7 * np.abs(J).max(), problem.parameters.names[k]
+
+
+def test_noise_free_recovery(problem: Problem) -> None:
+    """Of equal robots the one closest to nominal; frames and instruments as well."""
+    rng, parameters = np.random.default_rng(7), problem.parameters
+    zero = np.zeros(len(parameters))
+    structure, visible = analyze_structure(problem, zero, rng)
+    size = 0.1 * parameters.scales
+    truth = size * (visible @ rng.normal(size=visible.shape[1]))
+    least = min(p.components for p in problem.parts.values())
+    count = -(-3 * len(parameters) // (len(problem.parts) * least))
+    fitted = fit(drawn(problem, truth, max(count, 12), rng), rng)
+    assert fitted.result.status is Status.CONVERGED
+    assert fitted.rank == structure.rank
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-9
+    difference = (fitted.theta - truth) / parameters.scales
+    assert np.abs(difference).max() < 1e-9

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import combinations
+from typing import Any
 
 import numpy as np
 import pinocchio as pin
@@ -19,14 +20,18 @@ from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
-from calib_pin.io.urdf import load_chain
+from calib_pin.io.urdf import load_robot
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import (
+    WORLD,
     AnchorSetup,
     CameraSetup,
+    ChainSetup,
     FrameSetup,
     Payload,
     PlaneSetup,
@@ -49,6 +54,7 @@ SETUP = Setup(
     tools={
         "ball": ToolSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True),
         "pin": ToolSetup((-0.04, 0.02, 0.15), (-0.3, 0.1, 0.4), estimate=True),
+        "cap": ToolSetup((0.0, 0.03, 0.1), (0.0, 0.2, 0.1), estimate=True),
         "tip": ToolSetup((0.03, -0.05, 0.08), (0.1, 0.2, -0.2), on="ball"),
     },
     targets={
@@ -75,7 +81,7 @@ SETUP = Setup(
     camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
 )
 POINTS = ("a", "b", "c", "d")
-POSTS = ("post 0", "post 1", "post 2")
+SEEN = ("post 0", "post 1", "post 2")
 LOOKED_AT: Mapping[str, Sequence[str]] = {
     "camera": POINTS,
     "fixed-point": ("s/0", "s/1"),
@@ -94,14 +100,12 @@ class Mix:
     Attributes:
         keys: The blocks.
         setup: The setup.
-        robot: Name of the robot of the only chain; empty for a tree with two arms.
-        targets: What measurements of a block name, where others of its model do not.
+        robot: Name of the robot; empty for a torso with a head and two arms.
     """
 
     keys: Sequence[BlockKey]
     setup: Setup = SETUP
     robot: str = "space6"
-    targets: Mapping[BlockKey, Sequence[str]] | None = None
 
 
 def station(model: str, number: str, beside: str = "") -> str:
@@ -133,16 +137,89 @@ def pair(first: str, second: str) -> list[BlockKey]:
     ]
 
 
+LEFT = BlockKey("position", "left", "one", "ball")
+RIGHT = BlockKey("pose", "right", "one", "pin")
+HEAD = BlockKey("position", "head", "two", "cap")
+GAZE = BlockKey("camera", "gaze", "eye one", "ball")
+TOUCH = BlockKey("fixed-point", "touch", "on hand", "pin")
+POSTS = [BlockKey("position", WORLD, number) for number in ("one", "two")]
+ARM = [BlockKey("position", station=number, tool="ball") for number in ("one", "two")]
+BODY = replace(
+    SETUP,
+    chains={
+        "left": ChainSetup(tip="left hand"),
+        "right": ChainSetup(tip="right hand"),
+        "head": ChainSetup(tip="head"),
+        "gaze": ChainSetup(base="head", tip="left hand"),
+        "touch": ChainSetup(base="left hand", tip="right hand"),
+    },
+    sockets={"s/0": PointSetup((0.1, 0.0, 0.1)), "s/1": PointSetup((0.0, 0.15, 0.1))},
+)
+CORRECTED = ("placement", "transmission", "compliance")
+LOADED = {"load": Payload(4.0, (0.05, 0.02, 0.1))}
+
 MIXES = {
     **{model: Mix(four(model)) for model in MODELS},
     **{f"{a}, {b}": Mix(pair(a, b)) for a, b in combinations(MODELS, 2)},
+    "posts tie stations": Mix([*ARM, *POSTS]),
+    "a post seen with the robot elsewhere": Mix([ARM[0], *POSTS]),
+    "a tool on another": Mix([four("pose")[0], ARM[1]._replace(tool="tip")]),
+    "gears and compliance": Mix(
+        four("position"), replace(SETUP, parameters=CORRECTED, payloads=LOADED), "pa10"
+    ),
+    "three chains": Mix([LEFT, RIGHT, HEAD], BODY, ""),
+    "gears of three chains": Mix(
+        [LEFT, RIGHT, HEAD], replace(BODY, parameters=("placement", "transmission")), ""
+    ),
+    "a head that sees a hand": Mix([LEFT, GAZE], BODY, ""),
+    "a hand that touches the other": Mix([LEFT, RIGHT, TOUCH], BODY, ""),
+    "all of a body": Mix([LEFT, RIGHT, HEAD, GAZE, TOUCH, *POSTS], BODY, ""),
+    "only touch": Mix([TOUCH], BODY, ""),
 }
 
 
-def problem_of(mix: Mix) -> Problem:
-    chains = Chains.of(load_chain(mix.robot))
+@pytest.fixture(scope="session")
+def body(urdf_of: Callable[..., str]) -> Robot:
+    """A torso of three joints, one of which mimics another, a head and two arms."""
+    rng = np.random.default_rng(0)
+    joints = [
+        limb("torso", "chest", ["waist", "hip", "belly"], rng),
+        limb("chest", "head", ["pan", "tilt"], rng),
+        *(
+            limb("chest", f"{side} hand", [f"{side} {k}" for k in range(1, 7)], rng)
+            for side in ("left", "right")
+        ),
+    ]
+    every = [joint for joints in joints for joint in joints]
+    every[2]["more"] = '<mimic joint="hip" multiplier="-0.6" offset="0.1"/>'
+    return parse_robot(urdf_of(*every).encode(), "body.urdf")
+
+
+def limb(
+    start: str, end: str, joints: Sequence[str], rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Joints from one link to another, neither parallel nor square."""
+    links = [start, *(f"after {name}" for name in joints[:-1]), end]
+    return [
+        {
+            "name": name,
+            "parent": parent,
+            "child": child,
+            "placement": pin.exp6(rng.uniform(-1, 1, 6) * [0.2, 0.2, 0.2, 1, 1, 1]),
+            "axis": tuple(np.eye(3)[k % 3]),
+        }
+        for k, (name, parent, child) in enumerate(
+            zip(joints, links, links[1:], strict=False)
+        )
+    ]
+
+
+def problem_of(mix: Mix, body: Robot) -> Problem:
+    robot = load_robot(mix.robot) if mix.robot else body
+    names = dict.fromkeys(key.chain for key in mix.keys)
+    chains = Chains(robot, stated=mix.setup.chains, names=tuple(names))
     measured = {
-        key: (mix.targets or {}).get(key, LOOKED_AT.get(key.model, ("",)))
+        key: SEEN if key.chain == WORLD else LOOKED_AT.get(key.model, ("",))
         for key in mix.keys
     }
     return nominal_problem(chains, measured, mix.setup)
@@ -160,16 +237,17 @@ def drawn(
 
 
 @pytest.fixture(params=MIXES)
-def problem(request: pytest.FixtureRequest) -> Problem:
-    return problem_of(MIXES[request.param])
+def problem(request: pytest.FixtureRequest, body: Robot) -> Problem:
+    return problem_of(MIXES[request.param], body)
 
 
 def test_jacobians_agree_with_central_differences(problem: Problem) -> None:
     rng = np.random.default_rng(3)
     theta = 0.01 * rng.normal(size=len(problem.parameters))
     exact, noisy = drawn(problem, theta, 5, rng), []
-    for part, data, _, _ in exact.blocks:
+    for data in exact.data.blocks:
         # Away from the prediction: the residual's own curvature counts.
+        part = problem.parts[data.key]
         noise = 0.05 * rng.normal(size=(len(data), part.components))
         values = part.measurement.disturb(data.values, noise)
         noisy.append(replace(data, values=values))

@@ -17,7 +17,7 @@ import pytest
 
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_robot
@@ -215,6 +215,7 @@ def limb(
 
 
 def problem_of(mix: Mix, body: Robot) -> Problem:
+    """The problem of a mix, without measurements."""
     robot = load_robot(mix.robot) if mix.robot else body
     names = dict.fromkeys(key.chain for key in mix.keys)
     chains = Chains(robot, stated=mix.setup.chains, names=tuple(names))
@@ -261,7 +262,7 @@ def test_jacobians_agree_with_central_differences(problem: Problem) -> None:
 
 
 def test_noise_free_recovery(problem: Problem) -> None:
-    """Of equal robots the one closest to nominal; frames and instruments as well."""
+    """Of equal robots the one closest to nominal, with frames and instruments."""
     rng, parameters = np.random.default_rng(7), problem.parameters
     zero = np.zeros(len(parameters))
     structure, visible = analyze_structure(problem, zero, rng)
@@ -278,3 +279,14 @@ def test_noise_free_recovery(problem: Problem) -> None:
     assert difference[np.any(shown, axis=0)].max() < 1e-9
     # What nothing shows stays, up to the rounding of steps along what hardly shows.
     assert difference.max() < 1e-6
+
+    # Without a guess of any frame the robot measures the same elsewhere.
+    elsewhere = drawn(problem, truth, 10, rng).data
+    setup = problem.setup
+    on_others = {name: tool for name, tool in setup.tools.items() if tool.on}
+    nothing = dict.fromkeys((tool.on for tool in on_others.values()), ToolSetup())
+    bare = replace(setup, stations={}, tools=nothing | on_others)
+    again = fit(make_problem(problem.chains, fitted.problem.data, bare), rng)
+    assert again.rank == structure.rank
+    there = replace(again.problem, data=elsewhere)
+    assert np.abs(there.errors(again.theta) / there.sigma).max() < 1e-5

@@ -132,29 +132,33 @@ def _require_own_loads(chains: Chains, setup: Setup) -> None:
 
 
 def nominal_problem(
-    chains: Chain | Chains, measured: str | Sequence[BlockKey], setup: Setup
+    chains: Chain | Chains,
+    measured: str | Sequence[BlockKey] | Mapping[BlockKey, Sequence[str]],
+    setup: Setup,
 ) -> Problem:
     """A problem without rows, about the frames and instruments that the setup gives.
 
     Args:
         chains: The chains.
-        measured: Name of a measurement model, or the blocks that could be measured.
+        measured: Name of a measurement model, or the blocks that could be measured; of
+            each the targets, where these are not all that its model can look at.
         setup: Estimated and known quantities.
 
     Raises:
         OptionError: If an instrument needs a reference that the setup lacks.
     """
     chains = Chains.of(chains)
-    keys = [BlockKey(measured)] if isinstance(measured, str) else list(measured)
+    keys = [BlockKey(measured)] if isinstance(measured, str) else measured
+    named = keys if isinstance(keys, Mapping) else dict.fromkeys(keys, ())
     payloads = tuple(setup.payloads) or ("",)
     blocks = []
-    for key in keys:
-        model = measurement_model(key.model, setup)
+    for key, names in named.items():
+        model = measurement_model(key.model, setup, names)
         if model.missing:
             raise OptionError(
                 f"a {key.model} study without measurements: {model.missing}"
             )
-        targets = tuple(model.targets) or ("",)
+        targets = tuple(names or model.targets) or ("",)
         count = len(targets) * len(payloads)
         zeros = np.zeros((count, len(chains.joints)))
         blocks.append(

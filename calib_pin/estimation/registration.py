@@ -80,7 +80,7 @@ class Located:
         if base is not None:
             self.bases[scope.station] = base
         if tool is not None:
-            self.tools[scope.tool] = tool * scope.offset.inverse()
+            self.tools[scope.tool] = tool
 
     def register(self, block: Block, theta: Floats) -> Part:
         """Register the part of a block, and remember what that has located."""

@@ -1,0 +1,292 @@
+"""All measurement models in any mix of stations, tools and chains.
+
+Of each mix the Jacobian of the whole problem agrees with central differences, and what
+simulation put in comes out of noise-free measurements.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import combinations
+from typing import Any
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import make_problem, nominal_problem
+from calib_pin.estimation.nominal import analyze_structure
+from calib_pin.estimation.problem import Problem
+from calib_pin.io.urdf import load_robot
+from calib_pin.io.urdf_tree import parse_robot
+from calib_pin.kinematics.chain import Robot
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import (
+    WORLD,
+    AnchorSetup,
+    CameraSetup,
+    ChainSetup,
+    FrameSetup,
+    Payload,
+    PlaneSetup,
+    PointSetup,
+    Setup,
+    SphereSetup,
+    ToolSetup,
+)
+from calib_pin.simulation import exact_at
+from calib_pin.solvers import Status
+
+MODELS = tuple(MEASUREMENT_MODELS)
+SETUP = Setup(
+    stations={
+        "one": FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
+        "two": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
+        "eye one": FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True),
+        "eye two": FrameSetup((-0.2, 0.1, 2.5), (-0.2, 0.1, 1.4), estimate=True),
+    },
+    tools={
+        "ball": ToolSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=True),
+        "pin": ToolSetup((-0.04, 0.02, 0.15), (-0.3, 0.1, 0.4), estimate=True),
+        "cap": ToolSetup((0.0, 0.03, 0.1), (0.0, 0.2, 0.1), estimate=True),
+        "tip": ToolSetup((0.03, -0.05, 0.08), (0.1, 0.2, -0.2), on="ball"),
+    },
+    targets={
+        name: PointSetup(xyz, estimate=False)
+        for name, xyz in {
+            "a": (0.05, 0.08, 0.12),
+            "b": (-0.06, 0.03, 0.1),
+            "c": (0.02, -0.07, 0.15),
+            "d": (0.1, 0.1, -0.05),
+        }.items()
+    }
+    | {
+        f"post {k}": PointSetup(xyz)
+        for k, xyz in enumerate([(0.9, 0.1, 0.2), (-0.3, 0.8, 0.1), (0.4, 0.5, 1.1)])
+    },
+    sockets={"s/0": PointSetup((0.6, 0.3, 0.4)), "s/1": PointSetup((0.5, -0.2, 0.6))},
+    planes={
+        "table": PlaneSetup((0.0, 0.1, 1.0), -0.4, estimate=False),
+        "wall": PlaneSetup((1.0, 0.1, 0.3), -0.5),
+        "door": PlaneSetup((0.2, 1.0, 0.1), -0.3),
+    },
+    spheres={"dome": SphereSetup((0.5, 0.2, 0.4), 0.15, estimate=True)},
+    anchors={"wire": AnchorSetup((1.5, 0.2, 0.4), 0.01, estimate_bias=True)},
+    camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
+)
+POINTS = ("a", "b", "c", "d")
+SEEN = ("post 0", "post 1", "post 2")
+LOOKED_AT: Mapping[str, Sequence[str]] = {
+    "camera": POINTS,
+    "fixed-point": ("s/0", "s/1"),
+    "plane-contact": ("table", "wall", "door"),
+    "plane-distance": ("wall", "door"),
+    "sphere-contact": ("dome",),
+    "point-distance": ("wire",),
+}
+"""What measurements of a model name."""
+
+
+@dataclass(frozen=True)
+class Mix:
+    """What is measured in one fit.
+
+    Attributes:
+        keys: The blocks.
+        setup: The setup.
+        robot: Name of the robot; empty for a torso with a head and two arms.
+    """
+
+    keys: Sequence[BlockKey]
+    setup: Setup = SETUP
+    robot: str = "space6"
+
+
+def station(model: str, number: str, beside: str = "") -> str:
+    """What a camera sees of a robot, and a tracker, and what is fixed to the floor.
+
+    What is fixed may stand in the frame of a tracker beside it.
+    """
+    if model == "camera":
+        return f"eye {number}"
+    followed = (name for name in (model, beside) if name and declared(name).tracks)
+    return number if any(followed) else f"floor {number}"
+
+
+def four(model: str) -> list[BlockKey]:
+    """A model at two stations with two tools."""
+    return [
+        BlockKey(model, station=station(model, number), tool=tool)
+        for number in ("one", "two")
+        for tool in ("ball", "pin")
+    ]
+
+
+def pair(first: str, second: str) -> list[BlockKey]:
+    """Two models that share a station and a tool, one of them elsewhere as well."""
+    return [
+        BlockKey(first, station=station(first, "one", second), tool="ball"),
+        BlockKey(second, station=station(second, "one", first), tool="ball"),
+        BlockKey(second, station=station(second, "two"), tool="pin"),
+    ]
+
+
+LEFT = BlockKey("position", "left", "one", "ball")
+RIGHT = BlockKey("pose", "right", "one", "pin")
+HEAD = BlockKey("position", "head", "two", "cap")
+GAZE = BlockKey("camera", "gaze", "eye one", "ball")
+TOUCH = BlockKey("fixed-point", "touch", "on hand", "pin")
+POSTS = [BlockKey("position", WORLD, number) for number in ("one", "two")]
+ARM = [BlockKey("position", station=number, tool="ball") for number in ("one", "two")]
+BODY = replace(
+    SETUP,
+    chains={
+        "left": ChainSetup(tip="left hand"),
+        "right": ChainSetup(tip="right hand"),
+        "head": ChainSetup(tip="head"),
+        "gaze": ChainSetup(base="head", tip="left hand"),
+        "touch": ChainSetup(base="left hand", tip="right hand"),
+    },
+    sockets={"s/0": PointSetup((0.1, 0.0, 0.1)), "s/1": PointSetup((0.0, 0.15, 0.1))},
+)
+CORRECTED = ("placement", "transmission", "compliance")
+LOADED = {"load": Payload(4.0, (0.05, 0.02, 0.1))}
+
+MIXES = {
+    **{model: Mix(four(model)) for model in MODELS},
+    **{f"{a}, {b}": Mix(pair(a, b)) for a, b in combinations(MODELS, 2)},
+    "posts tie stations": Mix([*ARM, *POSTS]),
+    "a post seen with the robot elsewhere": Mix([ARM[0], *POSTS]),
+    "a tool on another": Mix([four("pose")[0], ARM[1]._replace(tool="tip")]),
+    "gears and compliance": Mix(
+        four("position"), replace(SETUP, parameters=CORRECTED, payloads=LOADED), "pa10"
+    ),
+    "three chains": Mix([LEFT, RIGHT, HEAD], BODY, ""),
+    "gears of three chains": Mix(
+        [LEFT, RIGHT, HEAD], replace(BODY, parameters=("placement", "transmission")), ""
+    ),
+    "a head that sees a hand": Mix([LEFT, GAZE], BODY, ""),
+    "a hand that touches the other": Mix([LEFT, RIGHT, TOUCH], BODY, ""),
+    "all of a body": Mix([LEFT, RIGHT, HEAD, GAZE, TOUCH, *POSTS], BODY, ""),
+    "only touch": Mix([TOUCH], BODY, ""),
+}
+
+
+@pytest.fixture(scope="session")
+def body(urdf_of: Callable[..., str]) -> Robot:
+    """A torso of three joints, one of which mimics another, a head and two arms."""
+    rng = np.random.default_rng(0)
+    joints = [
+        limb("torso", "chest", ["waist", "hip", "belly"], rng),
+        limb("chest", "head", ["pan", "tilt"], rng),
+        *(
+            limb("chest", f"{side} hand", [f"{side} {k}" for k in range(1, 7)], rng)
+            for side in ("left", "right")
+        ),
+    ]
+    every = [joint for joints in joints for joint in joints]
+    every[2]["more"] = '<mimic joint="hip" multiplier="-0.6" offset="0.1"/>'
+    return parse_robot(urdf_of(*every).encode(), "body.urdf")
+
+
+def limb(
+    start: str, end: str, joints: Sequence[str], rng: np.random.Generator
+) -> list[dict[str, Any]]:
+    """Joints from one link to another, neither parallel nor square."""
+    links = [start, *(f"after {name}" for name in joints[:-1]), end]
+    return [
+        {
+            "name": name,
+            "parent": parent,
+            "child": child,
+            "placement": pin.exp6(rng.uniform(-1, 1, 6) * [0.2, 0.2, 0.2, 1, 1, 1]),
+            "axis": tuple(np.eye(3)[k % 3]),
+        }
+        for k, (name, parent, child) in enumerate(
+            zip(joints, links, links[1:], strict=False)
+        )
+    ]
+
+
+def problem_of(mix: Mix, body: Robot) -> Problem:
+    """The problem of a mix, without measurements."""
+    robot = load_robot(mix.robot) if mix.robot else body
+    names = dict.fromkeys(key.chain for key in mix.keys)
+    chains = Chains(robot, stated=mix.setup.chains, names=tuple(names))
+    measured = {
+        key: SEEN if key.chain == WORLD else LOOKED_AT.get(key.model, ("",))
+        for key in mix.keys
+    }
+    return nominal_problem(chains, measured, mix.setup)
+
+
+def drawn(
+    problem: Problem, theta: Floats, count: int, rng: np.random.Generator
+) -> Problem:
+    """The problem with exact measurements of every block."""
+    at = [
+        observable_configurations(problem, key, theta, count, rng)
+        for key in problem.parts
+    ]
+    return exact_at(problem, theta, *at)
+
+
+@pytest.fixture(params=MIXES)
+def problem(request: pytest.FixtureRequest, body: Robot) -> Problem:
+    return problem_of(MIXES[request.param], body)
+
+
+def test_jacobians_agree_with_central_differences(problem: Problem) -> None:
+    rng = np.random.default_rng(3)
+    theta = 0.01 * rng.normal(size=len(problem.parameters))
+    exact, noisy = drawn(problem, theta, 5, rng), []
+    for data in exact.data.blocks:
+        # Away from the prediction: the residual's own curvature counts.
+        part = problem.parts[data.key]
+        noise = 0.05 * rng.normal(size=(len(data), part.components))
+        values = part.measurement.disturb(data.values, noise)
+        noisy.append(replace(data, values=values))
+    measured = replace(exact, data=Observations(tuple(noisy)))
+    r, J = measured.linearize_rows(theta)
+    np.testing.assert_allclose(r, measured.residual(theta), rtol=0, atol=1e-6)
+    for k, shift in enumerate(1e-6 * np.eye(len(theta))):
+        change = measured.residual(theta + shift) - measured.residual(theta - shift)
+        error = np.abs(J[:, k] - change / 2e-6).max()
+        assert error < 2e-7 * np.abs(J).max(), problem.parameters.names[k]
+
+
+def test_noise_free_recovery(problem: Problem) -> None:
+    """Of equal robots the one closest to nominal, with frames and instruments."""
+    rng, parameters = np.random.default_rng(7), problem.parameters
+    zero = np.zeros(len(parameters))
+    structure, visible = analyze_structure(problem, zero, rng)
+    size = 0.1 * parameters.scales
+    truth = size * (visible @ rng.normal(size=visible.shape[1]))
+    least = min(p.components for p in problem.parts.values())
+    count = -(-3 * len(parameters) // (len(problem.parts) * least))
+    fitted = fit(drawn(problem, truth, max(count, 12), rng), rng)
+    assert fitted.result.status is Status.CONVERGED
+    assert fitted.rank == structure.rank
+    assert np.abs(fitted.problem.errors(fitted.theta)).max() < 1e-9
+    difference = np.abs(fitted.theta - truth) / parameters.scales
+    shown = [c.row(len(truth)) for c in structure.combinations]
+    assert difference[np.any(shown, axis=0)].max() < 1e-9
+    # What nothing shows stays, up to the rounding of steps along what hardly shows.
+    assert difference.max() < 1e-6
+
+    # Without a guess of any frame the robot measures the same elsewhere.
+    elsewhere = drawn(problem, truth, 10, rng).data
+    setup = problem.setup
+    on_others = {name: tool for name, tool in setup.tools.items() if tool.on}
+    nothing = dict.fromkeys((tool.on for tool in on_others.values()), ToolSetup())
+    bare = replace(setup, stations={}, tools=nothing | on_others)
+    again = fit(make_problem(problem.chains, fitted.problem.data, bare), rng)
+    assert again.rank == structure.rank
+    there = replace(again.problem, data=elsewhere)
+    assert np.abs(there.errors(again.theta) / there.sigma).max() < 1e-5

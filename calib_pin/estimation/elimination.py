@@ -116,29 +116,34 @@ def eliminate_products(
         The station, and what is left for the other parameters.
     """
     index, K = products
-    mine = np.isin(index, own)
-    values, vectors, size = _spectrum(K[np.ix_(mine, mine)])
+    mine = np.searchsorted(index, own)
+    order = np.append(mine, np.delete(np.arange(len(index)), mine))
+    index, K, count = index[order], K[order][:, order], len(own)
+    values, vectors, size = _spectrum(K[:count, :count])
     root = vectors / np.sqrt(values) / size[:, None]
-    along = root.T @ K[np.ix_(mine, ~mine)]
-    response, others = -root @ along, index[~mine]
-    station = Station(index[mine], others[:-1], root, response[:, :-1], response[:, -1])
-    rest = K[np.ix_(~mine, ~mine)]
-    before = np.diag(rest) * len(K) * np.finfo(float).eps
-    rest = rest - along.T @ along
+    along = root.T @ K[:count, count:]
+    response, others = -root @ along, index[count:]
+    station = Station(own, others[:-1], root, response[:, :-1], response[:, -1])
+    rest = K[count:, count:] - along.T @ along
     # Columns that the station's own can do all of are left with rounding.
-    lost = np.diag(rest) <= before
+    lost = np.diag(rest) <= len(K) * np.finfo(float).eps * np.diag(K)[count:]
     rest[lost] = rest[:, lost] = 0.0
     return station, (others, rest)
 
 
 def added(parts: Sequence[Products]) -> Products:
     """The sum of products of columns, by all parameters of any of them."""
+    index, K = parts[0]
+    if len(parts) == 1 and (np.diff(index) > 0).all():
+        return index, K
     every = np.unique(np.concatenate([index for index, _ in parts]))
     total = np.zeros((len(every), len(every)))
     for index, K in parts:
         at = np.searchsorted(every, index)
-        # Several parameters of a part may be one.
-        np.add.at(total, np.ix_(at, at), K)
+        if len(np.unique(index)) == len(index):
+            total[at[:, None], at] += K
+        else:  # Several parameters of a part are one.
+            np.add.at(total, (at[:, None], at), K)
     return every, total
 
 

@@ -1,38 +1,48 @@
-"""Residuals and derivatives of one block of measurements."""
+"""Residuals and derivatives of blocks of measurements."""
 
 from __future__ import annotations
 
+import copy
+from collections.abc import Sequence
 from functools import cached_property
-from typing import Protocol
+from typing import Protocol, Self
 
 import numpy as np
 
-from calib_pin.estimation.model import Model, ToolPoses, whitened_jacobian
+from calib_pin.estimation.measured import Block
+from calib_pin.estimation.model import ToolPoses, whitened_jacobian
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import Linearization
 from calib_pin.observations import Measurements
 
 
 class Evaluator(Protocol):
-    """The measurements of one block as a function of its parameters, shape (p,)."""
+    """The measurements of some blocks as a function of all parameters, shape (P,).
 
-    def errors(self, theta: Floats) -> Floats:
-        """Residuals in their units, predicted minus measured, shape (N, d)."""
+    What it says of each block is by the block's own parameters, shape (p,).
+    """
+
+    def weighted(self, sigma: Floats) -> Self:
+        """The same with other standard deviations of all blocks, shape (M,)."""
+        ...
+
+    def errors(self, theta: Floats) -> Sequence[Floats]:
+        """Residuals of each block in their units, predicted minus measured, (N, d)."""
         ...
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
         ...
 
-    def normal(self, theta: Floats) -> Floats:
-        """Products of the columns of Jacobian and residual, (p + 1, p + 1).
+    def normal(self, theta: Floats) -> Sequence[Floats] | Floats:
+        """Products of the columns of Jacobian and residual, (p + 1, p + 1) each.
 
         Half the digits are lost, which is good enough for a step.
         """
         ...
 
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Whitened residual, shape (M,), and Jacobian, shape (M, p).
+    def factorize(self, theta: Floats) -> Sequence[tuple[Floats, Floats]]:
+        """Whitened residual, shape (M,), and Jacobian, shape (M, p), of each block.
 
         Of very many measurements they are those of a smaller system with the same
         normal equations, to full precision.
@@ -41,71 +51,91 @@ class Evaluator(Protocol):
 
 
 class RowByRow:
-    """Measurements of a model by Pinocchio, a residual row for each value.
+    """Measurements of a block by Pinocchio, a residual row for each value.
 
     Args:
-        model: The model.
-        data: The measurements.
-        sigma: Standard deviations of the residual components, shape (N, d).
+        block: The block.
+        sigma: Standard deviations of the residual components of all blocks of the
+            problem, shape (M,).
     """
 
-    def __init__(self, model: Model, data: Measurements, sigma: Floats) -> None:
+    def __init__(self, block: Block, sigma: Floats) -> None:
         """Prepare nothing: what does not change is computed where it is needed."""
-        self._model, self._data, self._sigma = model, data, sigma
+        self._block, self._sigma = block, block.table(sigma)
+
+    def weighted(self, sigma: Floats) -> RowByRow:
+        """The same with other standard deviations of all blocks, shape (M,)."""
+        result = copy.copy(self)
+        result._sigma = self._block.table(sigma)
+        return result
 
     @cached_property
     def _tool(self) -> ToolPoses:
-        return ToolPoses(self._model.error, self._data)
+        return ToolPoses(self._block.part.error, self._block.data)
 
-    def errors(self, theta: Floats) -> Floats:
+    def errors(self, theta: Floats) -> list[Floats]:
         """Residuals in their units, shape (N, d)."""
-        of_robot, instrument = self._model.split(theta)
-        T = self._tool(of_robot)
-        return self._model.measurement.residual(T, instrument, self._data)
+        part, data = self._block.part, self._block.data
+        of_robot, instrument = part.split(theta[part.index])
+        return [part.measurement.residual(self._tool(of_robot), instrument, data)]
 
     def residual(self, theta: Floats) -> Floats:
         """Whitened residual, shape (N d,)."""
-        return whitened(self.errors(theta), self._data, self._sigma)
+        return whitened(self.errors(theta)[0], self._block.data, self._sigma)
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
         r = self.residual(theta)
         return float(r @ r)
 
-    def normal(self, theta: Floats) -> Floats:
+    def normal(self, theta: Floats) -> list[Floats]:
         """Products of the columns of Jacobian and residual, (p + 1, p + 1)."""
-        r, J = self.factorize(theta)
+        ((r, J),) = self.factorize(theta)
         columns = np.column_stack([J, r])
-        return np.asarray(columns.T @ columns)
+        return [np.asarray(columns.T @ columns)]
 
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
+    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
-        of_robot, instrument = self._model.split(theta)
+        part, data = self._block.part, self._block.data
+        of_robot, instrument = part.split(theta[part.index])
         tool = self._tool.linearize(of_robot)
-        linear = self._model.measurement.linearize(tool.T, instrument, self._data)
+        linear = part.measurement.linearize(tool.T, instrument, data)
         known = Linearization(
             linear.residual,
-            kept(linear.J_pose, self._data),
-            kept(linear.J_instrument, self._data),
+            kept(linear.J_pose, data),
+            kept(linear.J_instrument, data),
         )
-        J = whitened_jacobian(tool, known, self._sigma).reshape(-1, len(theta))
-        return whitened(linear.residual, self._data, self._sigma), J
+        J = whitened_jacobian(tool, known, self._sigma)
+        r = whitened(linear.residual, data, self._sigma)
+        return [(r, J.reshape(-1, len(part.index)))]
 
 
-def evaluator(model: Model, data: Measurements, sigma: Floats, many: bool) -> Evaluator:
-    """Compiled kernels where measurements are many and kernels can evaluate them.
+def evaluated(
+    blocks: Sequence[Block], sigma: Floats, many: bool
+) -> dict[Evaluator, list[int]]:
+    """Evaluators, with the positions of the blocks of each.
+
+    Compiled kernels take measurements that are many and that they can evaluate.
 
     Args:
-        model: The model of the block.
-        data: Its measurements.
-        sigma: Standard deviations of the residual components, shape (N, d).
+        blocks: The blocks.
+        sigma: Standard deviations of their residual components, shape (M,).
         many: Whether a Jacobian of all measurements would be too large to be handy.
     """
-    if not many or not model.error.geometric or data.start.size:
-        return RowByRow(model, data, sigma)
-    from calib_pin.estimation.many_rows import ManyRows
+    if not many:
+        return {RowByRow(block, sigma): [k] for k, block in enumerate(blocks)}
+    from calib_pin.estimation.many_rows import ManyRows, alike
 
-    return ManyRows(model, data, sigma)
+    found: dict[object, list[int]] = {}
+    for k, block in enumerate(blocks):
+        plain = block.part.error.geometric and not block.data.start.size
+        found.setdefault(alike(block.part) if plain else k, []).append(k)
+    return {
+        RowByRow(blocks[positions[0]], sigma)
+        if isinstance(kind, int)
+        else ManyRows([blocks[k] for k in positions], sigma): positions
+        for kind, positions in found.items()
+    }
 
 
 def whitened(errors: Floats, data: Measurements, sigma: Floats) -> Floats:

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
@@ -94,6 +95,13 @@ class Layout:
             shown,
             of_keys,
         )
+
+    @cached_property
+    def of_components(self) -> Sequence[NDArray[np.intp]]:
+        """Where the residual components of each stand, ascending."""
+        order = np.argsort(self.component, kind="stable")
+        ends = np.cumsum(np.bincount(self.component, minlength=len(self.components)))
+        return np.split(order, ends[:-1])
 
     @property
     def width(self) -> int:

@@ -10,107 +10,195 @@ by it.
 Both work in the twists at the ends of the chain's segments, whatever the
 parameterization; the parameters enter at the end, by a matrix that does not depend on
 the rows.
+
+Blocks that differ in their station alone are one stream of measurements: a station is a
+pose before everything else, and meets no twist but its own.
 """
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+import copy
+from collections.abc import Callable, Iterator, Sequence
+from dataclasses import dataclass, fields, replace
 from functools import partial
 
 import numpy as np
+import pinocchio as pin
+from numpy.typing import NDArray
 
-from calib_pin.compiled import blocks, kernels, row_kernels
+from calib_pin.compiled import blocks as compiled
+from calib_pin.compiled import kernels, row_kernels
 from calib_pin.compiled.threads import Threads
-from calib_pin.estimation.model import Model
+from calib_pin.estimation.measured import Block
 from calib_pin.estimation.segments import Segments
-from calib_pin.kinematics.spatial import Floats
+from calib_pin.estimation.system import FRAME, Part
+from calib_pin.kinematics.spatial import Floats, adjoint, invert, se3_exp
 from calib_pin.observations import Measurements
 
-CHUNK = 128 * blocks.BLOCK
+CHUNK = 128 * compiled.BLOCK
 """Rows of a chunk. It is the same for any number of threads, so that sums have one
 order, and so large that threads seldom wait for the interpreter."""
 
 
+def alike(part: Part) -> tuple[object, ...]:
+    """What the parts of blocks have in common that `ManyRows` evaluates together."""
+    model = part.measurement
+    values = [getattr(model, field.name) for field in fields(model)]  # type: ignore[arg-type]
+    return (
+        part.key._replace(station=""),
+        part.error.tool.homogeneous.tobytes(),
+        part.index[FRAME:].tobytes(),
+        type(model),
+        *(tuple(map(id, v)) if isinstance(v, tuple) else id(v) for v in values),
+    )
+
+
 class ManyRows:
-    """Measurements of one model, whitened; an `Evaluator` of `problem`.
+    """Measurements of alike blocks, whitened; an `Evaluator` of `problem`.
 
     Args:
-        model: The model.
-        data: The measurements.
-        sigma: Standard deviations of the residual components, shape (N, d).
+        blocks: The S blocks, see `alike`.
+        sigma: Standard deviations of the residual components of all blocks of the
+            problem, shape (M,).
     """
 
-    def __init__(self, model: Model, data: Measurements, sigma: Floats) -> None:
+    def __init__(self, blocks: Sequence[Block], sigma: Floats) -> None:
         """Cut the measurements into chunks and compute the joint motions once."""
-        self._segments = Segments.of(model.error)
-        self._measurement, self._split = model.measurement, model.split
-        self._threads = Threads()
-        chunk = partial(_Chunk, self._segments, data, sigma)
-        self._chunks = list(self._threads.map(chunk, range(0, len(data), CHUNK)))
+        self._blocks, part = blocks, blocks[0].part
+        self._segments = Segments.of(
+            replace(
+                part.error, base=pin.SE3.Identity(), screws=part.error.screws[FRAME:]
+            )
+        )
+        self._measurement, self._threads = part.measurement, Threads()
+        self._bases = np.array([block.part.error.base.homogeneous for block in blocks])
+        data = blocks[0].data
+        if len(blocks) > 1:
+            data = Measurements.concatenate(
+                [replace(block.data, station="", sigma=None) for block in blocks]
+            )
+        self._stops = np.cumsum([len(block.data) for block in blocks])
+        chunk = partial(_Chunk.of, self._segments, data, self._stops)
+        starts = range(0, len(data), CHUNK)
+        self._chunks = list(self._threads.map(chunk, starts))
+        self._weigh(sigma)
 
-    def errors(self, theta: Floats) -> Floats:
-        """Residuals in their units, shape (N, d)."""
-        chain, own = self._evaluated(theta)
+    def weighted(self, sigma: Floats) -> ManyRows:
+        """The same measurements with other standard deviations, shape (M,)."""
+        result = copy.copy(self)
+        result._weigh(sigma)
+        return result
+
+    def _weigh(self, sigma: Floats) -> None:
+        tables = [block.table(sigma) for block in self._blocks]
+        weights = 1.0 / (tables[0] if len(tables) == 1 else np.concatenate(tables))
+        self._chunks = [
+            replace(chunk, weights=weights[start : start + CHUNK])
+            for chunk, start in zip(
+                self._chunks, range(0, len(weights), CHUNK), strict=True
+            )
+        ]
+
+    def errors(self, theta: Floats) -> Sequence[Floats]:
+        """Residuals of each block in their units, shape (N, d)."""
+        links, own = self._links(theta), self._own(theta)
 
         def errors(chunk: _Chunk) -> Floats:
-            return self._measurement.residual(chunk.poses(chain), own, chunk.data)
+            return self._measurement.residual(chunk.poses(links), own, chunk.data)
 
-        return np.concatenate(list(self._threads.map(errors, self._chunks)))
+        found = np.concatenate(list(self._threads.map(errors, self._chunks)))
+        return np.split(found, self._stops[:-1])
 
     def square(self, theta: Floats) -> float:
         """Sum of squares of the whitened residuals."""
-        chain, own = self._evaluated(theta)
+        links, own = self._links(theta), self._own(theta)
 
         def square(chunk: _Chunk) -> float:
-            T = chunk.poses(chain)
+            T = chunk.poses(links)
             r = self._measurement.residual(T, own, chunk.data) * chunk.weights
             return float(np.vdot(r, r))
 
         return sum(self._threads.map(square, self._chunks), 0.0)
 
     def normal(self, theta: Floats) -> Floats:
-        """Products of all pairs of columns of `[J r]`, shape (P + 1, P + 1)."""
-        total = np.zeros((size := self._padded(len(self._split(theta)[1])), size))
-        for part in self._reduced(row_kernels.normal_equations, theta):
-            total += part
-        symmetric = np.tril(total) + np.tril(total, -1).T
+        """Products of the columns of each block, shape (S, p + 1, p + 1)."""
+        size = self._padded(len(self._own(theta)))
+        total = np.zeros((len(self._blocks), size, size))
+        for block, part in self._reduced(row_kernels.normal_equations, theta):
+            total[block] += part
+        symmetric = np.tril(total) + np.swapaxes(np.tril(total, -1), 1, 2)
         B = self._to_parameters(theta)
         # Whether a product of what is not finite warns depends on the processor.
         with np.errstate(invalid="ignore"):
-            return np.asarray(B.T @ symmetric @ B)
+            return np.asarray(np.swapaxes(B, 1, 2) @ symmetric @ B)
 
-    def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
-        """The residual rows reduced by orthogonal transformations.
+    def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
+        """The residual rows of each block reduced by orthogonal transformations.
 
         Returns:
-            Residual, shape (M,), and Jacobian, shape (M, P), M <= P + 1.
+            Residual, shape (M,), and Jacobian, shape (M, p), M <= p + 1.
         """
-        parts = list(self._reduced(row_kernels.triangular_factor, theta))
-        B = self._to_parameters(theta)
-        R = np.asarray(np.linalg.qr(np.concatenate(parts) @ B, mode="r"))
-        return R[:, -1], R[:, :-1]
+        parts: list[list[Floats]] = [[] for _ in self._blocks]
+        for block, part in self._reduced(row_kernels.triangular_factor, theta):
+            parts[block].append(part)
+        found = []
+        for pieces, B in zip(parts, self._to_parameters(theta), strict=True):
+            R = np.asarray(np.linalg.qr(np.concatenate(pieces) @ B, mode="r"))
+            found.append((R[:, -1], R[:, :-1]))
+        return found
 
-    def _reduced(self, kernel: Callable[..., None], theta: Floats) -> Iterator[Floats]:
-        """The columns of every chunk reduced by a kernel, shape (M, M) each."""
-        chain, own = self._evaluated(theta)
+    def _reduced(
+        self, kernel: Callable[..., None], theta: Floats
+    ) -> Iterator[tuple[int, Floats]]:
+        """The columns of pieces of blocks reduced by a kernel, shape (M, M) each."""
+        links, own = self._links(theta), self._own(theta)
         size = self._padded(len(own))
 
-        def reduced(chunk: _Chunk) -> Floats:
-            linear = self._measurement.linearize(chunk.poses(chain), own, chunk.data)
+        def reduced(chunk: _Chunk) -> list[tuple[int, Floats]]:
+            linear = self._measurement.linearize(chunk.poses(links), own, chunk.data)
             others = np.concatenate(
                 [linear.J_instrument, linear.residual[:, :, None]], axis=2
             )
-            result = np.empty((size, size))
-            rows = linear.J_pose, others, chunk.weights
-            kernel(chain, chunk.motion, chunk.starts, *rows, result)
-            return result
+            found = []
+            for piece in chunk.pieces:
+                result, rows = np.empty((size, size)), piece.rows
+                of_rows = linear.J_pose[rows], others[rows], chunk.weights[rows]
+                kernel(links[0], piece.motion, piece.starts, *of_rows, result)
+                found.append((piece.block, result))
+            return found
 
-        return self._threads.map(reduced, self._chunks)
+        for pieces in self._threads.map(reduced, self._chunks):
+            yield from pieces
 
-    def _evaluated(self, theta: Floats) -> tuple[Floats, Floats]:
-        """Links of the chain, shape (n + 1, 12), and the instrument parameters."""
-        of_robot, own = self._split(theta)
-        return self._segments.links(of_robot[None])[0], own
+    def _own(self, theta: Floats) -> Floats:
+        """The instrument parameters, which all blocks share."""
+        part = self._blocks[0].part
+        return part.split(theta[part.index])[1]
+
+    def _inner(self, theta: Floats) -> Floats:
+        """Parameters of the chain between the frames of stations and instruments."""
+        part = self._blocks[0].part
+        return part.split(theta[part.index])[0][FRAME:]
+
+    def _stations(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Base frames, (S, 4, 4), and twists of their parameters there, (S, 6, 6)."""
+        parts = [block.part for block in self._blocks]
+        values = theta[np.array([part.index[:FRAME] for part in parts])]
+        twists = np.empty((len(parts), 6, FRAME))
+        behind = np.tile(np.eye(4), (len(parts), 1, 1))
+        for k in reversed(range(FRAME)):
+            twist = parts[0].error.screws[k].twist
+            twists[:, :, k] = adjoint(invert(behind)) @ twist
+            behind = se3_exp(values[:, k, None] * twist) @ behind
+        return self._bases @ behind, twists
+
+    def _links(self, theta: Floats) -> Floats:
+        """Links of the chain from each station, shape (S, n + 1, 12)."""
+        inner = self._segments.links(self._inner(theta)[None])[0]
+        bases, _ = self._stations(theta)
+        result = np.tile(inner, (len(bases), 1, 1))
+        result[:, 0] = (bases @ _pose(inner[0]))[:, :3].reshape(-1, 12)
+        return result
 
     def _padded(self, own: int) -> int:
         """Columns of twists, instrument and residual, rounded up to four."""
@@ -118,33 +206,75 @@ class ManyRows:
         return -(-count // 4) * 4
 
     def _to_parameters(self, theta: Floats) -> Floats:
-        """Matrix from the columns of the kernels to parameters and residual."""
-        of_robot, instrument = self._split(theta)
-        own = len(instrument)
-        columns = self._segments.columns(of_robot)
-        twists, count = columns.shape
-        result = np.zeros((self._padded(own), count + own + 1))
-        result[:twists, :count] = columns
-        result[twists : twists + own + 1, count:] = np.eye(own + 1)
+        """Matrices from the columns of kernels to parameters and residual, (S, ...)."""
+        inner, own = self._inner(theta), len(self._own(theta))
+        columns = self._segments.columns(inner)
+        twists, count = len(columns), FRAME + len(inner)
+        result = np.zeros((len(self._blocks), self._padded(own), count + own + 1))
+        first = _pose(self._segments.links(inner[None])[0, 0])
+        result[:, :6, :FRAME] = adjoint(invert(first)) @ self._stations(theta)[1]
+        result[:, :twists, FRAME:count] = columns
+        result[:, twists : twists + own + 1, count:] = np.eye(own + 1)
         return result
 
 
+@dataclass(frozen=True)
+class _Piece:
+    """Measurements of one block within a chunk.
+
+    Attributes:
+        block: Position of the block.
+        rows: Where they stand in the chunk.
+        motion: Joint motions, see `compiled.blocks`.
+        starts: First row of each block of these, among the rows.
+    """
+
+    block: int
+    rows: slice
+    motion: Floats
+    starts: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
 class _Chunk:
-    """Some measurements, with what does not change between evaluations."""
+    """Some measurements, with what does not change between evaluations.
 
-    def __init__(
-        self, segments: Segments, data: Measurements, sigma: Floats, start: int
-    ) -> None:
-        rows = slice(start, start + CHUNK)
+    Attributes:
+        data: The measurements.
+        pieces: Those of each block.
+        weights: Inverse standard deviations, shape (rows, d).
+    """
+
+    data: Measurements
+    pieces: tuple[_Piece, ...]
+    weights: Floats
+
+    @staticmethod
+    def of(
+        segments: Segments, data: Measurements, stops: NDArray[np.int64], start: int
+    ) -> _Chunk:
+        """The rows from a start, without weights; blocks end at the stops."""
         # Views: nothing is copied but the joint motions.
-        self.data = data.rows(rows)
-        self.weights = 1.0 / sigma[rows]
-        self.motion, self.starts = blocks.motions(
-            self.data.q * segments.signs, segments.revolute
-        )
+        data = data.rows(slice(start, start + CHUNK))
+        q = data.q * segments.signs
+        cuts = np.clip(stops - start, 0, len(data))
+        pieces, first = [], 0
+        for block, stop in enumerate(cuts.tolist()):
+            if stop > first:
+                rows = slice(first, stop)
+                motion, starts = compiled.motions(q[rows], segments.revolute)
+                pieces.append(_Piece(block, rows, motion, starts))
+                first = stop
+        return _Chunk(data, tuple(pieces), np.zeros((0, 0)))
 
-    def poses(self, chain: Floats) -> Floats:
-        """Tool poses, shape (rows, 4, 4)."""
+    def poses(self, links: Floats) -> Floats:
+        """Tool poses by the links from each station, shape (rows, 4, 4)."""
         T = np.empty((len(self.data), 4, 4))
-        kernels.poses(chain, self.motion, self.starts, T)
+        for piece in self.pieces:
+            kernels.poses(links[piece.block], piece.motion, piece.starts, T[piece.rows])
         return T
+
+
+def _pose(link: Floats) -> Floats:
+    """A row of (R | p), shape (12,), as a pose, shape (4, 4)."""
+    return np.vstack([link.reshape(3, 4), [0.0, 0.0, 0.0, 1.0]])

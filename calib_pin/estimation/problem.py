@@ -2,15 +2,17 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.errors import OptionError
 from calib_pin.estimation.elimination import (
+    Products,
     Station,
     added,
     eliminate,
@@ -19,12 +21,14 @@ from calib_pin.estimation.elimination import (
     square_root,
     station_parameters,
 )
-from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluator
-from calib_pin.estimation.measured import Block, Measured, assumed_sigma
+from calib_pin.estimation.evaluators import Evaluator, RowByRow, evaluated
+from calib_pin.estimation.measured import Measured, assumed_sigma
 from calib_pin.estimation.row_blocks import Blocks, Expected, KnownDistances, Priors
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameters import ParameterSet
+
+_Found = TypeVar("_Found")
 
 SAMPLE = 10_000
 """Measurements that a closed-form start is made from; more do not help it."""
@@ -92,8 +96,8 @@ class Problem(Measured):
 
     def errors(self, theta: Floats) -> Floats:
         """Residuals in their units, predicted minus measured, shape (M,)."""
-        pairs = zip(self.blocks, self.evaluators, strict=True)
-        parts = [one.errors(theta[b.part.index]).reshape(-1) for b, one in pairs]
+        parts = self._by_block(lambda one: one.errors(theta))
+        parts = [part.reshape(-1) for part in parts]
         return parts[0] if len(parts) == 1 else np.concatenate(parts)
 
     def residual(self, theta: Floats) -> Floats:
@@ -107,10 +111,7 @@ class Problem(Measured):
     def cost(self, theta: Floats) -> float:
         """Half the sum of squares of the whitened residual."""
         r = self.further.residual(theta)
-        squares = sum(
-            one.square(theta[block.part.index])
-            for block, one in zip(self.blocks, self.evaluators, strict=True)
-        )
+        squares = sum(one.square(theta) for one in self.evaluators)
         return 0.5 * (squares + float(r @ r))
 
     def linearize(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -127,16 +128,9 @@ class Problem(Measured):
         if not self.many:
             return self.factorize(theta)
         left, stations = [], []
-        for name, pairs in self._by_station.items():
-            products = added(
-                [
-                    (
-                        np.append(own := block.part.index, len(theta)),
-                        one.normal(theta[own]),
-                    )
-                    for block, one in pairs
-                ]
-            )
+        found = self.products(theta)
+        for name, blocks in self._by_station.items():
+            products = added([found[k] for k in blocks])
             if name in self.own_of_stations and np.isfinite(products[1]).all():
                 station, products = eliminate_products(
                     self.own_of_stations[name], products
@@ -147,23 +141,21 @@ class Problem(Measured):
         self._eliminated[theta.tobytes()] = stations
         return self._with_further(theta, *square_root(added(left), len(theta)))
 
+    def products(self, theta: Floats) -> list[Products]:
+        """Products of the columns of every block, see `linearize`."""
+        found = self._by_block(lambda one: one.normal(theta))
+        pairs = zip(self.blocks, found, strict=True)
+        return [(np.append(block.part.index, len(theta)), K) for block, K in pairs]
+
     def factorize(self, theta: Floats) -> tuple[Floats, Floats]:
         """The same as `linearize` to full precision, for decisions about ranks."""
+        found = self._by_block(lambda one: one.factorize(theta))
         if not self.own_of_stations:
-            rows = [
-                one.factorize(theta[block.part.index])
-                for block, one in zip(self.blocks, self.evaluators, strict=True)
-            ]
-            return self._with_further(theta, *self._stacked(rows))
+            return self._with_further(theta, *self._stacked(found))
         left, stations = [], []
-        for name, pairs in self._by_station.items():
-            station, rest = eliminate(
-                self.own_of_stations[name],
-                [
-                    (own := block.part.index, *one.factorize(theta[own]))
-                    for block, one in pairs
-                ],
-            )
+        for name, blocks in self._by_station.items():
+            rows = [(self.blocks[k].part.index, *found[k]) for k in blocks]
+            station, rest = eliminate(self.own_of_stations[name], rows)
             stations.append(station)
             left.append(rest)
         self._eliminated.clear()
@@ -175,9 +167,7 @@ class Problem(Measured):
         if not self.many:
             return self.factorize(theta)
         rows = [
-            RowByRow(part, data, block.table(self.sigma)).factorize(theta[part.index])
-            for block in self.blocks
-            for part, data, _, _ in [block]
+            RowByRow(block, self.sigma).factorize(theta)[0] for block in self.blocks
         ]
         return self._with_further(theta, *self._stacked(rows))
 
@@ -234,12 +224,9 @@ class Problem(Measured):
         return not plain or bool(self.own_of_stations)
 
     @cached_property
-    def evaluators(self) -> tuple[Evaluator, ...]:
-        """Residuals and derivatives of each block."""
-        return tuple(
-            evaluator(block.part, block.data, block.table(self.sigma), self._large)
-            for block in self.blocks
-        )
+    def evaluators(self) -> Mapping[Evaluator, Sequence[int]]:
+        """Residuals and derivatives of blocks, with the positions of these."""
+        return evaluated(self.blocks, self.sigma, self._large)
 
     @cached_property
     def _large(self) -> bool:
@@ -263,12 +250,23 @@ class Problem(Measured):
         return Priors(np.where(parameters.free, parameters.priors, np.inf))
 
     @cached_property
-    def _by_station(self) -> Mapping[str, Sequence[tuple[Block, Evaluator]]]:
-        """The blocks of every station with their evaluators."""
-        found: dict[str, list[tuple[Block, Evaluator]]] = {}
-        for pair in zip(self.blocks, self.evaluators, strict=True):
-            found.setdefault(pair[0].part.scope.station, []).append(pair)
+    def _by_station(self) -> Mapping[str, Sequence[int]]:
+        """Positions of the blocks of every station."""
+        found: dict[str, list[int]] = {}
+        for k, block in enumerate(self.blocks):
+            found.setdefault(block.part.scope.station, []).append(k)
         return found
+
+    def _by_block(
+        self, evaluate: Callable[[Evaluator], Iterable[_Found]]
+    ) -> list[_Found]:
+        """What the evaluators say of each block."""
+        found = {
+            k: value
+            for one, positions in self.evaluators.items()
+            for k, value in zip(positions, evaluate(one), strict=True)
+        }
+        return [found[k] for k in range(len(found))]
 
     def _stacked(self, found: Sequence[tuple[Floats, Floats]]) -> tuple[Floats, Floats]:
         """Residual and Jacobian by all parameters, block after block."""
@@ -332,8 +330,22 @@ def representative(problem: Problem) -> list[BlockKey]:
 def expecting(problem: Problem, expected: Expected) -> Problem:
     """The problem with errors of the robot that are expected to be so large."""
     result = replace(problem, expected=expected)
-    # The measurements are the same, and very many take time to prepare.
-    for name in ("layout", "blocks", "given_sigma", "sigma", "evaluators"):
+    return _prepared(result, problem, "sigma", "evaluators")
+
+
+def in_units(problem: Problem, units: Floats) -> Problem:
+    """The problem with other standard deviations of unit weight, shape (K,)."""
+    result = _prepared(replace(problem, units=units), problem)
+    result.__dict__["evaluators"] = {
+        one.weighted(result.sigma): positions
+        for one, positions in problem.evaluators.items()
+    }
+    return result
+
+
+def _prepared(result: Problem, problem: Problem, *more: str) -> Problem:
+    """The same measurements: very many take time to prepare."""
+    for name in ("layout", "blocks", "given_sigma", *more):
         result.__dict__[name] = getattr(problem, name)
     return result
 

@@ -26,7 +26,7 @@ from calib_pin.estimation.directions import (
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.problem import EXACT, Problem, expecting
+from calib_pin.estimation.problem import EXACT, Problem, expecting, in_units
 from calib_pin.estimation.row_blocks import Expected
 from calib_pin.estimation.shrinkage import Evidence, expected_errors
 from calib_pin.estimation.solve import Solution, Solver, descend, least_squares, refine
@@ -81,7 +81,7 @@ def fit_in_stages(problem: Problem, before: LeastSquaresResult, solver: Solver) 
 
 def fit_in_units(fitted: Fit, units: Floats) -> Fit:
     """A fit in other units, shape (d,), in its directions from where it stands."""
-    problem, first = replace(fitted.problem, units=units), fitted.result
+    problem, first = in_units(fitted.problem, units), fitted.result
     before = least_squares(problem, fitted.before, nuisance_basis(problem.parameters))
     solution = descend(problem, fitted.directions, fitted.theta)
     last = _judged(problem, fitted.directions, solution)

@@ -245,9 +245,8 @@ def assembled(parts: Sequence[Part]) -> tuple[dict[BlockKey, Part], ParameterSet
             # Joints that mimic one another each have a motion of their own.
             joint = (*part.error.chain.joints, "")[screw.frame - 1]
             key = name, joint if joint in part.error.chain.mimics else ""
-            if screw.basis is None and not np.allclose(
-                twists.setdefault(key, screw.twist), screw.twist, rtol=0.0, atol=1e-9
-            ):
+            other = twists.setdefault(key, screw.twist)
+            if screw.basis is None and np.abs(screw.twist - other).max() > 1e-9:
                 raise OptionError(
                     f"'{name}' is another motion in the chain '{part.key.chain}' than "
                     "in one before it",

@@ -9,7 +9,7 @@ import numpy as np
 from calib_pin.estimation.directions import half_covariance, rounding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import EXACT, Problem
+from calib_pin.estimation.problem import EXACT, Problem, in_units
 from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.stages import fit_in_stages, fit_in_units
 from calib_pin.estimation.statistics.variance_components import (
@@ -66,7 +66,7 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
         if relative < LIKE:
             fitted = fit_in_units(fitted, current * change)
         else:
-            fitted = bounded(replace(problem, units=current * change), solver)
+            fitted = bounded(in_units(problem, current * change), solver)
     if fitted.dof > 0 and fitted.unit > EXACT:
         fitted = replace(fitted, noise=variance_components(*fitted.held))
     return fitted
@@ -83,7 +83,7 @@ def _converted(fitted: Fit, factor: float) -> Fit:
     )
     return replace(
         fitted,
-        problem=replace(fitted.problem, units=factor * current_units(fitted.problem)),
+        problem=in_units(fitted.problem, factor * current_units(fitted.problem)),
         solution=replace(fitted.solution, result=result),
         sigma0=fitted.sigma0 / factor,
         unit=1.0,

@@ -23,6 +23,7 @@ import sys
 import time
 from collections import Counter
 from collections.abc import Callable
+from dataclasses import replace
 
 import numpy as np
 from numba import config
@@ -33,7 +34,7 @@ from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.many_rows import ManyRows
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import FrameSetup, Setup
 
 SIZES = (10_000, 100_000, 1_000_000)
@@ -122,7 +123,9 @@ def _measure(size: int) -> dict[str, object]:
 def _simulated(nominal: Problem, truth: Floats, q: Floats) -> Floats:
     """Exact positions (N, 3), without a pose for each."""
     empty = Measurements(nominal.data.joints, q, "position", np.zeros((len(q), 3)))
-    return ManyRows(nominal, empty, np.ones((len(q), 3))).errors(truth)
+    problem = replace(nominal, data=Observations.of(empty))
+    (exact,) = ManyRows(problem.blocks, problem.sigma).errors(truth)
+    return exact
 
 
 def _counted(

@@ -46,14 +46,19 @@ class Studentized:
         layout: Row and quantity of each residual component.
         components: Squares of the normalized residuals, independent with unit
             variance if the standard deviations of the rows are right, shape (M,).
-        squares: Their sums by configuration and quantity, shape (G, Q).
-        counts: Number of independent components in each, shape (G, Q).
+        configuration: Configuration of each of the C cells: what a configuration has
+            of a quantity, shape (C,).
+        quantity: Quantity of each cell, shape (C,).
+        squares: Sum of the squares in each, shape (C,).
+        counts: Number of independent components in each, shape (C,).
         least: Smallest credible scale, by quantity, shape (Q,).
     """
 
     labels: NDArray[np.int64]
     layout: Layout
     components: Floats
+    configuration: NDArray[np.int64]
+    quantity: NDArray[np.int64]
     squares: Floats
     counts: Floats
     least: Floats
@@ -68,25 +73,26 @@ class Studentized:
             counts: Degrees of freedom of each, 0 to 1, shape (M,).
         """
         layout, labels = problem.layout, problem.data.groups()
-        count, width = int(labels.max(initial=-1)) + 1, len(layout.components)
-        place = labels[layout.row] * width + layout.component
+        width = len(layout.components)
+        # Of very many stations a configuration has measurements of one.
+        cells, place = np.unique(
+            labels[layout.row] * width + layout.component, return_inverse=True
+        )
         squares, total = (
-            np.asarray(np.bincount(place, values, count * width), float)
+            np.asarray(np.bincount(place, values, len(cells)), float)
             for values in (components, counts)
         )
-        shape = count, width
         least = np.full(width, LEAST)
         if states_sigmas(problem.data):
             # Residuals smaller than the stated sigma do not contradict it.
             least = 1.0 / (problem.units if len(problem.units) else np.ones(width))
-        return cls(
-            labels,
-            layout,
-            components,
-            squares.reshape(shape),
-            total.reshape(shape),
-            least,
-        )
+        cell = cells // width, cells % width
+        return cls(labels, layout, components, *cell, squares, total, least)
+
+    @property
+    def configurations(self) -> int:
+        """Number of configurations G."""
+        return int(self.labels.max(initial=-1)) + 1
 
     def robust_scale(self, share: float = 0.5) -> Floats:
         """Scale by the median over configurations, by quantity, shape (Q,).
@@ -98,26 +104,31 @@ class Studentized:
             share: Quantile of the configurations that is used; 0.5 is the median.
         """
         result = self.least.copy()
-        for k, (squares, counts) in enumerate(
-            zip(self.squares.T, self.counts.T, strict=True)
-        ):
-            used = counts >= COUNTED
-            if used.any():
-                ratios = np.sort(squares[used] / _quantiles(counts[used], 1.0 - share))
-                result[k] = np.sqrt(ratios[int(share * (len(ratios) - 1))])
+        used = np.flatnonzero(self.counts >= COUNTED)
+        used = used[np.argsort(self.quantity[used], kind="stable")]
+        ratios = self.squares[used] / _quantiles(self.counts[used], 1.0 - share)
+        ends = np.cumsum(np.bincount(self.quantity[used], minlength=len(result)))
+        for k, own in enumerate(np.split(ratios, ends[:-1])):
+            if len(own):
+                result[k] = np.sqrt(np.sort(own)[int(share * (len(own) - 1))])
         return np.maximum(result, self.least)
 
     def scale(self, accepted: NDArray[np.bool_]) -> Floats:
         """Scale by the mean square of accepted configurations, shape (G,) -> (Q,)."""
-        squares, counts = self.squares[accepted], self.counts[accepted]
+        used, width = accepted[self.configuration], len(self.least)
+        squares, counts = (
+            np.bincount(self.quantity[used], values[used], width)
+            for values in (self.squares, self.counts)
+        )
         with np.errstate(invalid="ignore", divide="ignore"):
-            scale = np.sqrt(squares.sum(axis=0) / counts.sum(axis=0))
+            scale = np.sqrt(squares / counts)
         return np.asarray(np.fmax(scale, self.least))
 
     def statistic(self, scale: Floats) -> Floats:
         """z^2 of each configuration at a scale by quantity, shape (G,)."""
         with np.errstate(over="ignore"):
-            return np.asarray((self.squares / scale**2).sum(axis=1))
+            squares = self.squares / scale[self.quantity] ** 2
+        return np.asarray(np.bincount(self.configuration, squares))
 
     def sizes(self, scale: Floats) -> Floats:
         """Normalized residual z of each row at a scale by quantity, shape (N,)."""
@@ -126,7 +137,8 @@ class Studentized:
 
     def limit(self, tail: float) -> Floats:
         """Quantile of z^2 of each configuration at a tail probability, shape (G,)."""
-        return _quantiles(self.counts.sum(axis=1), tail)
+        counts = np.asarray(np.bincount(self.configuration, self.counts), float)
+        return _quantiles(counts, tail)
 
 
 def studentized(

@@ -183,7 +183,7 @@ def _passed(found: Studentized, scale: Floats) -> NDArray[np.bool_]:
     """The configurations whose residuals may be chance at a scale, (Q,) -> (G,)."""
     stated = bool((scale <= OPTIONS.held * found.least).all())
     tail = (OPTIONS.stated_chance if stated else OPTIONS.chance) / max(
-        len(found.squares), 1
+        found.configurations, 1
     )
     return np.asarray(found.statistic(scale) <= found.limit(tail))
 
@@ -203,17 +203,18 @@ def _suspicious(fitted: Fit, found: Studentized, scale: Floats) -> bool:
     A few stand out against the median, or carry the most of chi-square together, or so
     much is left that they may hide.
     """
-    every = np.ones(len(found.squares), bool)
+    every = np.ones(found.configurations, bool)
     if (
         not _passed(found, scale).all()
         or (found.scale(every) > OPTIONS.carried * scale).any()
     ):
         return True
     problem = fitted.problem
-    for k, component in enumerate(problem.layout.components):
-        sigma = problem.sigma[problem.layout.component == k]
+    layout = problem.layout
+    for k, rows in enumerate(layout.of_components):
+        sigma = problem.sigma[rows]
         sigma = sigma[np.isfinite(sigma)]
-        size = expected_size(component.quantity.unit)
+        size = expected_size(layout.components[k].quantity.unit)
         if len(sigma) and scale[k] * np.median(sigma) > size:
             return True
     return False

@@ -14,6 +14,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -21,8 +22,7 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.elimination import with_response
 from calib_pin.estimation.evidence import VarianceComponent
-from calib_pin.estimation.layout import Component
-from calib_pin.estimation.problem import Problem, repeated
+from calib_pin.estimation.problem import Problem, in_units, repeated
 from calib_pin.estimation.statistics.distributions import (
     chi_square_quantile,
     chi_square_tail,
@@ -64,13 +64,14 @@ def variance_components(
     """
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
-    components = problem.layout.components
-    stated = np.array([_stated(problem, component) for component in components])
+    stated = _stated(problem)
     found, used = _tested(groups, stated, current_units(problem) ** 2)
     repeated = pure_errors(problem, result.x, _leverages(problem, result, half))
     return tuple(
-        _component(problem, k, found, float(used[k]), groups.counts, repeated[k])
-        for k in range(len(components))
+        _component(
+            problem, k, found, float(used[k]), bool(stated[k]), groups.counts, pure
+        )
+        for k, pure in enumerate(repeated)
     )
 
 
@@ -149,11 +150,11 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
         alone = problem
         if max(map(len, firsts.values())) > 1:
             kept = np.isin(np.arange(len(current)), list(chosen))
-            alone = replace(problem, units=np.where(kept, current, np.inf))
-        for block, one in zip(alone.blocks, alone.evaluators, strict=True):
+            alone = in_units(problem, np.where(kept, current, np.inf))
+        products = alone.products(theta)
+        for block, (_, K) in zip(alone.blocks, products, strict=True):
             found = firsts[block.part.key]
             if place < len(found):
-                K = one.normal(theta[block.part.index])
                 yield found[place], block.part, K
 
 
@@ -181,12 +182,19 @@ def current_units(problem: Problem) -> Floats:
     return np.ones(len(problem.layout.components))
 
 
-def _stated(problem: Problem, component: Component) -> bool:
-    """Whether the measurements or the setup state the noise of a quantity."""
-    return component.quantity.name in problem.setup.noise or all(
-        block.sigma is not None
+def _stated(problem: Problem) -> NDArray[np.bool_]:
+    """Whether the measurements or the setup state the noise of a quantity, (K,)."""
+    without = {
+        (block.model, block.station)
         for block in problem.data.blocks
-        if (block.model, block.station) == (component.model, component.station)
+        if block.sigma is None
+    }
+    return np.array(
+        [
+            c.quantity.name in problem.setup.noise
+            or (c.model, c.station) not in without
+            for c in problem.layout.components
+        ]
     )
 
 
@@ -230,6 +238,7 @@ def _tested(
     return found, np.maximum(factors, LEAST * factors.max())
 
 
+@lru_cache(maxsize=1024)
 def variance_interval(variance: float, dof: float) -> tuple[float, float]:
     """The 95 % interval of a variance by its estimate."""
     if dof < 0.5:
@@ -244,6 +253,7 @@ def _component(
     k: int,
     found: Variances,
     factor: float,
+    stated: bool,
     counts: Floats,
     pure: PureError | None,
 ) -> VarianceComponent:
@@ -253,9 +263,9 @@ def _component(
     of each quantity, shape (K,).
     """
     component = problem.layout.components[k]
-    given = problem.given_sigma[problem.layout.component == k]
+    given = problem.given_sigma[problem.layout.of_components[k]]
     size = float(np.sqrt(np.mean(given**2))) if len(given) else np.nan
-    redundancy, stated = float(found.redundancies[k]), _stated(problem, component)
+    redundancy = float(found.redundancies[k])
     variance, dof = float(found.values[k]), float(found.dof[k])
     squares, lack, unmodeled = variance * redundancy, None, None
     low, high = variance_interval(variance, dof)

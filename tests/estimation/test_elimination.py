@@ -1,0 +1,111 @@
+"""Stations that are eliminated one by one leave the same fit as all together."""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import replace
+
+import numpy as np
+import pytest
+
+from calib_pin.estimation.fit import fit
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.problem import Problem
+from calib_pin.io.urdf import load_chain
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
+from calib_pin.simulation import draw_errors, simulate
+
+STATIONS = {
+    name: FrameSetup((x, 1.0 - x, 0.2), (0.1, x, 2.0 * x))
+    for name, x in (("a", 0.4), ("b", -0.9), ("c", 1.3), ("d", 0.7))
+}
+TOOLS = {"short": ToolSetup((0.05, 0.03, 0.1)), "long": ToolSetup((-0.08, 0.02, 0.25))}
+
+JOBS = {
+    "alike": [BlockKey("position", "", s, t) for s in STATIONS for t in TOOLS],
+    # Station d has no positions and c no long tool; what a pose tells is no position.
+    "mixed": [
+        *(BlockKey("position", "", s, t) for s in "ab" for t in TOOLS),
+        *(BlockKey("pose", "", s, "short") for s in "bd"),
+        BlockKey("position", "", "c", "short"),
+    ],
+}
+
+
+def job(keys: Sequence[BlockKey]) -> Problem:
+    """A simulated job with noise."""
+    setup = Setup(stations=STATIONS, tools=TOOLS)
+    problem = nominal_problem(load_chain("space6"), keys, setup)
+    rng = np.random.default_rng(4)
+    truth = draw_errors(problem.parameters, rng)
+    data = simulate(problem, truth, rng, count=30 * len(keys), noise=1e-4)
+    # Files need not have the order of stations.
+    return replace(problem, data=Observations(data.blocks[::-1]))
+
+
+def eliminated(problem: Problem, monkeypatch: pytest.MonkeyPatch) -> Problem:
+    """The same problem, whose stations are as many as is needed."""
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
+    monkeypatch.setattr("calib_pin.estimation.elimination.WORTHWHILE", 1)
+    return replace(problem)
+
+
+@pytest.mark.parametrize("keys", JOBS.values(), ids=JOBS)
+def test_a_fit_is_the_same(
+    keys: Sequence[BlockKey], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    plain = job(keys)
+    expected = fit(plain, np.random.default_rng(0))
+    expected_covariance = expected.covariance
+    few = eliminated(plain, monkeypatch)
+    assert few.absorbed == 6 * len(STATIONS)
+    found = fit(few, np.random.default_rng(0))
+    assert found.rank == expected.rank
+    assert found.sigma0 == pytest.approx(expected.sigma0, rel=1e-9)
+    deviation = np.sqrt(np.diag(expected_covariance))
+    off = np.abs(found.theta - expected.theta)[deviation > 0.0]
+    # Steps end where they promise a thousandth of a deviation.
+    assert (off / deviation[deviation > 0.0]).max() < 1e-2
+    np.testing.assert_allclose(
+        np.sqrt(np.diag(found.covariance)), deviation, rtol=0.05, atol=1e-12
+    )
+    for own, other in zip(found.noise, expected.noise, strict=True):
+        assert own.estimate == pytest.approx(other.estimate, rel=1e-2)
+
+
+@pytest.mark.parametrize("keys", JOBS.values(), ids=JOBS)
+def test_the_same_is_left_for_the_others(
+    keys: Sequence[BlockKey], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """By rows, by products of columns, and by the whole Jacobian."""
+    plain = job(keys)
+    theta = 0.01 * np.random.default_rng(1).normal(size=len(plain.parameters))
+    r, J = plain.linearize(theta)
+    few = eliminated(plain, monkeypatch)
+    own = np.concatenate(list(few.own_of_stations.values()))
+    shared = np.setdiff1d(np.arange(len(theta)), own)
+    Q, _ = np.linalg.qr(J[:, own])
+    columns = np.column_stack([J, r])
+    rest = columns - Q @ (Q.T @ columns)
+    kept = np.append(shared, -1)
+    rest, others = rest[:, kept], columns[:, kept]
+    unit = np.maximum(np.linalg.norm(others, axis=0), 1.0)
+    expected = rest.T @ rest / np.outer(unit, unit)
+    for left, tolerance in ((few.factorize, 1e-12), (few.linearize, 1e-9)):
+        r, J = left(theta)
+        assert not J[:, own].any()
+        found = np.column_stack([J[:, shared], r]) / unit
+        np.testing.assert_allclose(found.T @ found, expected, rtol=0, atol=tolerance)
+    # What was eliminated follows from the others.
+    step = np.zeros(len(theta))
+    step[shared] = 1e-3 * np.random.default_rng(2).normal(size=len(shared))
+    r, J = plain.linearize(theta)
+    solved = np.linalg.lstsq(J[:, own], -(r + J @ step), rcond=None)[0]
+    completed = few.completed(theta, step)
+    np.testing.assert_allclose(
+        J[:, own] @ completed[own],
+        J[:, own] @ solved,
+        rtol=0,
+        atol=1e-6 * np.abs(r).max(),
+    )

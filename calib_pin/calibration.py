@@ -29,6 +29,7 @@ from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
 from calib_pin.validation.result import CalibrationResult, UrdfResult
+from calib_pin.validation.shared import breakdown
 from calib_pin.validation.splits import FOLDS, split
 from calib_pin.validation.summaries import (
     ModelSelection,
@@ -156,6 +157,13 @@ def _result(
     # Against the sigma that is stated, or was assumed.
     chi2 = 2.0 * replace(fitted.problem, units=np.zeros(0)).cost(fitted.theta)
     names = [parameter.name for parameter in parameters]
+    accuracies = {
+        name: replace(
+            accuracy,
+            tip=tip_accuracy(fitted, model.problem, model.theta, seed, name),
+        )
+        for name, accuracy in judgement.accuracies.items()
+    }
     return CalibrationResult(
         model=CalibratedModel.create(model.problem, model.theta),
         reference=CalibratedModel.create(fitted.problem, np.zeros_like(fitted.theta)),
@@ -193,13 +201,7 @@ def _result(
             displaced=_displaced(model, seed),
             gains=held_out.gains,
         ),
-        accuracies={
-            name: replace(
-                accuracy,
-                tip=tip_accuracy(fitted, model.problem, model.theta, seed, name),
-            )
-            for name, accuracy in judgement.accuracies.items()
-        },
+        **vars(breakdown(model, errors, accuracies)),
         covariance=NamedArray.of(fitted.covariance, names, names),
         fitted=_measured(model, model.weighted(training), errors, leverages(fitted)),
         held_out=None

@@ -25,7 +25,7 @@ class FrameSummary:
         rpy: The orientation that belongs to it [rad].
         sigma: Standard deviations of the position along, and of the orientation about,
             the axes of the frame that `xyz` is in, shape (6,) [m, rad]: zero for what
-            is known. Empty where nobody knows.
+            is known, NaN for what measurements leave open. Empty without redundancy.
         estimated: Whether anything of it was estimated.
     """
 

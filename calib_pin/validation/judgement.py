@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from itertools import starmap
 from math import erf
@@ -14,6 +14,7 @@ from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
 from calib_pin.estimation.joint_conventions import suggest_conventions
+from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import Part
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
@@ -68,7 +69,12 @@ def judge(
     """
     fitted, data = model.fit, model.fit.problem.data
     chains = Chains.of(chains)
-    errors = _quantity_errors(model, fitted_errors, held_out)
+    parts = held_out.counted
+    errors = quantity_errors(
+        model.problem.layout.quantities,
+        fitted_errors.counted(data.weight),
+        ModelErrors.joined(parts) if parts else None,
+    )
     advice, moves = CHECK, move_findings(fitted)
     if not moves and unexplained(fitted, errors):
         setup = fitted.problem.setup
@@ -76,6 +82,7 @@ def judge(
             advice = suggestion.text(chains.joints, setup.joints)
     # All that is wrong else may follow from a move.
     findings = held_out.findings + (moves or plausibility(fitted))
+    findings += tuple(_unmoved(fitted.problem))
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
@@ -114,21 +121,23 @@ def _expected(
     return ToolAccuracy(None, measured, workspace)
 
 
-def _quantity_errors(
-    model: FittedModel, fitted_errors: ModelErrors, held_out: HeldOut
+def quantity_errors(
+    quantities: Iterable[Quantity],
+    fitted: ModelErrors,
+    held_out: ModelErrors | None = None,
 ) -> tuple[QuantityErrors, ...]:
-    """Accuracy before and after, of the fitted and of the held-out measurements."""
-    known = fitted_errors.counted(model.fit.problem.data.weight)
-    parts = held_out.counted
-    checked = ModelErrors.joined(parts) if parts else None
+    """Accuracy before and after, of fitted and of held-out measurements.
+
+    Of the quantities that fitted measurements have.
+    """
     found = []
-    for quantity in model.problem.layout.quantities:
-        before, after = _accuracies(quantity, known)
-        assert before is not None and after is not None
-        validation = (None, None) if checked is None else _accuracies(quantity, checked)
-        found.append(
-            QuantityErrors(quantity.name, quantity.unit, before, after, *validation)
-        )
+    for quantity in quantities:
+        before, after = _accuracies(quantity, fitted)
+        if before is not None and after is not None:
+            pair = _accuracies(quantity, held_out) if held_out else (None, None)
+            found.append(
+                QuantityErrors(quantity.name, quantity.unit, before, after, *pair)
+            )
     return tuple(found)
 
 
@@ -143,6 +152,38 @@ def _accuracies(
     )
     return before, after
 
+
+def still_joints(problem: Problem) -> tuple[str, ...]:
+    """Names of the joints of the chains that no measurement moves."""
+    moved = {
+        joint
+        for part, data, _, _ in problem.blocks
+        for joint, span in zip(data.joints, np.ptp(data.q, axis=0), strict=True)
+        if span > 0.0
+    }
+    return tuple(joint for joint in problem.chains.joints if joint not in moved)
+
+
+def _unmoved(problem: Problem) -> Iterator[Finding]:
+    """The joints of a robot with several chains of which nothing can be said."""
+    if len(problem.chains.names) == 1:
+        return
+    chains = problem.chains
+    names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
+    names = [*still_joints(problem), *names]
+    if names:
+        told = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+        yield Finding(
+            "unmoved-joints",
+            "info",
+            f"{len(names)} joints are moved or seen by no measurement and stay at "
+            f"nominal: {told}",
+            {"joints": ", ".join(names)},
+        )
+
+
+NAMED = 8
+"""Joints that a finding names; the evidence has all of them."""
 
 SURE = 0.95
 """Probability of a bound, and from which a configuration counts as better."""

@@ -73,12 +73,12 @@ def open_setup(
     )
 
 
-def stated_blocks(setup: Setup, chain: str | None = None) -> tuple[BlockKey, ...]:
+def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
     """The blocks that can be measured: models, chains, stations and tools of a setup.
 
     Args:
         setup: The setup.
-        chain: The only chain; default all of the setup.
+        chains: Names of the chains; default all of the setup.
 
     Raises:
         OptionError: If neither the setup nor a flag names a measurement model.
@@ -94,10 +94,9 @@ def stated_blocks(setup: Setup, chain: str | None = None) -> tuple[BlockKey, ...
             "without measurements, --model must name the measurement model",
             allowed=", ".join(MEASUREMENT_MODELS),
         )
-    stated = (setup.chains, setup.stations, setup.tools)
-    chains, stations, tools = (tuple(names) or ("",) for names in stated)
-    named = chains if chain is None else (chain,)
-    keys = product(asked_models(setup.model), named, stations, tools)
+    stated = (chains or setup.chains, setup.stations, setup.tools)
+    places = (tuple(names) or ("",) for names in stated)
+    keys = product(asked_models(setup.model), *places)
     return tuple(BlockKey(*key) for key in keys)
 
 

@@ -202,7 +202,7 @@ def plan(
         rows = fitted_and_held_out(rows)[0]
         keys = rows.keys
     else:
-        keys = stated_blocks(stated, chain)
+        keys = stated_blocks(stated, *filter(None, [chain]))
         chains = open_chains(robot, stated, keys)
     narrower = options.parse_limits(limits or [], chains)
     stated = replace(stated, limits={**stated.limits, **narrower})

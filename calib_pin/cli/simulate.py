@@ -115,8 +115,9 @@ def simulate(
 
     Errors that are not given are drawn uniformly within the expected size of each
     parameter, such as plus and minus 1 mm and 3 mrad for a placement. Frames and planes
-    are taken from the setup file. Of a board in it each image shows all corners that
-    are in sight.
+    are taken from the setup file. Its chains, stations and tools share the
+    configurations, unless columns 'chain', 'station' and 'tool' of --configurations say
+    what is measured at each. Of a board each image shows all corners in sight.
     """
     import numpy as np
 
@@ -139,6 +140,9 @@ def simulate(
     if (count is None) == (configurations is None):
         raise OptionError("give either --count or --configurations")
     check_outputs((output, truth), (robot, setup, configurations, errors), force)
+    if configurations is not None:
+        named = read_names(configurations, "chain").distinct
+        keys = stated_blocks(stated, *named)
     chains = open_chains(robot, stated, keys)
     problem = nominal_problem(chains, keys, stated)
     rng = np.random.default_rng(seed)

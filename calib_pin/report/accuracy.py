@@ -74,9 +74,10 @@ def subject(result: CalibrationResult) -> Line:
         solver = result.solver
         search = f"; {solver.name}, {solver.evaluations} evaluations"
         search += f" ({solver.evaluator})"
+    system = result.model
     return Line(
-        f"{chain_words(result.model)}; {model_words(result.model)}, {measured} fitted"
-        f"{search}",
+        f"{chain_words(system)}; {model_words(system)}{_places(system)}, {measured} "
+        f"fitted{search}",
         "note",
     )
 
@@ -90,6 +91,17 @@ def chain_words(system: System) -> str:
         return f"{joints} in {len(moving)} chains"
     ends = [f"from {chains[name].base} to {chains[name].tip}" for name in moving]
     return f"{joints} {' and '.join(ends)}"
+
+
+def _places(system: System) -> str:
+    """Numbers of stations and tools, where there are several."""
+    scopes = [part.scope for part in system.parts.values()]
+    counts = {
+        "stations": len({scope.station for scope in scopes}),
+        "tools": len({scope.tool for scope in scopes}),
+    }
+    told = [f"{count} {kind}" for kind, count in counts.items() if count > 1]
+    return f" ({', '.join(told)})" if told else ""
 
 
 def model_words(system: System) -> str:

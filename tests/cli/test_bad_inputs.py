@@ -295,7 +295,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
     "tip is the base": (
         f"{CALIBRATE} --tip base_link",
         {},
-        dict(file="arm.urdf", reason="no moving joint"),
+        dict(file="arm.urdf", reason="nothing moves"),
     ),
     "no moving joint": (
         f"{CALIBRATE} --base link4 --tip tool",
@@ -310,7 +310,7 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
                 '<child link="link3"/><mimic joint="joint2"/>',
             )
         },
-        dict(file="arm.urdf", reason=("joint3", "mimic")),
+        dict(file="rows.csv", line=3, column="joint3", reason="mimics 'joint2'"),
     ),
     "floating joint": (
         CALIBRATE,
@@ -768,14 +768,6 @@ CASES: Mapping[str, tuple[Any, Mapping[str, str | Edit], dict[str, Any]]] = {
         "simulate arm.urdf --model fixed-point --count 5 -o out.csv",
         {},
         dict(reason="'sockets' in a setup file (--setup)"),
-    ),
-    "ways among other measurements": (
-        "simulate arm.urdf --model position+relative-distance --count 5 -o out.csv",
-        {},
-        dict(
-            value="position+relative-distance",
-            reason="relative distances are simulated by themselves",
-        ),
     ),
     "plane out of reach": (
         "simulate arm.urdf --setup bad.yaml --count 5 -o out.csv",

@@ -46,7 +46,7 @@ def write(path: str, header: str, rows: object) -> None:
 
 @pytest.fixture
 def model(here):
-    return read_calibration("done/calibration.json")
+    return read_calibration("done/calibration.json").of()
 
 
 @pytest.fixture
@@ -129,7 +129,7 @@ GUESSED = "calib-pin: note: base or tool were estimated along with the robot"
 def test_poses_in_all_ways_to_write_them(here, run):
     import pinocchio as pin
 
-    model = read_calibration("done/calibration.json")
+    model = read_calibration("done/calibration.json").of()
     T = model.poses(Q)
     quaternions = np.array([pin.Quaternion(R).coeffs() for R in T[:, :3, :3]])
     vectors = np.array([pin.log3(R) for R in T[:, :3, :3]])

@@ -68,7 +68,7 @@ def test_a_robot_alone(
     assert result.err == "calib-pin: note: port 8080 cannot be used; 8081 is free\n"
     (scene,) = opened
     assert scene.title == "arm"
-    assert (scene.chain, scene.rows, scene.plan) == (None, None, None)
+    assert (scene.chains, scene.rows, scene.plan) == (None, None, None)
     (body,) = scene.bodies
     assert body.skeleton.joints == ("joint1", "joint2", "joint3", "joint4")
     # Several leaves are no hindrance where nothing is measured.

@@ -57,20 +57,25 @@ def _verdict(found: Comparison) -> Line:
         return Line("No drift: both predict the same tool points.", "good")
     if found.explained is None:
         return Line(
-            f"The tool points are {apart} rms apart; the files do not say how much of "
+            f"The tool points{_where(found)} are {apart} rms apart; the files do not say how much of "
             "it is noise.",
             "strong",
         )
     noise = _size(found, *found.explained)
     if found.drifted:
-        beyond = f"{apart} rms where the noise of both explains {noise}."
+        beyond = f"{apart} rms{_where(found)} where the noise of both explains {noise}."
         return Line(f"{_cause(found)} {beyond}", "bad")
-    within = f"{apart} rms where noise explains {noise}."
+    within = f"{apart} rms{_where(found)} where noise explains {noise}."
     if found.changed and found.described:
         said = f"The robot changed, but not visibly at the tool point: {_first(found)};"
         return Line(f"{said} the tool points differ by {within}", "bad")
     said = "No drift beyond the noise of both: the tool points differ by"
     return Line(f"{said} {within}", "good")
+
+
+def _where(found: Comparison) -> str:
+    """Of several chains the one that drifted most."""
+    return f" at the tip of {found.chain}" if len(found.drifts) > 1 else ""
 
 
 def _cause(found: Comparison) -> str:
@@ -157,16 +162,17 @@ FAR = 0.01
 
 def tip_differences(found: Comparison) -> Iterator[Block]:
     """The distance of the tool points, its maximum, and what is no drift."""
-    drift = found.drift
-    explained = found.explained or (math.nan, math.nan)
-    stages = [
-        ("position", "m", drift.position, explained[0]),
-        ("orientation", "rad", drift.orientation, explained[1]),
-    ]
     rows = []
-    for name, unit, accuracy, noise in stages[: 2 if found.oriented else 1]:
-        *cells, shown = sizes(accuracy, unit, known)
-        rows.append((Cell(name), *cells, known(noise, unit), shown))
+    for chain, drift in found.drifts.items():
+        explained = found.explained_at(chain) or (math.nan, math.nan)
+        stages = [
+            ("position", "m", drift.position, explained[0]),
+            ("orientation", "rad", drift.orientation, explained[1]),
+        ]
+        of = f"{chain or 'robot'}, " if len(found.drifts) > 1 else ""
+        for name, unit, accuracy, noise in stages[: 2 if found.oriented else 1]:
+            *cells, shown = sizes(accuracy, unit, known)
+            rows.append((Cell(of + name), *cells, known(noise, unit), shown))
     yield Table(
         "Tool-point difference over the workspace",
         columns("", (*SIZES[:-1], "noise rms", SIZES[-1])),
@@ -191,8 +197,7 @@ def _how(found: Comparison) -> Iterator[str]:
         yield "Base and tool are known."
     if not found.oriented:
         yield "The measurements contain no orientations."
-    shifts = {d.frame: d.shift for d in found.displacements}
-    if shifts.get("tool", 0.0) > FAR:
+    if any(d.of_tool and d.shift > FAR for d in found.displacements):
         yield (
             "The tool point of A is compared; that of B was elsewhere, and B may be "
             "less certain at A's."
@@ -212,7 +217,7 @@ def _how(found: Comparison) -> Iterator[str]:
 
 
 def _farthest(found: Comparison) -> Facts:
-    drift, chain = found.drift, found.first.model.of().chain
+    drift, chain = found.drift, found.first.model.of(found.chain).chain
     position = drift.farthest
     x, y, z = (f"{1e3 * value:.1f}" for value in drift.points[position])
     angles = []
@@ -222,7 +227,7 @@ def _farthest(found: Comparison) -> Facts:
     if np.all(chain.revolute):
         angles = [*(angle.removesuffix(" deg") for angle in angles[:-1]), angles[-1]]
     return Facts(
-        f"Largest difference: {amount(drift.drift[position], 'm')}",
+        f"Largest difference{_where(found)}: {amount(drift.drift[position], 'm')}",
         [
             ("tool point", f"at {x}, {y}, {z} mm in {chain.base}"),
             ("joints", f"at {', '.join(angles)}"),
@@ -232,13 +237,12 @@ def _farthest(found: Comparison) -> Facts:
 
 def _frames(found: Comparison) -> Iterator[Facts]:
     """The displacements of base and tool, which are no drift of the robot."""
-    relative = {"base": "the instrument", "tool": "the tip link"}
     entries = []
     for moved in found.displacements:
         words = amount(moved.shift, "m")
         if moved.turn is not None:
             words += f" and {amount(moved.turn, 'rad')}"
-        words += f", relative to {relative[moved.frame]}"
+        words += f", relative to the {'tip link' if moved.of_tool else 'instrument'}"
         entries.append((moved.frame, words))
     if entries:
         yield Facts("Displaced in B, which is no drift of the robot", entries)

@@ -239,7 +239,7 @@ class Comparison:
     @property
     def explained(self) -> tuple[float, float] | None:
         """Drift that the noise of both explains, rms [m] and [rad]; None if unknown."""
-        return self._explained(self.chain)
+        return self.explained_at(self.chain)
 
     @property
     def identical(self) -> bool:
@@ -253,7 +253,8 @@ class Comparison:
             return None
         return not self._identical(self.drift) and self._size(self.chain) > EXPLAINED
 
-    def _explained(self, chain: str) -> tuple[float, float] | None:
+    def explained_at(self, chain: str) -> tuple[float, float] | None:
+        """The same at the tip of a chain."""
         alone = len(self.drifts[chain].absorbed) == 2
         other = partners(self.first.model, self.second.model)[chain]
         pairs = (self.first, chain), (self.second, other)
@@ -268,7 +269,7 @@ class Comparison:
 
     def _size(self, chain: str) -> float:
         """Size of a drift by what noise explains; in meters if that is unknown."""
-        drift, noise = self.drifts[chain], self._explained(chain)
+        drift, noise = self.drifts[chain], self.explained_at(chain)
         if noise is None:
             return drift.position.rms
         sizes = drift.position.rms, self.oriented * drift.orientation.rms

@@ -26,11 +26,13 @@ class Displacement:
             several the name of the station or the tool.
         shift: Distance between both origins [m].
         turn: Angle between both orientations [rad]; None where rows do not tell.
+        of_tool: Whether it is that of a tool.
     """
 
     frame: str
     shift: float
     turn: float | None
+    of_tool: bool = False
 
 
 def partners(first: CalibratedModel, second: CalibratedModel) -> dict[str, str]:
@@ -113,8 +115,9 @@ def displacements(
         if not _same(a, b):
             shift = float(np.linalg.norm(b.translation - a.translation))
             turn = float(np.linalg.norm(pin.log3(a.rotation.T @ b.rotation)))
-            turns = place[0] == "base" or told
-            yield Displacement(place[1], shift, turn if turns else None)
+            of_tool = place[0] == "tool"
+            known = turn if told or not of_tool else None
+            yield Displacement(place[1], shift, known, of_tool)
 
 
 def _frames(model: CalibratedModel) -> dict[tuple[str, str], pin.SE3]:

@@ -61,7 +61,7 @@ def second(found: Comparison, **changes: Any) -> Comparison:
             tip = replace(
                 result.accuracy.tip, position=p, orientation=o, of_robot=sizes
             )
-        result = replace(result, accuracy=replace(result.accuracy, tip=tip))
+        result = replace(result, accuracies={"": replace(result.accuracy, tip=tip)})
     return replace(found, second=replace(result, **changes))
 
 
@@ -129,7 +129,7 @@ def test_other_verdicts(changes, expected, moved):
 
 def test_tips_at_the_same_places(still):
     drift = replace(still.drift, drift=np.full(1000, 1e-9), turn=np.full(1000, 1e-9))
-    words = words_of(replace(still, drift=drift))
+    words = words_of(replace(still, drifts={"": drift}))
     assert words.startswith("No drift: both predict the same tool points.")
     assert "Largest difference" not in words
 
@@ -185,7 +185,10 @@ def test_where_it_differs_most(moved):
 def test_frames_that_moved(still):
     found = replace(
         still,
-        displacements=(Displacement("base", 0.8, 0.1), Displacement("tool", 0.2, None)),
+        displacements=(
+            Displacement("base", 0.8, 0.1),
+            Displacement("tool", 0.2, None, of_tool=True),
+        ),
     )
     words = words_of(found)
     assert "which is no drift of the robot base 800.0 mm and 5.730 deg, rel" in words

@@ -23,7 +23,7 @@ from calib_pin.validation.result import CalibrationResult
 
 
 def estimates(result: CalibrationResult) -> list[Estimate]:
-    return of_robot(result.parameters, result.groups, result.model.error)
+    return of_robot(result.parameters, result.groups, result.model.given)
 
 
 def test_what_is_known_comes_from_base_to_tip(calibrated: CalibrationResult) -> None:
@@ -40,7 +40,7 @@ def test_what_is_known_comes_from_base_to_tip(calibrated: CalibrationResult) -> 
 
 def test_frames_are_not_of_the_robot(calibrated: CalibrationResult) -> None:
     group = replace(calibrated.groups[0], terms=(("base.frame.x", 1.0),))
-    found = of_robot(calibrated.parameters, (group,), calibrated.model.error)
+    found = of_robot(calibrated.parameters, (group,), calibrated.model.given)
     assert all(not estimate.label.startswith("sum") for estimate in found)
 
 

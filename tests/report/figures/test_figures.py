@@ -187,7 +187,7 @@ def without(result: CalibrationResult) -> CalibrationResult:
         statistics=replace(result.statistics, sigma0=np.nan, noise=()),
         held_out=None,
         validation=Validation("none", 0),
-        accuracy=replace(result.accuracy, tip=None),
+        accuracies={"": replace(result.accuracy, tip=None)},
         identifiability=ranks,
         solver=replace(result.solver, history=()),
         model_selection=None,

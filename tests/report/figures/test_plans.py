@@ -67,7 +67,7 @@ def test_positions_are_those_of_the_nominal_robot(
     planned: Plan, draw: Callable[..., Drawn]
 ) -> None:
     points = tool_positions(planned)
-    chain, error = planned.problem.error.chain, planned.problem.error
+    chain, error = planned.problem.only.error.chain, planned.problem.only.error
     tool = error.tool.translation
     for point, T in zip(points, chain.poses(planned.q), strict=True):
         np.testing.assert_allclose(point, T[:3, :3] @ tool + T[:3, 3], atol=1e-9)

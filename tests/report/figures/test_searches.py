@@ -69,7 +69,7 @@ def test_tip_errors_are_in_millimeters(
     assert len(last.by_count.curve[0]) == 1
     assert (
         tip_by_count(
-            replace(calibrated, accuracy=replace(calibrated.accuracy, tip=last))
+            replace(calibrated, accuracies={"": replace(calibrated.accuracy, tip=last)})
         )
         is None
     )
@@ -89,7 +89,9 @@ def test_the_workspace_shows_all_samples(
     endless = replace(tip, position=np.full(len(tip.points), np.inf))
     assert (
         tip_in_workspace(
-            replace(calibrated, accuracy=replace(calibrated.accuracy, tip=endless))
+            replace(
+                calibrated, accuracies={"": replace(calibrated.accuracy, tip=endless)}
+            )
         )
         is None
     )

@@ -246,6 +246,7 @@ def plan(
         chains,
         found.q,
         found.target,
+        places=found.places,
         joints=stated.joints,
         comments=[f"planned by: {told_command(context)}"],
     )

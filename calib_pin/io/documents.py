@@ -196,6 +196,7 @@ def plan_document(plan: Plan) -> Json:
         "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
         "target": list(plan.target),
+        **{name: list(column) for name, column in plan.places.items()},
         "criterion": {"name": plan.criterion, "value": plan.value},
         "random": plan.random,
         "method": plan.method,

@@ -207,6 +207,7 @@ def encode_configurations(
     q: Floats,
     target: Sequence[str] = (),
     *,
+    places: Mapping[str, Sequence[str]] = {},
     joints: Mapping[str, JointMap] = {},
     comments: Sequence[str] = (),
 ) -> bytes:
@@ -216,6 +217,7 @@ def encode_configurations(
         chain: The chain, or several.
         q: Joint positions, shape (N, n) [rad, m].
         target: Target of each; no column where none is named.
+        places: Columns `chain`, `station` and `tool`, as far as these have names.
         joints: How file columns become joints; the file holds what a controller
             needs.
         comments: Lines for the head of the file.
@@ -236,8 +238,8 @@ def encode_configurations(
     columns: dict[str, Floats | Sequence[str]] = {}
     for name, values in column_values(q, joint_sources(chain, joints)).items():
         columns[column_name(name)] = values
-    if any(target):
-        columns["target"] = writable("target", target)
+    named = {**places, "target": target}
+    columns |= {k: writable(k, column) for k, column in named.items() if any(column)}
     return encode_table(columns, comments)
 
 

@@ -57,8 +57,8 @@ def _verdict(found: Comparison) -> Line:
         return Line("No drift: both predict the same tool points.", "good")
     if found.explained is None:
         return Line(
-            f"The tool points{_where(found)} are {apart} rms apart; the files do not say how much of "
-            "it is noise.",
+            f"The tool points{_where(found)} are {apart} rms apart; the files do not "
+            "say how much of it is noise.",
             "strong",
         )
     noise = _size(found, *found.explained)

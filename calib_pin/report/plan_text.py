@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections import Counter
 from collections.abc import Iterator
 
 from calib_pin.planning.plan import Plan, Step
@@ -45,6 +46,10 @@ def _subject(plan: Plan) -> Iterator[Line]:
         f"{len(plan.q)} configurations{more}",
         "strong",
     )
+    if plan.places:
+        shares = Counter(zip(*plan.places.values(), strict=True))
+        told = (f"{n} of {', '.join(filter(None, k))}" for k, n in shares.items())
+        yield Line(f"Configurations: {'; '.join(told)}.", "note")
     ended = {Status.CONVERGED: "", Status.STOPPED: " (stopped: the best so far)"}
     remark = ended.get(plan.status, f" ({plan.status.value})")
     yield Line(

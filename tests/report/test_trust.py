@@ -72,7 +72,9 @@ def result() -> CalibrationResult:
 
 def changed(result: CalibrationResult, **changes: Any) -> CalibrationResult:
     """A result with other values, each in the group that holds it."""
-    for name in ("statistics", "solver", "accuracy", "validation"):
+    own = {key: changes.pop(key) for key in [*changes] if hasattr(result.accuracy, key)}
+    result = replace(result, accuracies={"": replace(result.accuracy, **own)})
+    for name in ("statistics", "solver", "validation"):
         part = getattr(result, name)
         own = {key: changes.pop(key) for key in [*changes] if hasattr(part, key)}
         result = replace(result, **{name: replace(part, **own)})

@@ -165,11 +165,14 @@ def planned_positions(plan: Plan) -> Drawn | None:
 
 def tool_positions(plan: Plan) -> Floats:
     """Tool points of the nominal robot in the base link, shape (K, 3) [m]."""
-    part = plan.problem.moving
-    error = part.error
-    T = error.poses(plan.q[:, part.columns], np.zeros(len(error.screws)))
-    to_base = error.base.inverse().homogeneous
-    return np.asarray(T[:, :3, 3] @ to_base[:3, :3].T + to_base[:3, 3])
+    points = np.zeros((len(plan.q), 3))
+    keys = [aim.key for aim in plan.aims]
+    for key in dict.fromkeys(keys):
+        own, part = np.array([k == key for k in keys], bool), plan.problem.parts[key]
+        error = part.error
+        T = error.poses(plan.q[own][:, part.columns], np.zeros(len(error.screws)))
+        points[own] = (error.base.inverse().homogeneous @ T)[:, :3, 3]
+    return points
 
 
 def _way(axes: Axes, spots: Floats, scale: float) -> None:

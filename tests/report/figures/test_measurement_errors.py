@@ -29,9 +29,9 @@ def test_points_are_the_errors(
         for k, part in enumerate((calibrated.fitted, calibrated.held_out)):
             axes = drawn.figure.axes[2 * row + k]
             assert axes.get_yscale() == "log"
-            for stage in ("before", "after"):
+            for stage, label in (("before", "before"), ("after", "after (calibrated)")):
                 errors = factor * getattr(part, stage)[:, columns]
-                at, shown = line(axes, stage)
+                at, shown = line(axes, label)
                 assert at.tolist() == list(range(1, 41))
                 np.testing.assert_allclose(shown, np.sqrt((errors**2).sum(axis=1)))
                 low, high = axes.get_ylim()
@@ -71,7 +71,7 @@ def test_what_has_no_logarithm_stands_at_the_ends(
     )
     drawn = draw(errors_per_measurement, result)
     axes = drawn.figure.axes[0]
-    at, _ = line(axes, "after")
+    at, _ = line(axes, "after (calibrated)")
     assert set(range(1, 41)) - set(at.tolist()) == {6, 7, 10}
     ends = {
         str(one.get_marker()): np.asarray(one.get_xdata()).tolist()
@@ -89,7 +89,7 @@ def test_very_many_rows_are_thinned_and_rastered(
 ) -> None:
     drawn = draw(errors_per_measurement, many(count))
     axes = drawn.figure.axes[0]
-    at, shown = line(axes, "after")
+    at, shown = line(axes, "after (calibrated)")
     assert len(at) == LIMIT and axes.lines[0].get_rasterized()
     assert count // 3 + 1 in at, "the worst row"
     assert {4, 8} <= set(at)

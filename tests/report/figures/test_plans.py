@@ -79,5 +79,7 @@ def test_positions_are_those_of_the_nominal_robot(
         np.testing.assert_allclose(first.get_data(), points[:1, side].T)
         numbers = [text.get_text() for text in axes.texts]
         assert numbers[0] == "1" and set(numbers) <= {str(k) for k in range(1, 13)}
-    assert planned_positions(replace(planned, q=planned.q[:0], target=())) is None
-    assert draw(planned_positions, replace(planned, q=planned.q[:1])).svg()
+    assert planned_positions(replace(planned, q=planned.q[:0], aims=())) is None
+    assert draw(
+        planned_positions, replace(planned, q=planned.q[:1], aims=planned.aims[:1])
+    ).svg()

@@ -49,7 +49,7 @@ def test_errors_point_from_measured_to_predicted_in_the_base_link(
     calibrated: CalibrationResult, draw: Callable[..., Drawn]
 ) -> None:
     rows = calibrated.fitted
-    turned = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
+    turned = np.array([[[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]]])
     errors = np.zeros_like(rows.after)
     errors[:, 0] = 1e-3  # Along x of the measuring frame.
     fitted = replace(rows, before=errors, after=errors, to_base=turned)

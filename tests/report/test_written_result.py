@@ -12,6 +12,8 @@ import calib_pin
 from calib_pin.cli.results import Run, result_contents, result_files
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.result_file import read_suggestions, read_written
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.planning.suggestions import calibrated_setup, suggestions
 from calib_pin.report.figures import calibration_figures
 from calib_pin.report.html import html_report
@@ -26,6 +28,7 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
     SolverSetup,
+    ToolSetup,
 )
 from calib_pin.validation.result import CalibrationResult
 
@@ -76,11 +79,10 @@ def corrections() -> CalibrationResult:
 
 def learned() -> CalibrationResult:
     chain, rows = measured("pose", Setup(parameters=("placement",)), 60)
-    q = rows.q.copy()
-    values = rows.values.copy()
-    values[:, :3] += 2e-3 * np.sin(3.0 * q[:, 1:4])
+    values = rows.only.values.copy()
+    values[:, :3] += 2e-3 * np.sin(3.0 * rows.q[:, 1:4])
     setup = Setup(parameters=OFFSETS, learned="gaussian-process")
-    return calib_pin.calibrate(chain, replace(rows, values=values), setup)
+    return calib_pin.calibrate(chain, replace(rows.only, values=values), setup)
 
 
 def ladder() -> CalibrationResult:
@@ -123,7 +125,49 @@ def known_distances() -> CalibrationResult:
     return result
 
 
+def several_blocks() -> CalibrationResult:
+    """Two stations, two tools and a held-out third station."""
+    chain = calib_pin.load_chain("space6")
+    setup = Setup(
+        parameters=OFFSETS,
+        stations={
+            "day1": FrameSetup((2.0, 1.0, 0.3), (0.1, 0.2, 1.2)),
+            "day2": FrameSetup((-1.0, 0.5, 0.1), (0.0, -0.1, 0.4)),
+        },
+        tools={"ball": ToolSetup((0.0, 0.1, 0.05))},
+    )
+    keys = [
+        BlockKey("position", "", "day1", "probe"),
+        BlockKey("pose", "", "day2", "ball"),
+        BlockKey("position", "", "day2", "probe"),
+    ]
+    problem = nominal_problem(chain, keys, setup)
+    rng = np.random.default_rng(3)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    first, second, third = calib_pin.simulate(problem, theta, rng, count=120).blocks
+    later = replace(third, station="day3")
+    data = Observations((first, second, third))
+    result = calib_pin.calibrate(chain, data, setup, validation=later)
+    assert result.held_out is not None
+    assert result.held_out.rows.keys == (later.key,)
+    return result
+
+
+def two_hands() -> CalibrationResult:
+    chain = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link")
+    names = ("arm_left_7_link", "arm_right_7_link")
+    chains = Chains(chain.robot, names=names)
+    keys = [BlockKey("pose", name) for name in names]
+    problem = nominal_problem(chains, keys, Setup(parameters=OFFSETS))
+    rng = np.random.default_rng(3)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=80)
+    return calib_pin.calibrate(chains, rows, Setup(parameters=OFFSETS))
+
+
 CASES = {
+    "blocks": several_blocks,
+    "hands": two_hands,
     "position": position_held_out,
     "pose": pose_cross_validated,
     "findings": with_findings,
@@ -147,13 +191,13 @@ def test_page_and_figures_from_files_are_the_same_bytes(
 ) -> None:
     result = CASES[name]()
     better = suggestions(
-        result.model.chain,
-        result.model.measurement.name,
+        result.model.chains,
+        list(result.model.parts),
         calibrated_setup(result.model),
         result,
     )
     drawn = list(calibration_figures(result))
-    files = result_files(tmp_path / "out", result.model.chain.robot.name)
+    files = result_files(tmp_path / "out", result.model.chains.robot.name)
     run = Run(("calib-pin", "calibrate", "a b.csv"), 1.25)
     for path, data in result_contents(result, files, run, drawn, {}, better).items():
         path.parent.mkdir(exist_ok=True)

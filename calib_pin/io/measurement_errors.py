@@ -45,6 +45,10 @@ leverage: of the fit. tool.<axis>: the calibrated tool point in the base link.
 and by the calibrated one. .sigma: its standard deviation as it is used, .stated: as it
 was stated. An empty cell is a number that a measurement does not have."""
 
+OF_BLOCKS = """
+model, chain, station, tool: the block. A model has its own values and components."""
+"""End of the legend where there are several blocks."""
+
 
 def encode_errors(result: CalibrationResult, run: str) -> bytes:
     """The file of a result.
@@ -65,7 +69,8 @@ def encode_errors(result: CalibrationResult, run: str) -> bytes:
             table |= {name: [value] * len(errors) for name, value in key.items()}
     numbers = [name for name in names if name not in told]
     text, found = io.StringIO(newline=""), list[bytes]()
-    text.write("".join(f"# {line}\n" for line in LEGEND.format(run=run).splitlines()))
+    legend = LEGEND.format(run=run) + (OF_BLOCKS if "model" in told else "")
+    text.write("".join(f"# {line}\n" for line in legend.splitlines()))
     csv.writer(text, lineterminator="\n").writerow([*told, *numbers])
     # Files may have names that are not UTF-8.
     found.append(text.getvalue().encode("utf-8", "backslashreplace"))

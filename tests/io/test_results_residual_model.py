@@ -13,6 +13,7 @@ import pytest
 
 import calib_pin
 from calib_pin.errors import InputError
+from calib_pin.estimation.fit import with_learned
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.calibration_document import calibration_document
 from calib_pin.io.json_text import encode
@@ -24,8 +25,9 @@ from calib_pin.io.results import (
     reference,
 )
 from calib_pin.kinematics.chain import Chain
+from calib_pin.observations import BlockKey
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.result import CalibrationResult
 from calib_pin.validation.summaries import Provenance
@@ -69,6 +71,32 @@ def test_it_predicts_as_before(learned: CalibrationResult, folder: Path) -> None
     plain = model.without_corrections.of().poses(q)
     assert np.abs(plain - poses).max() > 1e-5
     assert not model.of().outside(q).all()
+
+
+def test_it_belongs_to_all_tools_of_a_chain(
+    learned: CalibrationResult, tmp_path: Path
+) -> None:
+    network = learned.model.only.error.learned
+    assert isinstance(network, LearnedCorrection)
+    keys = [BlockKey("position", "", "", tool) for tool in ("a", "b")]
+    setup = Setup(
+        parameters=("joint-offset",),
+        tools={"a": ToolSetup(TOOL.xyz), "b": ToolSetup((0.0, 0.1, 0.2))},
+    )
+    problem = nominal_problem(learned.model.chains, keys, setup)
+    model = CalibratedModel.create(problem, np.zeros(len(problem.given)))
+    shift = np.arange(1.0, len(problem.given) + 1.0) * 1e-4
+    model = with_learned(model, replace(network, shift=shift))
+    data = encode_residual_model(model)
+    assert data is not None
+    file = tmp_path / RESIDUAL_MODEL
+    file.write_bytes(data)
+    found = with_learned(model, read_residual_model(file, model))
+    q = model.chains.random_configurations(5, np.random.default_rng(0))
+    for key in keys:
+        np.testing.assert_array_equal(found.of(key).poses(q), model.of(key).poses(q))
+    plain = model.without_corrections.of(keys[1]).poses(q)
+    assert np.abs(plain - found.of(keys[1]).poses(q)).max() > 1e-5
 
 
 def test_nothing_was_learned(learned: CalibrationResult) -> None:

@@ -5,6 +5,7 @@ from __future__ import annotations
 import json
 import math
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -21,9 +22,17 @@ from calib_pin.io.result_file import read_result
 from calib_pin.io.results import read_accuracy
 from calib_pin.setup import Setup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.breakdown import (
+    BlockSummary,
+    Breakdown,
+    ChainSummary,
+    CoupledFrames,
+    FrameSummary,
+)
 from calib_pin.validation.comparison import DESCRIBED, compare, stated_noise
 from calib_pin.validation.result import CalibrationResult
-from calib_pin.validation.summaries import Provenance
+from calib_pin.validation.summaries import Provenance, ToolAccuracy
 
 
 @pytest.fixture(scope="module")
@@ -67,6 +76,38 @@ def test_all_comes_back(document, result):
     assert stated_noise(found) < DESCRIBED
     both = compare(found, found)
     assert both.oriented and both.drift.absorbed == ("base", "tool")
+
+
+def test_the_breakdown_comes_back(result, tmp_path, monkeypatch):
+    monkeypatch.chdir(tmp_path)
+    unknown = Accuracy(1.0, 2.0, math.inf, 4.0)
+    errors = (QuantityErrors("position", "m", unknown, unknown, None, None),)
+    noise = result.statistics.noise
+    assert noise
+    pose = (0.1, 0.2, 0.3), (0.4, 0.5, 0.6)
+    told = Breakdown(
+        accuracies={"": result.accuracy, "touch": ToolAccuracy()},
+        stations=(FrameSummary("a", "b", 7, errors, noise, *pose, (1e-3,) * 6, True),),
+        tools=(FrameSummary("tool", "t", 7, errors, noise, *pose, (), False),),
+        chains=(ChainSummary("", "b", "t", ("j", "k"), 7, errors, ("k",)),),
+        blocks=(
+            BlockSummary(
+                *("pose", "", "a", "tool", 7, ("x", ""), errors, noise, 3, 2),
+                ties=(("a",), ("tool", "c")),
+            ),
+        ),
+        coupled_frames=(CoupledFrames(("a", "c"), "a.z + c.z", "both move"),),
+    )
+    whole = replace(result, **vars(told))
+    # There is no such chain, so that it could not be read.
+    data = encode(calibration_document(whole, Provenance((), "", 0.5, {})))
+    document = json.loads(data)
+    assert list(document["predicted_by_chain"]) == ["touch"]
+    del document["predicted_by_chain"]
+    Path("c.json").write_text(json.dumps(document))
+    found = read_result("c.json")
+    for name in ("stations", "tools", "chains", "blocks", "coupled_frames"):
+        assert getattr(found, name) == getattr(told, name), name
 
 
 def test_older_files(document):

@@ -21,7 +21,6 @@ from calib_pin.validation.result import (
     Evaluation,
     Identification,
 )
-from calib_pin.validation.tip_drift import TipDrift
 
 
 def comparison_document(found: Comparison) -> Json:
@@ -42,7 +41,8 @@ def comparison_document(found: Comparison) -> Json:
         },
         "drifted": found.drifted,
         "changed": found.changed,
-        "tip": _tip(found, found.drift),
+        "tip": _tip(found, found.chain),
+        **_tips(found),
         "displacements": {
             name: None if d is None else {"position": d.shift, "orientation": d.turn}
             for name, d in names.items()
@@ -89,8 +89,17 @@ def _record(record: CalibrationResult) -> Json:
     }
 
 
-def _tip(found: Comparison, drift: TipDrift) -> Json:
-    position, orientation = found.explained or (None, None)
+def _tips(found: Comparison) -> Json:
+    """The tips of all chains, where there are several; `tip` drifted most."""
+    if len(found.drifts) == 1:
+        return {}
+    tips = {name: _tip(found, name) for name in found.drifts}
+    return {"chain": found.chain, "tips": tips}
+
+
+def _tip(found: Comparison, chain: str) -> Json:
+    position, orientation = found.explained_at(chain) or (None, None)
+    drift = found.drifts[chain]
     farthest = drift.farthest
     return {
         "configurations": len(drift.q),

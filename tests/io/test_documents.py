@@ -9,8 +9,11 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.documents import comparison_document
 from calib_pin.io.json_text import encode
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import BlockKey
 from calib_pin.validation.comparison import Comparison, compare
 
 
@@ -67,3 +70,28 @@ def test_what_is_unknown_is_null(found):
     assert document["tip"]["orientation"] is None
     assert document["tip"]["position"]["explained"] is None
     assert document["displacements"] == {"base": None, "tool": None}
+
+
+def test_the_tips_of_several_chains():
+    chain = calib_pin.load_chain("example:talos_reduced", tip="arm_left_7_link")
+    names = ("arm_left_7_link", "arm_right_7_link")
+    chains = Chains(chain.robot, names=names)
+    setup = calib_pin.Setup(parameters=("joint-offset",))
+    keys = [BlockKey("pose", name) for name in names]
+    problem = nominal_problem(chains, keys, setup)
+    results = []
+    for seed in (1, 2):
+        rng = np.random.default_rng(seed)
+        theta = calib_pin.draw_errors(problem.parameters, rng)
+        rows = calib_pin.simulate(problem, theta, rng, count=60)
+        results.append(calib_pin.calibrate(chains, rows, setup, validate=False))
+    both = compare(*results)
+    document = comparison_document(both)
+    assert list(document["tips"]) == list(names)
+    assert document["tip"] == document["tips"][document["chain"]]
+    for name in names:
+        tip = document["tips"][name]
+        assert tip["position"]["rms"] == both.drifts[name].position.rms > 1e-4
+        assert tip["position"]["explained"] == both.explained_at(name)[0]
+        joints = len(chains[name].joints)
+        assert len(tip["largest"]["configuration"]) == joints

@@ -49,7 +49,7 @@ def _search(criterion: Criterion, size: int, count: int) -> Search:
     problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
     workspace, rng = Workspace.create(problem), np.random.default_rng(0)
     candidates = workspace.candidates(size, rng)
-    _, rows, known = identification(problem, candidates)
+    _, rows, known = identification(problem, workspace.aims, candidates)
     return Search(rows, workspace, criterion, known, candidates, count, rng)
 
 

@@ -20,7 +20,7 @@ from __future__ import annotations
 
 import time
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cache
 
 import numpy as np
@@ -202,7 +202,7 @@ def _geometric(settings: Settings) -> Setup:
 def observability(settings: Settings, q: Floats) -> float:
     """O1 of the geometric model at some points, shape (N, n), as in planning."""
     rows = _rows(settings.noise)
-    J = rows.rows(q, ("",) * len(q)).reshape(-1, rows.basis.shape[1])
+    J = rows.rows(q, np.zeros(len(q), int)).reshape(-1, rows.basis.shape[1])
     found = Information.of(J.T @ J, rows.nuisances)
     assert found is not None
     return CRITERIA["O1"].value(found, len(q))
@@ -212,16 +212,12 @@ def observability(settings: Settings, q: Floats) -> float:
 def _rows(noise: float) -> IdentificationRows:
     """The identification matrix, with the reflector at the tool assumed in planning."""
     nominal = nominal_problem(robot(), "position", _geometric(Settings(noise=noise)))
-    error = nominal.error
-    problem = Problem(
-        error.with_frames(error.base, ASSUMED_TOOL),
-        nominal.measurement,
-        nominal.data,
-        nominal.setup,
-    )
-    workspace = Workspace.create(problem, point=ASSUMED_TOOL)
+    part = nominal.only
+    error = part.error.with_frames(part.error.base, ASSUMED_TOOL)
+    problem = nominal.with_parts({part.key: replace(part, error=error)})
+    workspace = Workspace.create(problem)
     spread = workspace.candidates(STRUCTURE, np.random.default_rng(0))
-    _, rows, _ = identification(problem, spread)
+    _, rows, _ = identification(problem, workspace.aims, spread)
     return rows
 
 
@@ -271,7 +267,7 @@ def study(settings: Settings, selected: Mapping[int, Selection], seed: int) -> C
     chain, rng = robot(), np.random.default_rng(seed)
     problem, theta = truth(settings, rng)
     unseen = chain.random_configurations(settings.verification, rng)
-    true = problem.error.poses(unseen, problem.split(theta)[0])[:, :3, 3]
+    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])[:, :3, 3]
     # A smaller random set is the beginning of a larger one.
     drawn = chain.random_configurations(max(settings.counts), rng)
     cases: dict[int, dict[str, Case]] = {}
@@ -296,14 +292,14 @@ def study(settings: Settings, selected: Mapping[int, Selection], seed: int) -> C
                 floor=floor,
                 spread=spread,
                 rank=fitted["structure"].identifiability.rank,
-                outside=float(fitted["network"].model.outside(unseen).mean()),
+                outside=float(fitted["network"].model.of().outside(unseen).mean()),
             )
     return cases
 
 
 def _distances(model: CalibratedModel, q: Floats, true: Floats) -> Floats:
     """Distances to the true positions, shape (K,) [m]."""
-    predicted = model.poses(q)[:, :3, 3]
+    predicted = model.of().poses(q)[:, :3, 3]
     return np.asarray(np.linalg.norm(predicted - true, axis=1))
 
 
@@ -323,7 +319,7 @@ def noise_floor(result: CalibrationResult, q: Floats) -> tuple[float, float]:
         the draws of its mean over the configurations.
     """
     # The covariance is that of deviations from the registered frames.
-    error = result.reference.error
+    error = result.reference.only.error
     count = len(error.screws)
     _, J = error.jacobian(q, np.array([p.value for p in result.parameters[:count]]))
     J = J[:, :3]

@@ -169,4 +169,4 @@ def measure(
         noise=noise,
         repeats=repeats,
         average=True,
-    )
+    ).only

@@ -7,7 +7,6 @@ know: it gives each configuration a point of its own.
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import cache
 
@@ -15,11 +14,10 @@ import numpy as np
 
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models import measurement_model
 from calib_pin.planning.criteria import Prediction
 from calib_pin.planning.information import Information
 from calib_pin.planning.planned_problem import TipTests, identification
-from calib_pin.planning.rows import IdentificationRows, Pullback
+from calib_pin.planning.rows import IdentificationRows
 from calib_pin.planning.search import Search
 from calib_pin.planning.workspace import Workspace
 from studies.klimchik_arm import (
@@ -30,7 +28,7 @@ from studies.klimchik_arm import (
     task_poses,
     truth,
 )
-from studies.klimchik_model import POINTS, calibrated, robot, setup_of
+from studies.klimchik_model import calibrated, robot, setup_of
 from studies.shared import summary
 
 RANDOM, PLANNED = "random", "planned"
@@ -41,44 +39,6 @@ DESIGN = 2015
 
 STRUCTURE = 300
 """Candidates for the identifiability analysis."""
-
-
-@dataclass(frozen=True)
-class AllPoints:
-    """Identification matrices of configurations where all points are measured.
-
-    Attributes:
-        one: Rows of a configuration and one of its points.
-    """
-
-    one: IdentificationRows
-
-    @property
-    def nuisances(self) -> int:
-        """Number of columns of base and tool."""
-        return self.one.nuisances
-
-    @property
-    def differentiable(self) -> bool:
-        """Whether the rows have a derivative by the configuration."""
-        return self.one.differentiable
-
-    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
-        """Rows of configurations, shape (K, 6) -> (K, 9, m); targets do not count."""
-        return np.concatenate(
-            [self.one.rows(q, (name,) * len(q)) for name in POINTS], axis=1
-        )
-
-    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
-        """The same with their derivative."""
-        parts = [self.one.linearize(q, (name,) * len(q)) for name in POINTS]
-
-        def pullback(by_rows: Floats) -> Floats:
-            shares = np.split(by_rows, len(parts), axis=1)
-            back = [part[1](share) for part, share in zip(parts, shares, strict=True)]
-            return np.asarray(np.sum(back, axis=0))
-
-        return np.concatenate([rows for rows, _ in parts], axis=1), pullback
 
 
 @dataclass(frozen=True)
@@ -93,7 +53,7 @@ class Design:
         known: Prior information matrix.
     """
 
-    rows: AllPoints
+    rows: IdentificationRows
     tests: Floats
     criterion: Prediction
     workspace: Workspace
@@ -111,17 +71,14 @@ class Design:
         problem = nominal_problem(robot(), "position", setup)
         workspace = Workspace.create(problem)
         spread = workspace.candidates(STRUCTURE, rng)
-        _, one, known = identification(problem, spread)
-        pose = replace(
-            one, measurement=measurement_model("pose", setup), sigma=np.ones(6)
-        )
+        _, rows, known = identification(problem, workspace.aims, spread)
         tests = task_poses(settings.tests, rng)
-        criterion = Prediction(TipTests.at(pose, tests).position)
-        return Design(AllPoints(one), tests, criterion, workspace, known)
+        criterion = Prediction(TipTests.of(rows, {"": tests}).position)
+        return Design(rows, tests, criterion, workspace, known)
 
     def predicted(self, q: Floats) -> float:
         """Root-mean-square error at the test poses that noise leaves [m]."""
-        rows = self.rows.rows(q, ())
+        rows = self.rows.rows(q, np.zeros(len(q), int))
         U = rows.reshape(-1, rows.shape[2])
         found = Information.of(self.known + U.T @ U, self.rows.nuisances)
         return np.inf if found is None else self.criterion.value(found, len(q))
@@ -166,7 +123,7 @@ def at_test_poses(
     """Calibrate the same stiff robot at planned and at random configurations."""
     design = Design.create(settings)
     problem, theta = truth(rng, settings.length, settings.angle)
-    true = problem.error.poses(design.tests, problem.split(theta)[0])
+    true = problem.only.error.poses(design.tests, problem.only.split(theta)[0])
     result = {}
     for name, q in (
         (RANDOM, configurations(settings.count, rng)),
@@ -175,7 +132,7 @@ def at_test_poses(
         rows = measure(
             problem, theta, q, rng, noise=settings.noise, repeats=settings.repeats
         )
-        found = calibrated(rows, setup_of(known=True)).model.poses(design.tests)
+        found = calibrated(rows, setup_of(known=True)).model.of().poses(design.tests)
         errors = np.linalg.norm((found - true)[:, :3, 3], axis=1)
         result[name] = Planned(design.predicted(q), errors)
     return result

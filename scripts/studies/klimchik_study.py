@@ -22,7 +22,7 @@ from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.solve import descend
 from calib_pin.kinematics.spatial import Floats, invert, so3_log
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.parameterizations.compliance import NOTHING
 from calib_pin.solvers import Status, alternation
 from calib_pin.solvers.alternation import MEMORY
@@ -218,22 +218,16 @@ def _compliances(found: CalibrationResult) -> tuple[Floats, Floats]:
     return np.array(value), np.array(sigma)
 
 
-def _values(found: CalibrationResult) -> Floats:
-    """Parameters about the calibration: all of base, tool and points are zero."""
-    instrument = np.zeros(len(found.model.measurement.parameters))
-    return np.concatenate([found.model.theta, instrument])
-
-
 def _distances(found: CalibrationResult, rows: Measurements) -> Floats:
     """Distances of predicted points to exact ones, shape (N,) [m]."""
-    errors = found.model.problem(rows).errors(_values(found))
-    return np.asarray(np.linalg.norm(errors, axis=1))
+    errors = found.model.problem(Observations.of(rows)).errors(found.model.theta)
+    return np.asarray(np.linalg.norm(errors.reshape(-1, 3), axis=1))
 
 
 def _noise(found: CalibrationResult, rows: Measurements) -> float:
     """Root mean square of these that the covariance of the fit predicts [m]."""
     # The covariance is that of deviations from the registered references.
-    problem = found.reference.problem(rows)
+    problem = found.reference.problem(Observations.of(rows))
     _, J = problem.linearize_rows(np.array([p.value for p in found.parameters]))
     J = J * problem.sigma.reshape(-1, 1)
     variances = np.einsum("ip,pq,iq->i", J, found.covariance, J, optimize=True)
@@ -273,7 +267,7 @@ def accuracies(settings: Settings, rng: np.random.Generator) -> dict[int, Accura
         problem, theta, q, rng, noise=settings.noise, repeats=settings.repeats
     )
     unseen = configurations(settings.unseen, rng)
-    true = problem.error.poses(unseen, problem.split(theta)[0])
+    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])
     result = {}
     for points in range(1, len(POINTS) + 1):
         names = list(POINTS)[:points]
@@ -285,7 +279,7 @@ def accuracies(settings: Settings, rng: np.random.Generator) -> dict[int, Accura
 
 def _accuracy(found: CalibrationResult, q: Floats, true: Floats) -> Accuracy:
     """Judge a calibration at configurations (K, 6) with true poses (K, 4, 4)."""
-    error = found.reference.error
+    error = found.reference.only.error
     count = len(error.screws)
     _, J = error.jacobian(q, np.array([p.value for p in found.parameters[:count]]))
     covariance = found.covariance[:count, :count]
@@ -294,7 +288,7 @@ def _accuracy(found: CalibrationResult, q: Floats, true: Floats) -> Accuracy:
         variances = np.einsum("nap,pq,naq->na", J, covariance, J, optimize=True)
         return _rms(np.sqrt(variances))
 
-    errors = _errors(found.model.poses(q), true)
+    errors = _errors(found.model.of().poses(q), true)
     whole = found.identifiability.rank == found.identifiability.parameters
     return Accuracy(
         found.identifiability.rank,

@@ -240,7 +240,7 @@ def study(settings: Settings, seed: int) -> Seed:
 
 def _truth(nominal: Problem, settings: Settings, rng: np.random.Generator) -> Floats:
     """True parameters: DH errors by chance, the plane as published, shape (P,)."""
-    parameters, model = nominal.parameters, nominal.measurement
+    parameters, model = nominal.parameters, nominal.only.measurement
     assert isinstance(model, PlaneDistance)
     drawn = rng.uniform(-settings.size, settings.size, len(parameters))
     truth = np.where(parameters.free, drawn, 0.0)
@@ -325,7 +325,7 @@ def _outcome(
     history: Floats = NONE,
 ) -> Outcome:
     """Judge a solution x, shape (P,)."""
-    errors = problem.errors(x)[:, 0]
+    errors = problem.errors(x)
     validation = _validation(unseen, truth, x)
     return Outcome(float(errors @ errors), errors, validation, history)
 
@@ -333,12 +333,12 @@ def _outcome(
 def _validation(unseen: Problem, truth: Floats, x: Floats) -> Validation:
     """Errors of a solution x, shape (P,), on the validation configurations."""
     true, found = (
-        unseen.error.poses(unseen.data.q, unseen.split(theta)[0])
+        unseen.only.error.poses(unseen.data.q, unseen.only.split(theta)[0])
         for theta in (truth, x)
     )
     seen = aligned(found, true)
     return Validation(
-        distance=np.abs(unseen.errors(x)[:, 0]),
+        distance=np.abs(unseen.errors(x)),
         position=_position(seen, true),
         orientation=_orientation(seen, true),
         position_found=_position(found, true),

@@ -71,7 +71,7 @@ def write_plan(path: Path, ours: Search) -> None:
         f"place of those of {SOURCE};",
         "the arm keeps its distance from itself.",
     ]
-    chain = Arm.load().problem.error.chain
+    chain = Arm.load().problem.chains
     data = encode_configurations(chain, ours.q, comments=comments)
     write_atomically(path, data, force=True)
 

@@ -20,6 +20,7 @@ from calib_pin.kinematics.spatial import Floats, adjoint, from_quaternion, inver
 from calib_pin.measurement_models.base import Curvature, Linearization
 from calib_pin.measurement_models.pose import Pose
 from calib_pin.observations import Measurements
+from calib_pin.planning.aims import Aims
 from calib_pin.planning.rows import IdentificationRows
 
 PUBLISHED = {"hand-picked": "hand_picked.csv", "swarm": "swarm.csv"}
@@ -114,30 +115,38 @@ class Arm:
     def rows(self) -> IdentificationRows:
         """Rows of the published matrix, six for each configuration."""
         basis = np.eye(len(self.preset))[:, self.kept]
-        return IdentificationRows(self.problem, basis, 0, SpatialTwist(), np.ones(6))
+        part = replace(self.problem.only, measurement=SpatialTwist())
+        unit = dict.fromkeys(("position", "orientation"), 1.0)
+        problem = replace(
+            self.problem,
+            parts={part.key: part},
+            setup=replace(self.problem.setup, noise=unit),
+        )
+        return IdentificationRows(problem, basis, 0, Aims.of(problem, [part.key]))
 
     @property
     def bounds(self) -> Floats:
         """Joint limits of +-120 degrees, shape (7, 2)."""
-        chain = self.problem.error.chain
+        chain = self.problem.chains
         return np.column_stack([chain.lower, chain.upper])
 
     @staticmethod
     @cache
     def collisions() -> Collisions:
         """The collision model of the arm."""
-        found = load_collisions(Arm.load().problem.error.chain)
+        found = load_collisions(Arm.load().problem.chains)
         assert found is not None, "the URDF describes solids"
         return found
 
     def configurations(self, name: str) -> Floats:
         """A published set, shape (6, 7) [rad]."""
         file = calib_pin.robot_file("space7", PUBLISHED[name])
-        return read_configurations(file, self.problem.error.chain)
+        return read_configurations(file, self.problem.chains)
 
     def poses(self, q: Floats, theta: Floats) -> Floats:
         """Tool poses of the arm with some errors, shape (N, 4, 4)."""
-        return self.problem.error.poses(q, self.problem.split(theta)[0])
+        part = self.problem.only
+        return part.error.poses(q, part.split(theta)[0])
 
     def measure(
         self, q: Floats, theta: Floats, noise: Mapping[str, float], seed: int
@@ -150,7 +159,7 @@ class Arm:
             np.random.default_rng(seed),
             q=q,
             noise=None if noise else 0.0,
-        )
+        ).only
 
     def relative_errors(self, theta: Floats) -> Floats:
         """Relative errors of the linear combinations whose true value is not zero."""
@@ -162,7 +171,7 @@ class Arm:
 
 def singular_values(arm: Arm, q: Floats) -> Floats:
     """Singular values of the published matrix, descending, shape (34,)."""
-    A = arm.rows.rows(q, ("",) * len(q))
+    A = arm.rows.rows(q, np.zeros(len(q), int))
     return np.asarray(np.linalg.svd(A.reshape(-1, A.shape[2]), compute_uv=False))
 
 
@@ -175,7 +184,7 @@ def condition(arm: Arm, q: Floats) -> float:
 def conditions(arm: Arm, sets: Floats) -> Floats:
     """Condition numbers of S sets, shape (S, 6, 7) -> (S,)."""
     q = sets.reshape(-1, sets.shape[2])
-    rows = arm.rows.rows(q, ("",) * len(q))
+    rows = arm.rows.rows(q, np.zeros(len(q), int))
     s = np.linalg.svd(rows.reshape(len(sets), -1, rows.shape[2]), compute_uv=False)
     with np.errstate(divide="ignore"):
         return np.asarray(s[:, 0] / s[:, -1])

@@ -20,7 +20,7 @@ import numpy as np
 
 import calib_pin
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Indices, Measurements
 from calib_pin.planning import search as planning
 from calib_pin.planning.criteria import CRITERIA
 from calib_pin.planning.rows import IdentificationRows, Pullback
@@ -81,7 +81,7 @@ class Settings:
 
 def random_conditions(arm: Arm, count: int, rng: np.random.Generator) -> Floats:
     """Condition numbers of random sets of six within the limits, shape (count,)."""
-    q = arm.problem.error.chain.random_configurations(count * POSES, rng)
+    q = arm.problem.chains.random_configurations(count * POSES, rng)
     return conditions(arm, q.reshape(count, POSES, -1))
 
 
@@ -125,13 +125,13 @@ class Watched:
         self._rows = rows
         self.conditions: list[float] = []
 
-    def rows(self, q: Floats, target: Sequence[str]) -> Floats:
+    def rows(self, q: Floats, aim: Indices) -> Floats:
         """Rows of configurations."""
-        return self._rows.rows(q, target)
+        return self._rows.rows(q, aim)
 
-    def linearize(self, q: Floats, target: Sequence[str]) -> tuple[Floats, Pullback]:
+    def linearize(self, q: Floats, aim: Indices) -> tuple[Floats, Pullback]:
         """Rows of one set with their derivative."""
-        rows, pullback = self._rows.linearize(q, target)
+        rows, pullback = self._rows.linearize(q, aim)
         s = np.linalg.svd(rows.reshape(-1, rows.shape[2]), compute_uv=False)
         self.conditions.append(float(s[0] / s[-1]))
         return rows, pullback
@@ -164,7 +164,7 @@ def optimize(settings: Settings, seed: int, *, avoid: bool = False) -> Search:
     found = search.run("auto")
     seconds = perf_counter() - begun
     q = np.radians(np.round(np.degrees(found.q), 2))
-    if not workspace.inside(q, found.target).all():
+    if not workspace.inside(q, found.aim).all():
         q = found.q
     return Search(
         q=q,
@@ -269,7 +269,7 @@ def linear_step(arm: Arm, q: Floats) -> Floats:
     data = arm.measure(q, arm.preset, {}, 0)
     nominal = arm.poses(q, np.zeros_like(arm.preset))
     residual = SpatialTwist().residual(nominal, np.zeros(0), data).reshape(-1)
-    A = arm.rows.rows(q, ("",) * len(q)).reshape(len(residual), -1)
+    A = arm.rows.rows(q, np.zeros(len(q), int)).reshape(len(residual), -1)
     theta = np.zeros_like(arm.preset)
     theta[list(arm.kept)] = np.linalg.lstsq(A, -residual, rcond=None)[0]
     return theta
@@ -310,10 +310,10 @@ def _calibrate(
     arm: Arm, rows: Measurements, along: Floats
 ) -> tuple[Floats, str, TipErrors]:
     """Errors (P,), verdict, and errors of the preset arm's tool after a calibration."""
-    chain, setup = arm.problem.error.chain, arm.problem.setup
+    chain, setup = arm.problem.chains, arm.problem.setup
     found = calib_pin.calibrate(chain, rows, setup, validate=False)
     theta = np.array([parameter.value for parameter in found.parameters])
-    tip = tip_errors(arm.poses(along, arm.preset), found.model.poses(along))
+    tip = tip_errors(arm.poses(along, arm.preset), found.model.of().poses(along))
     return theta, found.verdict, tip
 
 

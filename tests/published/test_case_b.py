@@ -79,12 +79,12 @@ def test_the_noise_floor_is_the_mean_error_of_many_fits() -> None:
     chain, rng = robot(), np.random.default_rng(1)
     problem, theta = truth(SMALL, rng)
     q, unseen = (chain.random_configurations(n, rng) for n in (100, 200))
-    true = problem.error.poses(unseen, problem.split(theta)[0])[:, :3, 3]
+    true = problem.only.error.poses(unseen, problem.only.split(theta)[0])[:, :3, 3]
     means, floors = [], []
     for _ in range(12):
         rows = calib_pin.simulate(problem, theta, rng, q=q, noise=SMALL.noise)
         fitted = calib_pin.calibrate(chain, rows, MODELS["structure"], validate=False)
-        found = fitted.model.poses(unseen)[:, :3, 3]
+        found = fitted.model.of().poses(unseen)[:, :3, 3]
         means.append(np.linalg.norm(found - true, axis=1).mean())
         floors.append(noise_floor(fitted, unseen))
     floor, spread = np.mean(floors, axis=0)

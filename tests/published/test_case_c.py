@@ -62,7 +62,7 @@ def exact_rows(problem: Problem, theta: np.ndarray) -> calib_pin.Measurements:
 
 
 def test_rank_combinations_and_tip_error(problem: Problem, preset: np.ndarray) -> None:
-    chain = problem.error.chain
+    chain = problem.only.error.chain
     rows = exact_rows(problem, preset)
     result = calib_pin.calibrate(chain, rows, problem.setup)
     assert result.verdict == "good"
@@ -73,8 +73,8 @@ def test_rank_combinations_and_tip_error(problem: Problem, preset: np.ndarray) -
     assert len(alone) == 20
 
     q = chain.random_configurations(100, np.random.default_rng(1))
-    true = problem.error.poses(q, preset)
-    gap = invert(true) @ result.model.poses(q)
+    true = problem.only.error.poses(q, preset)
+    gap = invert(true) @ result.model.of().poses(q)
     assert np.linalg.norm(gap[:, :3, 3], axis=1).max() < 1e-9
     assert np.abs(gap[:, :3, :3] - np.eye(3)).max() < 1e-9
 
@@ -83,7 +83,7 @@ def test_coefficients_are_printed_with_the_report(
     problem: Problem, preset: np.ndarray
 ) -> None:
     rows = exact_rows(problem, preset)
-    result = calib_pin.calibrate(problem.error.chain, rows, problem.setup)
+    result = calib_pin.calibrate(problem.only.error.chain, rows, problem.setup)
     printed = " ".join(calib_pin.format_report(result).split())
     assert "+ 0.76" in printed and "- 0.76" in printed
     third = next(g for g in result.groups if len(g.terms) == 3)
@@ -145,14 +145,14 @@ def test_one_linear_step_as_published(
 ) -> None:
     """Spatial twists, lengths in m, residual `(T - T~) T~^-1`, 34 kept columns."""
     q = configurations(name)
-    robot, _ = problem.split(preset)
-    nominal, J = problem.error.jacobian(q, np.zeros(len(robot)))
+    robot, _ = problem.only.split(preset)
+    nominal, J = problem.only.error.jacobian(q, np.zeros(len(robot)))
     links = np.array([".link-transform." in n for n in problem.parameters.names])
     A = (adjoint(nominal) @ J[:, :, links]).reshape(-1, 48)
     kept = [k for k in range(48) if k < 6 or k % 6 not in (2, 5)]
     assert np.linalg.cond(A[:, kept]) == pytest.approx(condition, abs=0.1)
 
-    E = (problem.error.poses(q, robot) - nominal) @ invert(nominal)
+    E = (problem.only.error.poses(q, robot) - nominal) @ invert(nominal)
     turn = np.stack(
         [E[:, 2, 1] - E[:, 1, 2], E[:, 0, 2] - E[:, 2, 0], E[:, 1, 0] - E[:, 0, 1]],
         axis=1,

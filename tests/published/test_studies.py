@@ -132,7 +132,7 @@ def test_liu2022_writes_numbers_figures_and_a_plan(planned: Path) -> None:
     names = {"search.png", "trajectory.png", "plan.csv", "liu2022.json"}
     assert {file.name for file in planned.iterdir()} == names
     arm, document = Arm.load(), json.loads((planned / "liu2022.json").read_text())
-    q = read_configurations(planned / "plan.csv", arm.problem.error.chain)
+    q = read_configurations(planned / "plan.csv", arm.problem.chains)
     assert q.shape == (6, 7) and np.degrees(np.abs(q)).max() <= 120 + 1e-12
     found = document["sets"]["ours"]["condition"]
     assert condition(arm, q) == pytest.approx(found, rel=1e-12)
@@ -188,7 +188,7 @@ def test_the_plan_of_liu2022_can_be_simulated(planned: Path) -> None:
 
 def poses(seed: int) -> Floats:
     arm, rng = Arm.load(), np.random.default_rng(seed)
-    q = arm.problem.error.chain.random_configurations(5, rng)
+    q = arm.problem.chains.random_configurations(5, rng)
     return arm.poses(q, arm.preset)
 
 
@@ -220,13 +220,13 @@ def test_spatial_twists_against_central_differences() -> None:
 
 def test_rows_of_the_matrix_against_central_differences() -> None:
     arm, rng = Arm.load(), np.random.default_rng(3)
-    q, target = arm.problem.error.chain.random_configurations(6, rng), ("",) * 6
-    rows, pullback = arm.rows.linearize(q, target)
+    q, aim = arm.problem.chains.random_configurations(6, rng), np.zeros(6, int)
+    rows, pullback = arm.rows.linearize(q, aim)
     by_rows, step = rng.normal(size=rows.shape), 1e-6
     expected = np.empty_like(q)
     for k in range(7):
         shift = step * np.eye(7)[k]
-        change = arm.rows.rows(q + shift, target) - arm.rows.rows(q - shift, target)
+        change = arm.rows.rows(q + shift, aim) - arm.rows.rows(q - shift, aim)
         expected[:, k] = np.sum(by_rows * change, axis=(1, 2)) / (2 * step)
     np.testing.assert_allclose(pullback(by_rows), expected, atol=1e-7)
 

@@ -196,13 +196,18 @@ def _blocks(about: Json) -> Blocks:
     """The blocks of measurements; a document of only one need not list it."""
     found: dict[BlockKey, list[str]] = {}
     for block in about.get("blocks") or [about]:
-        names = (block.get(key, "") for key in BlockKey._fields[1:])
-        key = BlockKey(text(block["model"]), *(name and text(name) for name in names))
+        stated = (block.get(field, "") for field in BlockKey._fields[1:])
+        key = BlockKey(text(block["model"]), *map(_name, stated))
         if key in found:
             raise ValueError("a block of the measurements is here twice")
         # A model that looks at nothing with a name has no targets.
-        found[key] = [t and text(t) for t in block["targets"]] or [""]
+        found[key] = list(map(_name, block["targets"])) or [""]
     return found
+
+
+def _name(value: object) -> str:
+    """A name that may be empty."""
+    return "" if value == "" else text(value)
 
 
 def _parts(

@@ -27,6 +27,7 @@ from calib_pin.validation.comparison import (
     Difference,
     robot_groups,
     robot_parameters,
+    shared_files,
     stated_noise,
 )
 from calib_pin.validation.result import CalibrationResult
@@ -130,7 +131,7 @@ def _doubts(found: Comparison) -> Iterator[str]:
             "The errors are described by different parameters, which can cause a "
             "difference without any change of the robot."
         )
-    if found.shared_rows:
+    if shared_files(found.first, found.second):
         yield "They share a measurement file: their noise is not independent."
     elif (
         found.drifted

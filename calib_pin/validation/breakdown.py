@@ -42,7 +42,7 @@ class FrameSummary:
 
 @dataclass(frozen=True)
 class ChainSummary:
-    """A chain, and what was measured of it.
+    """A chain, and the errors of its measurements.
 
     Attributes:
         name: Its name in the measurements; empty for the only one.
@@ -65,7 +65,7 @@ class ChainSummary:
 
 @dataclass(frozen=True)
 class BlockSummary:
-    """A block of measurements, and what it tells.
+    """A block of measurements, and the errors of the robot that it tells.
 
     Attributes:
         model: Name of the measurement model.

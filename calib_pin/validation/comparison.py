@@ -200,12 +200,8 @@ class Comparison:
     @property
     def same_rows(self) -> bool:
         """Whether both were fitted to the same measurement files."""
-        return self.shared_rows and _hashes(self.first) == _hashes(self.second)
-
-    @property
-    def shared_rows(self) -> bool:
-        """Whether a measurement file stands in both."""
-        return bool(_hashes(self.first) & _hashes(self.second))
+        same = _hashes(self.first) == _hashes(self.second)
+        return same and shared_files(self.first, self.second)
 
     @property
     def described(self) -> bool:
@@ -324,6 +320,11 @@ def compare(
         ),
         drifts=drifts,
     )
+
+
+def shared_files(first: CalibrationResult, second: CalibrationResult) -> bool:
+    """Whether a measurement file stands in both."""
+    return bool(_hashes(first) & _hashes(second))
 
 
 def _hashes(result: CalibrationResult) -> frozenset[str]:

@@ -82,7 +82,7 @@ def ties(problem: Problem) -> Mapping[BlockKey, tuple[tuple[str, ...], ...]]:
 
 
 def _links(problem: Problem, part: Part) -> Iterator[Frame]:
-    """What is estimated of a part, what is known as one."""
+    """Frames and reference objects of a part; those that are known are one."""
     free = problem.parameters.free
     for frame, index in frames_of(part):
         yield frame if free[index].any() else Frame("known", "")

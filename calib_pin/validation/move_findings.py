@@ -94,7 +94,7 @@ def _sides(trial: Trial, k: int) -> tuple[BlockKey, BlockKey]:
 
 
 def _subject(kind: Kind, key: BlockKey) -> str:
-    """What was moved, by the name that the measurements give."""
+    """The subject of the sentence, by the name that the measurements give."""
     name = getattr(key, kind)
     if kind == "station":
         told = f" of the station '{name}'" if name else ""

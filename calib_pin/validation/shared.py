@@ -39,7 +39,7 @@ OPEN = 1e-3
 def breakdown(
     model: FittedModel, errors: ModelErrors, accuracies: Mapping[str, ToolAccuracy]
 ) -> Breakdown:
-    """What a calibration found, part by part.
+    """A calibration part by part.
 
     Args:
         model: The fitted model.

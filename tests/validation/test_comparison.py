@@ -23,6 +23,7 @@ from calib_pin.validation.comparison import (
     Difference,
     compare,
     robot_groups,
+    shared_files,
     unknown_ends,
 )
 from calib_pin.validation.result import ParameterEstimate
@@ -143,7 +144,7 @@ def predicting(result, sizes):
         orientation=orientation,
         of_robot=sizes,
     )
-    return replace(result, accuracy=replace(result.accuracy, tip=tip))
+    return replace(result, accuracies={"": replace(result.accuracy, tip=tip)})
 
 
 def test_a_change_that_noise_hides_at_the_tip(record):
@@ -194,18 +195,20 @@ def test_what_is_estimated_of_the_instrument_stands_for_a_frame(
     known = FrameSetup((0.0, 0.0, 0.0), (0.0, 0.0, 0.0), estimate=False)
     setup = Setup(base_frame=known, tool_frame=known)
     found = recorded(chain, "pose", 0, setup=setup)
-    assert unknown_ends(found) == (False, False)
+    assert unknown_ends(found, "") == (False, False)
     named = replace(setup, **{section: {"thing": feature}})
     measurement = measurement_model(model, named, ["thing"])
+    part = found.model.only
+    seen = replace(part, measurement=measurement)
     (first, *_) = measurement.parameters
     entry = ParameterEstimate(first.name, first.unit, 0.0, None, "coupled", ())
     for status, expected in (("coupled", ends), ("fixed", (False, False))):
         record = replace(
             found,
-            model=replace(found.model, measurement=measurement),
+            model=found.model.with_parts({part.key: seen}),
             parameters=(*found.parameters, replace(entry, status=status)),
         )
-        assert unknown_ends(record) == expected
+        assert unknown_ends(record, "") == expected
 
 
 # --- other models ------------------------------------------------------------------
@@ -292,7 +295,7 @@ def test_differences_are_sorted_and_independent(record):
 
 
 def test_files_that_do_not_say_what_noise_explains(record):
-    found = compare(record(0), replace(record(1), accuracy=ToolAccuracy()))
+    found = compare(record(0), replace(record(1), accuracies={"": ToolAccuracy()}))
     assert found.explained is None and found.drifted is None
     assert not found.identical
 
@@ -315,7 +318,8 @@ def of_files(result, hashes):
 def test_rows_by_their_files(first, second, same, shared, record):
     pair = (of_files(record(k), h) for k, h in enumerate((first, second)))
     found = compare(*pair)
-    assert (found.same_rows, found.shared_rows) == (same, shared)
+    assert found.same_rows == same
+    assert shared_files(found.first, found.second) == shared
 
 
 def test_fits_that_leave_more_than_noise_prove_nothing(record):

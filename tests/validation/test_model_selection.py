@@ -15,7 +15,7 @@ from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.residual_models import RESIDUAL_MODELS, LearnedCorrection, TrainingRows
 from calib_pin.setup import FrameSetup, Payload, Setup
 from calib_pin.validation.held_out import cross_validate
@@ -82,7 +82,7 @@ def simulated(
     joints: Sequence[str] = (),
     count: int = 50,
     seed: int = 1,
-) -> Measurements:
+) -> Observations:
     """Positions of a robot with errors of some kinds, compliance of some joints."""
     stated = replace(setup, parameters=tuple(kinds), tool_frame=TOOL)
     problem = nominal_problem(chain, "position", stated)
@@ -92,8 +92,9 @@ def simulated(
         joint, kind, _ = parameter.name.split(".")
         if kind == "compliance":
             truth[k] = parameter.scale if not joints or joint in joints else 0.0
-    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE)
-    return replace(rows, payload=())  # What is carried in all rows goes without saying.
+    rows = calib_pin.simulate(problem, truth, rng, count=count, noise=NOISE).only
+    # What is carried in all rows goes without saying.
+    return Observations.of(replace(rows, payload=()))
 
 
 def rungs(selected: SelectedModel) -> dict[str, Candidate]:
@@ -274,19 +275,19 @@ def test_a_repeated_row_is_never_on_both_sides(
 ) -> None:
     rows = simulated(chain, ["placement"])
     order = np.random.default_rng(0).permutation(np.repeat(np.arange(50), 3))
-    thrice = rows.rows(order)
+    thrice = rows.only.rows(order)
     noise = NOISE * np.random.default_rng(1).normal(size=thrice.values.shape)
     thrice = replace(thrice, values=thrice.values + noise)
     seen: list[list[Any]] = []
 
     def watched(
-        chain: Chain, rows: Measurements, setup: Setup, masks: list[Any], *rest: Any
+        chain: Chain, rows: Observations, setup: Setup, masks: list[Any], *rest: Any
     ) -> Any:
         seen.append(masks)
         return cross_validate(chain, rows, setup, masks, *rest)
 
     monkeypatch.setattr("calib_pin.validation.model_selection.cross_validate", watched)
-    select_model(chain, thrice, Setup(), 0)
+    select_model(chain, Observations.of(thrice), Setup(), 0)
     assert len(seen) == len(RUNGS)
     for masks in seen:
         # All rungs are judged in the same parts.
@@ -368,7 +369,7 @@ def test_rows_say_which_of_several_payloads_they_carry(chain: Chain) -> None:
     rows = simulated(chain, ["placement"], Setup(), count=20)
     with pytest.raises(InputError, match="several payloads, and the row names none"):
         select_model(chain, rows, Setup(payloads=payloads), 0)
-    told = replace(rows, payload=("a", "b") * 10)
+    told = Observations.of(replace(rows.only, payload=("a", "b") * 10))
     selected = select_model(chain, told, Setup(payloads=payloads), 0)
     rung = rungs(selected)["+ compliance"]
     assert not rung.reason and np.isfinite(rung.score)
@@ -476,14 +477,15 @@ def trainers(no_residual_models: None, monkeypatch: pytest.MonkeyPatch) -> None:
         monkeypatch.setitem(RESIDUAL_MODELS, name, trainer)  # type: ignore[arg-type]
 
 
-def waving(chain: Chain, rows: Measurements) -> Measurements:
+def waving(chain: Chain, rows: Observations) -> Observations:
     """The same rows of a robot that has the wave as well."""
     problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
-    zero = np.zeros(len(problem.error.screws))
+    zero = np.zeros(len(problem.only.error.screws))
     wave = Wave(5e-4, np.zeros(len(zero)))
-    moved = replace(problem.error, learned=wave).poses(rows.q, zero)
-    change = moved - problem.error.poses(rows.q, zero)
-    return replace(rows, values=rows.values + change[:, :3, 3])
+    moved = replace(problem.only.error, learned=wave).poses(rows.q, zero)
+    change = moved - problem.only.error.poses(rows.q, zero)
+    values = rows.only.values + change[:, :3, 3]
+    return Observations.of(replace(rows.only, values=values))
 
 
 @pytest.mark.usefixtures("trainers")
@@ -501,7 +503,7 @@ def test_learned_rungs_stand_on_the_last_that_helped(chain: Chain) -> None:
     assert kept(selected) is found["+ right"] and kept(selected).helps
     assert kept(selected).score < 0.3 * found["joint offset"].score
     assert selected.model.fit.problem.setup.learned == "right"
-    learned = selected.model.problem.error.learned
+    learned = selected.model.problem.only.error.learned
     assert isinstance(learned, LearnedCorrection)
     assert isinstance(learned.model, Wave) and learned.model.size == 5e-4
     # Its errors on unseen rows, not those of the parameters alone.
@@ -519,7 +521,7 @@ def test_what_need_not_be_learned_is_not(chain: Chain) -> None:
     assert list(rungs(selected)) == [*RUNGS, "+ right"]
     assert kept(selected).name == "geometric"
     assert selected.model.fit.problem.setup.learned is None
-    assert selected.model.problem.error.learned is None
+    assert selected.model.problem.only.error.learned is None
     assert not rungs(selected)["+ right"].helps
     assert rungs(selected)["+ right"].parameters == ("placement",)
 

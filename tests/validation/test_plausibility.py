@@ -18,7 +18,7 @@ from calib_pin.estimation.nominal import growth
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import (
     AnchorSetup,
     DistanceSetup,
@@ -60,7 +60,7 @@ def measured(
     rng = np.random.default_rng(seed)
     problem = nominal_problem(ARM, model, setup)
     theta = robot_errors(problem, rng, size)
-    return simulate(problem, theta, rng, count=count, noise=1e-4)
+    return simulate(problem, theta, rng, count=count, noise=1e-4).only
 
 
 def fitted(rows: Measurements, setup: Setup) -> Fit:
@@ -84,7 +84,7 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
     theta = np.zeros(len(problem.parameters))
     problem = registered(problem, theta)
     _, J = problem.linearize_rows(theta)
-    places = {screw.parameter.name: screw.frame for screw in problem.error.screws}
+    places = {screw.parameter.name: screw.frame for screw in problem.only.error.screws}
     direction = np.zeros(len(theta))
     for k, name in enumerate(problem.parameters.names):
         if ".placement." in name and name[-2:] in (".x", ".y", ".z"):
@@ -96,9 +96,9 @@ def test_growth_is_that_of_all_origins(model: str, setup: Setup) -> None:
         last = last @ M.homogeneous
     tip = np.linalg.inv(last) @ ARM.poses(np.zeros((1, 6)))[0]
     tool = problem.parameters.index("tool.frame.x")
-    behind = tip[:3, :3] @ problem.error.tool.rotation
+    behind = tip[:3, :3] @ problem.only.error.tool.rotation
     direction[tool : tool + 3] = behind.T @ tip[:3, 3]
-    expected = J[: problem.sigma.size] @ direction
+    expected = J[: len(problem.sigma)] @ direction
     np.testing.assert_allclose(growth(problem, theta), expected, rtol=1e-9, atol=1e-6)
 
 
@@ -197,7 +197,7 @@ def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     theta = robot_errors(problem, rng, 0.3)
     center = np.array([0.1, 0.3, -0.5, 0.2, 0.5, 0.1])
     q = center + rng.uniform(-0.2, 0.2, (60, 6))
-    rows = simulate(problem, theta, rng, q=q, noise=1e-4)
+    rows = simulate(problem, theta, rng, q=q, noise=1e-4).only
     gears = 6e-3 * np.sin(4 * rows.q + rng.uniform(0, 6, 6))
     (finding,) = found(replace(rows, sigma=None, q=rows.q + gears), WIRE)
     assert (finding.code, finding.severity) == ("implausible-correction", "error")
@@ -258,8 +258,9 @@ def test_real_robots_measured_with_a_wrong_length(
     file: str, factor: float, apart: float, expected: float
 ) -> None:
     problem = of_real(file, apart)
-    rows = replace(problem.data, values=factor * problem.data.values)
-    problem = replace(problem, data=rows)
+    rows = problem.data.only
+    rows = replace(rows, values=factor * rows.values)
+    problem = replace(problem, data=Observations.of(rows))
     (finding,) = plausibility(fit(problem, np.random.default_rng(0)))
     assert (finding.code, finding.severity) == ("scale", "error")
     assert finding.evidence["scale"] == pytest.approx(expected, rel=0.02)

@@ -13,7 +13,7 @@ import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import invert, se3_exp, so3_log
 from calib_pin.setup import Payload, Setup
-from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.calibrated_model import CalibratedChain, CalibratedModel
 from calib_pin.validation.tip_drift import absorbed, tip_drift
 
 LEFT = se3_exp(np.array([0.3, -0.2, 0.1, 0.4, -0.3, 0.2]))
@@ -26,12 +26,12 @@ def poses():
     return chain.poses(chain.random_configurations(50, np.random.default_rng(0)))
 
 
-def model_of(theta_of=lambda names: {}, setup=None, chain=None):
+def model_of(theta_of=lambda names: {}, setup=None, chain=None) -> CalibratedChain:
     """A robot with parameter values by name."""
     chain = chain or calib_pin.load_chain("space6")
     problem = nominal_problem(chain, "pose", setup or Setup())
     theta = problem.parameters.vector(theta_of(problem.parameters.names))
-    return CalibratedModel.create(problem, theta)
+    return CalibratedModel.create(problem, theta).of()
 
 
 # --- displacements -----------------------------------------------------------------

@@ -14,7 +14,7 @@ from calib_pin.estimation.solve import Solver
 from calib_pin.estimation.stages import fit_in_stages, fit_in_units
 from calib_pin.estimation.statistics.variance_components import (
     current_units,
-    units,
+    unit_weights,
     variance_components,
 )
 from calib_pin.solvers import Status
@@ -52,9 +52,8 @@ def balanced(problem: Problem, solver: Solver) -> Fit:
     for _ in range(ROUNDS):
         if not (fitted.dof > 0 and fitted.sigma0 > EXACT):
             break
-        components = variance_components(*fitted.held)
         current = current_units(fitted.problem)
-        change = units(components) / current
+        change = unit_weights(*fitted.held) / current
         common = 1.0
         if len(fitted.problem.further) == 0:
             common = float(np.exp(np.mean(np.log(change))))

@@ -14,7 +14,6 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -42,7 +41,11 @@ REPEATED = 4
 
 
 REJECTED = 0.05
-"""Probability at which a stated standard deviation is rejected by mistake."""
+"""Probability at which a stated standard deviation is rejected by mistake, of those of
+all stations any."""
+
+LEAST_DOF = 0.5
+"""Degrees of freedom below which an estimated variance tells nothing."""
 
 FEW = 2.0
 """Redundancy below which a quantity keeps its given ratio to the others: a variance
@@ -64,8 +67,8 @@ def variance_components(
     """
     half = half_covariance(result.jac, basis, problem.parameters)
     groups = by_quantity(problem, result.x, result.fun, result.jac, half)
+    found, used = _tested(problem, groups)
     stated = _stated(problem)
-    found, used = _tested(groups, stated, current_units(problem) ** 2)
     repeated = pure_errors(problem, result.x, _leverages(problem, result, half))
     return tuple(
         _component(
@@ -75,9 +78,14 @@ def variance_components(
     )
 
 
-def units(components: tuple[VarianceComponent, ...]) -> Floats:
-    """Standard deviations of unit weight, see `Problem.units`, shape (K,)."""
-    return np.array([component.factor for component in components])
+def unit_weights(problem: Problem, result: LeastSquaresResult, basis: Floats) -> Floats:
+    """Standard deviations of unit weight, see `Problem.units`, shape (K,).
+
+    Arguments as for `variance_components`.
+    """
+    half = half_covariance(result.jac, basis, problem.parameters)
+    groups = by_quantity(problem, result.x, result.fun, result.jac, half)
+    return _tested(problem, groups)[1]
 
 
 def grouped(problem: Problem, rows: Floats) -> Groups:
@@ -198,25 +206,30 @@ def _stated(problem: Problem) -> NDArray[np.bool_]:
     )
 
 
-def _tested(
-    groups: Groups, stated: NDArray[np.bool_], start: Floats
-) -> tuple[Variances, Floats]:
+def _tested(problem: Problem, groups: Groups) -> tuple[Variances, Floats]:
     """Estimate the variances of all quantities, and choose those to use.
+
+    Of an instrument at very many stations one or another would be rejected by mistake,
+    so that it is tested as one.
 
     Returns:
         Estimates of all quantities relative to what is given, and the factors of the
         standard deviations to use, shape (K,): one where what is stated stands.
     """
+    stated, start = _stated(problem), current_units(problem) ** 2
+    stations = len({component.station for component in problem.layout.components})
     found = estimate_variances(groups, start)
     # Where two quantities cannot be told apart the information is rounding.
     found = replace(found, dof=np.minimum(found.dof, groups.counts))
     few = found.redundancies < FEW
     if few.all():
         return found, np.sqrt(start)
-    intervals = [
-        variance_interval(v, f) for v, f in zip(found.values, found.dof, strict=True)
+    tail = 0.5 * REJECTED / stations
+    above = [
+        chi_square_tail(v * f, f) if f >= LEAST_DOF else 0.5
+        for v, f in zip(found.values, found.dof, strict=True)
     ]
-    stands = np.array([low <= 1.0 <= high for low, high in intervals])
+    stands = np.abs(np.array(above) - 0.5) <= 0.5 - tail
     held = stated & (few | stands)
     values, kept = found.values, few & ~stated
     if kept.any() or (held.any() and not held.all()):
@@ -238,10 +251,9 @@ def _tested(
     return found, np.maximum(factors, LEAST * factors.max())
 
 
-@lru_cache(maxsize=1024)
 def variance_interval(variance: float, dof: float) -> tuple[float, float]:
     """The 95 % interval of a variance by its estimate."""
-    if dof < 0.5:
+    if dof < LEAST_DOF:
         return 0.0, np.inf
     tails = 0.5 * REJECTED, 1.0 - 0.5 * REJECTED
     low, high = (variance * dof / chi_square_quantile(dof, tail) for tail in tails)

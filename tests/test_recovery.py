@@ -35,6 +35,7 @@ RUNS = {
     "relative-distance": 8,
     "camera": 6,
     "position and fixed-point": 4,
+    "three stations, two tools": 30,
 }
 
 
@@ -47,7 +48,14 @@ class Found:
     runs: int
 
 
-QUICK = ("position", "fixed-point", "point-distance", "relative-distance", "camera")
+QUICK = (
+    "position",
+    "fixed-point",
+    "point-distance",
+    "relative-distance",
+    "camera",
+    "three stations, two tools",
+)
 """One case of each kind; the others differ from these by what they look at."""
 
 
@@ -86,6 +94,15 @@ def test_intervals_cover_the_truth(found: Found) -> None:
 def test_predicted_accuracy_on_new_configurations(found: Found) -> None:
     allowed = 0.05 * np.sqrt(200.0 / found.runs)
     assert found.trials.accuracy == pytest.approx(1.0, abs=allowed)
+
+
+@pytest.mark.slow
+def test_two_hundred_jobs_of_three_stations_and_two_tools() -> None:
+    """Issue 18: NEES by rank within 6 %, intervals that hold 94 to 96 %."""
+    trials = Study(CASES["three stations, two tools"]).trials(200)
+    # Chance moves the mean by 0.015, and the part that is covered by 0.0024.
+    assert trials.nees.mean() == pytest.approx(1.0, abs=0.06)
+    assert 0.94 < trials.covered.mean() < 0.96
 
 
 # Without noise.

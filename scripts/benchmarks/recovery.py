@@ -32,6 +32,7 @@ from calib_pin.setup import (
     PointSetup,
     Setup,
     SphereSetup,
+    ToolSetup,
 )
 from calib_pin.simulation import exact_at
 
@@ -86,6 +87,16 @@ PLANES = {
 SPHERE = SphereSetup((0.5, 0.2, 0.4), 0.15, estimate=True)
 WIRE = AnchorSetup((1.5, 0.2, 0.4), 0.01, estimate=True, estimate_bias=True)
 CAMERA = CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True)
+
+STATIONS = {
+    "before": BASE,
+    "beside": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
+    "behind": FrameSetup((0.3, 1.9, -0.2), (0.2, -0.1, 0.6), estimate=True),
+}
+TOOLS = {
+    "ball": ToolSetup(TOOL.xyz, TOOL.rpy, estimate=True),
+    "pin": ToolSetup((-0.04, 0.02, 0.15), (-0.3, 0.1, 0.4), estimate=True),
+}
 
 CASES: Mapping[str, Case] = {
     "pose": Case("pose", FRAMES, 40, 5e-5, 30),
@@ -162,6 +173,18 @@ CASES: Mapping[str, Case] = {
         120,
         5e-5,
         33,
+    ),
+    # A position has two directions of the tool, and three of each further frame.
+    "three stations, two tools": Case(
+        tuple(
+            BlockKey("position", station=station, tool=tool)
+            for station in STATIONS
+            for tool in TOOLS
+        ),
+        Setup(stations=STATIONS, tools=TOOLS),
+        90,
+        5e-5,
+        27 + 2 * 6 + 3,
     ),
 }
 

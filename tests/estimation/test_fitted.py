@@ -10,12 +10,12 @@ import pytest
 import calib_pin
 from calib_pin.estimation.fit import fit, with_effects
 from calib_pin.estimation.fitted import Fit, Posterior, posterior, posterior_about
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import Systematic
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Observations
-from calib_pin.setup import FrameSetup, Setup
+from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.validation.model_errors import predicted_variance
 
 SETUP = Setup(tool_frame=FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1)))
@@ -164,3 +164,82 @@ def test_under_an_expected_size_it_is_the_covariance_of_the_fit() -> None:
         fitted.covariance / np.outer(deviations, deviations),
         atol=1e-6,
     )
+
+
+# Several blocks.
+
+
+def test_blocks_that_share_all_are_the_whole() -> None:
+    """Names of stations and tools that are known and the same change nothing."""
+    chain = calib_pin.load_chain("space6")
+    base = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=False)
+    tool = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1), estimate=False)
+    setup = Setup(
+        base_frame=base,
+        tool_frame=tool,
+        stations={"one": base, "two": base},
+        tools={"a": ToolSetup(tool.xyz, tool.rpy, False)},
+    )
+    one = nominal_problem(chain, "pose", setup)
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(one.parameters, rng)
+    rows = calib_pin.simulate(one, truth, rng, count=60, noise=5e-5)
+    names = [("one", "a"), ("two", "a"), ("two", "")]
+    blocks = [
+        replace(rows.only.rows(np.arange(60) % 3 == k), station=station, tool=tool)
+        for k, (station, tool) in enumerate(names)
+    ]
+    several = make_problem(chain, Observations(tuple(blocks)), setup)
+    whole, parts = (
+        fit(problem, np.random.default_rng(0))
+        for problem in (replace(one, data=rows), several)
+    )
+    assert len(parts.problem.layout.components) == 4  # Of each station its own.
+    assert (whole.problem.units == 1.0).all() and (parts.problem.units == 1.0).all()
+    robot = [
+        [problem.parameters.names.index(name) for name in one.parameters.names[6:-6]]
+        for problem in (one, several)
+    ]
+    deviations = np.sqrt(np.diag(whole.covariance)[robot[0]])
+    difference = whole.theta[robot[0]] - parts.theta[robot[1]]
+    assert (np.abs(difference) <= 1e-6 * deviations + 1e-15).all()
+    np.testing.assert_allclose(
+        parts.covariance[np.ix_(robot[1], robot[1])],
+        whole.covariance[np.ix_(robot[0], robot[0])],
+        rtol=0,
+        atol=1e-9 * deviations.max() ** 2,
+    )
+    assert (parts.rank, parts.dof) == (whole.rank, whole.dof)
+
+
+def test_the_covariance_is_that_of_all_blocks_together() -> None:
+    """By the residual rows of all, stacked; frames of stations are correlated."""
+    chain = calib_pin.load_chain("space6")
+    places = {
+        "one": FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True),
+        "two": FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), estimate=True),
+    }
+    # What frames absorb is as uncertain as it was before.
+    fixed = "joint_1.*", "joint_6.*"
+    setup = Setup(stations=places, parameters=("joint-offset",), fixed=fixed)
+    keys = [
+        BlockKey(model, station=station, tool="ball")
+        for station, model in zip(places, ("position", "pose"), strict=True)
+    ]
+    problem = nominal_problem(chain, keys, setup)
+    rng = np.random.default_rng(0)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=80, noise=5e-5)
+    fitted = fit(replace(problem, data=rows), rng)
+    held, _, moved = fitted.held
+    _, J = held.linearize_rows(fitted.theta)
+    scaled = held.parameters.scales[:, None] * moved
+    expected = scaled @ np.linalg.pinv(J @ scaled)
+    np.testing.assert_allclose(
+        fitted.covariance, expected @ expected.T, rtol=1e-6, atol=1e-16
+    )
+    names = fitted.problem.parameters.names
+    first, second = (
+        [names.index(f"{name}.station.{c}") for c in "xyz"] for name in places
+    )
+    assert np.abs(fitted.covariance[np.ix_(first, second)]).max() > 1e-12

@@ -206,7 +206,6 @@ def plan_document(plan: Plan) -> Json:
         "configurations": plan.q.tolist(),
         **{name: list(names) for name, names in plan.places.items()},
         "target": list(plan.target),
-        **{name: list(column) for name, column in plan.places.items()},
         "criterion": {"name": plan.criterion, "value": plan.value},
         "random": plan.random,
         "method": plan.method,

@@ -296,7 +296,7 @@ def _evolve(
     half = np.full(np.count_nonzero(free), settings.box)
     half[-3:] = settings.plane_box
     # Half the whitened sum of squares, in place of the sum of squares.
-    whitened = 0.5 / problem.sigma[0, 0] ** 2
+    whitened = 0.5 / problem.sigma[0] ** 2
     options = DifferentialEvolution(
         strategy=mutation,
         population_size=settings.population,

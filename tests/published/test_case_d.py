@@ -157,7 +157,7 @@ def test_a_plan_for_test_poses_is_better_there_than_random_sets(
 ) -> None:
     design, rng = Design.create(SMALL), np.random.default_rng(0)
     assert planned.shape == (SMALL.count, 6)
-    assert design.workspace.inside(planned, np.zeros(8, int)).all()
+    assert design.workspace.inside(planned, np.zeros(len(planned), int)).all()
     drawn = [design.predicted(configurations(SMALL.count, rng)) for _ in range(25)]
     assert design.predicted(planned) < min(drawn)
     assert seed.planned[PLANNED].predicted == design.predicted(planned)

@@ -133,7 +133,7 @@ class Column:
     words: tuple[str, ...]
     codes: NDArray[np.int64]
 
-    def rows(self, index: NDArray[np.int64]) -> Column:
+    def rows(self, index: NDArray[np.int64] | slice) -> Column:
         """Some of the rows, in this order."""
         codes = self.codes[index] if self.words else self.codes
         return replace(self, numbers=self.numbers[index], codes=codes)

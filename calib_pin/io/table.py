@@ -56,7 +56,7 @@ class Table:
         """Whether there is a column of exactly this name."""
         return name in self.columns
 
-    def rows(self, index: NDArray[np.int64], names: Collection[str]) -> Table:
+    def rows(self, index: NDArray[np.int64] | slice, names: Collection[str]) -> Table:
         """Some of the rows and columns.
 
         Args:

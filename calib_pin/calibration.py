@@ -91,9 +91,9 @@ def calibrate(
         >>> result.verdict, result.identifiability.structural_rank
         ('good', 34)
     """
-    setup, chains = setup or Setup(), Chains.of(chains)
-    data = Observations.of(measurements)
+    setup, data = setup or Setup(), Observations.of(measurements)
     further = None if validation is None else Observations.of(validation)
+    chains = chains_of(chains, data, *([] if further is None else [further]))
     training, held, method = split(data, setup, further, holdout, seed)
     _require_ends(chains, setup, training, held)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)

@@ -44,11 +44,33 @@ def make_problem(
     Raises:
         OptionError: If a name in the setup does not exist.
     """
-    chains, data = Chains.of(chains), Observations.of(data)
+    data = Observations.of(data)
+    chains = chains_of(chains, data)
     _require_payloads(data, setup)
     targets = {block.key: block.target.distinct for block in data.blocks}
     parts, given = make_parts(chains, targets, setup)
     return Problem(chains, parts, given, data, setup)
+
+
+def chains_of(chains: Chain | Chains, *measured: Observations) -> Chains:
+    """The chains of measurements, of the robot of a chain or of several.
+
+    Raises:
+        InputError: If the measurements do not have the joints of their chains.
+        RobotError: If there is no chain of a name.
+    """
+    chains = Chains.of(chains)
+    names = dict.fromkeys(key.chain for data in measured for key in data.keys)
+    if not set(names) <= set(chains.names):
+        chains = chains.named(tuple(names))
+    for data in measured:
+        if data.joints != chains.joints:
+            raise data.error(
+                0,
+                "the joints are not those of the chains",
+                allowed=", ".join(chains.joints),
+            )
+    return chains
 
 
 def make_parts(

@@ -13,7 +13,7 @@ import numpy as np
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.fit import FittedModel, fit_model
-from calib_pin.estimation.formulation import geometric_setup, make_parts
+from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
 from calib_pin.estimation.tip_accuracy import tip_accuracy
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Mapping, Sequence
 from dataclasses import replace
+from functools import cache
 
 import numpy as np
 import pinocchio as pin
@@ -99,19 +100,25 @@ def make_parts(
         if model.sees_tool and key.chain != WORLD
     }
     parts = []
+
+    @cache
+    def created(chain: str, base: bool, tool: bool) -> ErrorModel:
+        return ErrorModel.create(
+            chains[chain],
+            setup.parameters if chain != WORLD else (),
+            setup=setup,
+            estimate_base=base,
+            estimate_tool=tool,
+        )
+
     for key, scope in named.items():
         base, tool = scope.base.estimate, scope.end.estimate
+        base = scope.station in outside if base is None else base
+        tool = scope.tool in looked_at if tool is None else tool
         try:
-            error = ErrorModel.create(
-                chains[key.chain],
-                setup.parameters if key.chain != WORLD else (),
-                setup=setup,
-                estimate_base=scope.station in outside if base is None else base,
-                estimate_tool=scope.tool in looked_at if tool is None else tool,
-            )
+            error = _on_tool(created(key.chain, base, tool), scope.offset)
         except OptionError as mistake:
             raise mistake.within(setup.file) from None
-        error = _on_tool(error, scope.offset)
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         parts.append(Part(error, models[key], key, scope, columns, index))
     return assembled(prefixed(parts))

@@ -127,19 +127,17 @@ class Problem(Measured):
         """
         if not self.many:
             return self.factorize(theta)
-        left, stations = [], []
         found = self.products(theta)
-        for name, blocks in self._by_station.items():
-            products = added([found[k] for k in blocks])
-            if name in self.own_of_stations and np.isfinite(products[1]).all():
-                station, products = eliminate_products(
-                    self.own_of_stations[name], products
-                )
-                stations.append(station)
-            left.append(products)
+        left = {
+            name: added([found[k] for k in blocks])
+            for name, blocks in self._by_station.items()
+        }
+        own = self.own_of_stations.items()
+        stations, rest = eliminate_products([(p, left.pop(name)) for name, p in own])
         self._eliminated.clear()
         self._eliminated[theta.tobytes()] = stations
-        return self._with_further(theta, *square_root(added(left), len(theta)))
+        products = added([*left.values(), *rest])
+        return self._with_further(theta, *square_root(products, len(theta)))
 
     def products(self, theta: Floats) -> list[Products]:
         """Products of the columns of every block, see `linearize`."""

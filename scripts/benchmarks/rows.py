@@ -48,8 +48,8 @@ COLUMNS = 6 * (JOINTS + 1) + 1
 POSE = 88 * JOINTS
 COVECTORS = 174 * JOINTS
 OPERATIONS = {
-    "cost": POSE,
-    "linearize": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
+    "square": POSE,
+    "normal": POSE + COVECTORS + 3 * COLUMNS * (COLUMNS + 1),
     "factorize": POSE + COVECTORS + 6 * COLUMNS**2,
 }
 """Operations of a measurement by kind of pass."""
@@ -73,7 +73,7 @@ def main() -> None:
         found = json.loads(answer)
         passes, seconds = found["passes"], found["seconds"]
         bound = sum(OPERATIONS[kind] * rows for kind, rows in passes.items()) / peak
-        counts = [passes.get(kind, 0) / size for kind in ("linearize", "cost")]
+        counts = [passes.get(kind, 0) / size for kind in ("normal", "square")]
         print(
             f"{size:>10}{seconds:>9.3f}{1e6 * seconds / size:>8.2f}"
             f"{found['memory'] / 1e6:>6.0f}{counts[0]:>7.1f}{counts[1]:>7.1f}"

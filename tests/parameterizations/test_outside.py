@@ -125,4 +125,4 @@ def test_every_command_takes_it(
     written = load_chain("done/space6.urdf")
     q = true.random_configurations(20, np.random.default_rng(2))
     np.testing.assert_allclose(written.poses(q), true.poses(q), atol=1e-4)
-    assert any(name.endswith(".poe.vx") for name in model.error.parameters.names)
+    assert any(name.endswith(".poe.vx") for name in model.given.names)

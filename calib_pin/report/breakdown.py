@@ -62,11 +62,11 @@ def parts(found: Breakdown) -> Iterator[Block]:
         title = "Stations, tools and chains (rms of fitted measurements)"
         yield Table(title, columns("", titles, KINDS), rows)
     if len(found.stations) > 1 or len(found.tools) > 1:
-        yield _frames([*found.stations, *found.tools])
+        yield _frames(found)
         yield Line(
-            "Poses of the link below the name, in the measurement frame of a station, "
-            "and of a tool in that link, with standard deviations; rotations are roll, "
-            "pitch and yaw, their deviations those about x, y and z.",
+            "Pose of a link in the measurement frame of a station, and of a tool on a "
+            "link, with standard deviations; rotations are roll, pitch and yaw, their "
+            "deviations those about x, y and z.",
             "note",
         )
 
@@ -99,9 +99,11 @@ def _plain(name: str) -> str:
     return name.partition(" (")[0]
 
 
-def _frames(frames: Sequence[FrameSummary]) -> Table:
+def _frames(found: Breakdown) -> Table:
+    frames: list[tuple[str, FrameSummary]] = [("of", f) for f in found.stations]
+    frames += [("on", frame) for frame in found.tools]
     rows = []
-    for frame in frames:
+    for word, frame in frames:
         label = frame.name
         sigma = frame.sigma or (math.nan,) * 6
         halves = [
@@ -112,7 +114,7 @@ def _frames(frames: Sequence[FrameSummary]) -> Table:
             pairs = zip(values, deviations, strict=True)
             cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = f"  {frame.link}"
+            label = f"  {word} {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
     of = (Column("", "name"), *titles, Column("unit", "word"))
     return Table("Frames of stations and tools", of, rows)
@@ -121,9 +123,9 @@ def _frames(frames: Sequence[FrameSummary]) -> Table:
 def _within(value: float, sigma: float, factor: float) -> str:
     """A value with its standard deviation, such as `12.345 ± 0.012`."""
     if not sigma > 0.0:
-        return f"{factor * value:.3f}"
+        return f"{factor * value:z.3f}"
     places = max(decimals(factor * sigma), 0)
-    return f"{factor * value:.{places}f} ± {significant(factor * sigma)}"
+    return f"{factor * value:z.{places}f} ± {significant(factor * sigma)}"
 
 
 def told(found: Breakdown) -> Iterator[Block]:

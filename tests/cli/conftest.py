@@ -15,6 +15,7 @@ from typer.exceptions import TyperException
 import calib_pin.cli.app as cli_app
 from calib_pin.cli import main
 from calib_pin.errors import InputError, OutputError
+from calib_pin.viewer.scene import Scene
 
 ARM = """<?xml version="1.0"?>
 <robot name="arm">
@@ -187,6 +188,27 @@ def refuses(
         assert listing(folder) == before
 
     return check
+
+
+@pytest.fixture
+def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
+    """Scenes that are shown in windows nobody opens."""
+    scenes: list[Scene] = []
+
+    class Window:
+        def __init__(self, scene: Scene, port: int) -> None:
+            scenes.append(scene)
+            self.port = 8081 if port == 8080 else port
+
+        def run(self, once: bool) -> None:
+            if not once:
+                raise KeyboardInterrupt
+
+        def close(self) -> None:
+            pass
+
+    monkeypatch.setattr("calib_pin.viewer.server.Window", Window)
+    return scenes
 
 
 @pytest.fixture

@@ -12,6 +12,7 @@ import numpy as np
 import pytest
 
 from calib_pin.io.results import read_calibration
+from calib_pin.viewer.scene import Scene
 
 JOINT = """  <joint name="{name}" type="revolute">
     <origin xyz="{xyz}"/>
@@ -239,3 +240,32 @@ def test_a_plan_for_one_chain_and_for_both(
     assert run(plan).status == 0
     assert run(f"{words} --configurations plan.csv --force").status == 0
     assert column("new.csv", "chain") == column("plan.csv", "chain")
+
+
+def test_all_chains_are_shown(
+    two_arms: None,
+    run: Callable[..., Any],
+    opened: list[Scene],
+    refuses: Callable[..., None],
+) -> None:
+    view = "view both/calibration.json --port 5"
+    assert run(f"{view} arms.csv --plan arms.csv").status == 0
+    assert run("view true.urdf arms.csv --setup chains.yaml --port 5").status == 0
+    for scene in opened:
+        assert scene.chains is not None and scene.rows is not None
+        assert scene.chains.names == ("left", "right")
+        assert scene.bodies[0].skeleton.links[0] == "base_link"
+        assert {k: m.sum() for k, m in scene.rows.blocks.items()} == {
+            "all": 60,
+            "left": 30,
+            "right": 30,
+        }
+    assert opened[0].plan is not None and len(opened[0].plan.paths) == 2
+    before, after = opened[0].rows.stages.values()
+    sizes = [e.quantities["position"].sizes.mean() for e in (before, after)]
+    assert sizes[0] > 2.0 * sizes[1]
+    (alone,) = opened[1].rows.stages.values()
+    assert alone.quantities["position"].sizes.mean() < 3e-4
+    assert run(f"{view} arms.csv --chain left").status == 0
+    assert len(opened[-1].rows.data) == 30
+    refuses(f"{view} arms.csv --chain lift", reason=("chain 'lift'", "mean 'left'"))

@@ -12,27 +12,6 @@ import pytest
 from calib_pin.viewer.scene import Scene
 
 
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
-    """Scenes that are shown in windows nobody opens."""
-    scenes: list[Scene] = []
-
-    class Window:
-        def __init__(self, scene: Scene, port: int) -> None:
-            scenes.append(scene)
-            self.port = 8081 if port == 8080 else port
-
-        def run(self, once: bool) -> None:
-            if not once:
-                raise KeyboardInterrupt
-
-        def close(self) -> None:
-            pass
-
-    monkeypatch.setattr("calib_pin.viewer.server.Window", Window)
-    return scenes
-
-
 def test_help(run: Callable[..., Any]) -> None:
     result = run("view --help")
     assert result.status == 0

@@ -116,7 +116,7 @@ def test_stations_and_tools() -> None:
             "mm",
         ],
         [
-            "  base_link",
+            "  of base_link",
             "rotation",
             "0.00000 ± 0.00057",
             "5.730",

@@ -60,8 +60,8 @@ def errors_by_block(found: Breakdown) -> Drawn | None:
     return Drawn(
         "errors-by-block",
         "Errors by block of measurements",
-        f"Fitted measurements of each block. The largest {name} error after the "
-        f"calibration has {worst[0]}, {number(factor * worst[2])} {display}; a block "
+        f"Fitted measurements of each block. After the calibration the largest {name} "
+        f"error is that of {worst[0]}: {number(factor * worst[2])} {display}. A block "
         f"that stands out was measured or mounted differently.{remark}",
         figure,
     )

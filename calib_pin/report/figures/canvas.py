@@ -130,6 +130,9 @@ COLORS: Mapping[str, str] = {
 GROUPS = (AFTER, "#e69f00", "#009e73", "#cc79a7", "#56b4e9")
 """Colors of things side by side, of the palette of Okabe and Ito."""
 
+OF_STATIONS = (GROUPS[0], *GROUPS[2:])
+"""Colors of errors after by station; orange is that of errors before."""
+
 LINE = 100
 """Letters in a line below a picture."""
 

@@ -12,12 +12,10 @@ from numpy.typing import NDArray
 
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
+from calib_pin.report.figures.canvas import OF_STATIONS
 from calib_pin.units import DISPLAY
 
 SUPERSCRIPT = str.maketrans("-0123456789", "⁻⁰¹²³⁴⁵⁶⁷⁸⁹")
-
-STATIONS = 4
-"""Stations up to which colors tell them apart."""
 
 DECADES = 18
 """Decades below the largest value that a log axis shows at most."""
@@ -47,7 +45,7 @@ def stations_of(rows: Observations) -> tuple[list[str], NDArray[np.intp]]:
     """
     names = [key.station for key in rows.keys]
     distinct = list(dict.fromkeys(names))
-    if not 1 < len(distinct) <= STATIONS:
+    if not 1 < len(distinct) <= len(OF_STATIONS):
         return [""], np.zeros(len(rows), np.intp)
     places = np.array([distinct.index(name) for name in names], np.intp)
     return [name or "-" for name in distinct], places[rows.block_of]

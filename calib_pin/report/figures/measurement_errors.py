@@ -15,8 +15,8 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.report.figures.canvas import (
     AFTER,
     BEFORE,
-    GROUPS,
     INK,
+    OF_STATIONS,
     WIDTH,
     Drawn,
     key,
@@ -58,9 +58,6 @@ SIGNS: dict[str, dict[str, Any]] = {
     "after": marks(AFTER, "s"),
 }
 """Signs of the errors before and after."""
-
-OF_STATIONS = (GROUPS[0], *GROUPS[2:])
-"""Colors of the errors after by station; orange is for those before."""
 
 RING = marks(INK, "o", 10.0, hollow=True)
 

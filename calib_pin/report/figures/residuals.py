@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from statistics import NormalDist
 
 import numpy as np
@@ -15,6 +15,7 @@ from calib_pin.report.figures.canvas import (
     GROUPS,
     INK,
     MUTED,
+    OF_STATIONS,
     WIDTH,
     Drawn,
     marks,
@@ -50,8 +51,10 @@ def residuals(result: CalibrationResult) -> Drawn | None:
     every = np.concatenate(list(values.values()))
     figure = Figure(figsize=(WIDTH, 3.3))
     left, right = panels(figure, 2, 0.4, 2.35, left=0.7, gap=0.85)
-    _histogram(left, values)
-    _normal_plot(right, values)
+    several = len(stations_of(result.fitted.rows)[0]) > 1
+    colors = (*OF_STATIONS, GROUPS[1]) if several else GROUPS
+    _histogram(left, values, colors)
+    _normal_plot(right, values, colors)
     outside = float(np.mean(np.abs(every) > FAR))
     left.set_title(f"{100.0 * outside:.2f} % outside ±3")
     return Drawn(
@@ -73,6 +76,8 @@ def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
     if not result.statistics.noise:
         return {}
     stations, of_row = stations_of(rows.rows)
+    if len(stations) * len(rows.quantities) > len(OF_STATIONS):
+        stations, of_row = [""], np.zeros_like(of_row)
     found = {}
     for quantity in rows.quantities:
         for k, station in enumerate(stations):
@@ -82,18 +87,17 @@ def whitened(result: CalibrationResult) -> Mapping[str, Floats]:
             usable = np.isfinite(after) & np.isfinite(sigma)
             values = np.sort(after[usable] / sigma[usable])
             if len(values):
-                several = len(stations) > 1
-                name = f"{quantity.name}, {station}" if several else quantity.name
+                name = f"{quantity.name}, {station}" if station else quantity.name
                 found[name] = values
     return found
 
 
-def _histogram(axes: Axes, values: Mapping[str, Floats]) -> None:
+def _histogram(axes: Axes, values: Mapping[str, Floats], colors: Sequence[str]) -> None:
     count = sum(map(len, values.values()))
     bins = int(np.clip(np.sqrt(4 * count), 24, 60))
     edges = np.linspace(-EDGE, EDGE, bins + 1)
     highest = 0.4
-    for (name, sizes), color in zip(values.items(), GROUPS, strict=False):
+    for (name, sizes), color in zip(values.items(), colors, strict=False):
         counts, _ = np.histogram(np.clip(sizes, -EDGE, EDGE), edges)
         density = counts / (len(sizes) * (edges[1] - edges[0]))
         highest = max(highest, float(density.max()))
@@ -110,10 +114,12 @@ def _histogram(axes: Axes, values: Mapping[str, Floats]) -> None:
     axes.set_ylabel("density")
 
 
-def _normal_plot(axes: Axes, values: Mapping[str, Floats]) -> None:
+def _normal_plot(
+    axes: Axes, values: Mapping[str, Floats], colors: Sequence[str]
+) -> None:
     """Order statistics against what they would be if they were normal."""
     ends = [-4.0, 4.0]
-    for (name, sizes), color, mark in zip(values.items(), GROUPS, MARKS, strict=False):
+    for (name, sizes), color, mark in zip(values.items(), colors, MARKS, strict=False):
         ranks = _shown_ranks(len(sizes))
         normal = [NormalDist().inv_cdf((k + 0.5) / len(sizes)) for k in ranks]
         style = marks(color, mark, 3.5, hollow=True)

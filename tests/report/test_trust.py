@@ -155,6 +155,15 @@ def test_two_accuracies(result: CalibrationResult) -> None:
     assert "Better: " not in as_it_is
 
 
+def test_accuracies_of_chains(result: CalibrationResult) -> None:
+    both = {"left": result.accuracy, "right": result.accuracy}
+    text = format_report(replace(result, accuracies=both))
+    for chain in both:
+        assert f"{chain}, where measured" in text
+        assert f"{chain}, over the workspace" in text
+    assert max(map(len, text.splitlines())) <= 80
+
+
 def test_noise(result: CalibrationResult) -> None:
     lines = format_report(result).splitlines()
     start = lines.index("Noise (1 sigma of a component)")

@@ -204,7 +204,6 @@ def plan_document(plan: Plan) -> Json:
         **stated("plan"),
         "joints": list(plan.problem.chains.joints),
         "configurations": plan.q.tolist(),
-        **{name: list(names) for name, names in plan.places.items()},
         "target": list(plan.target),
         "criterion": {"name": plan.criterion, "value": plan.value},
         "random": plan.random,
@@ -212,11 +211,14 @@ def plan_document(plan: Plan) -> Json:
         "status": plan.status.value,
         "measured": plan.measured,
         "candidates": plan.candidates,
-        "collisions": {"checked": plan.checked, "blocked_moves": list(plan.blocked)},
+        "collisions": {
+            "checked": plan.blocked is not None,
+            "blocked_moves": list(plan.blocked or ()),
+        },
         "steps": plain(plan.steps),
         "predicted": {
             "rank": predicted.directions.count,
-            "structural_rank": plan.rank,
+            "structural_rank": predicted.rank,
             "position": predicted.position,
             "orientation": predicted.orientation,
             "parameters": [

@@ -93,12 +93,11 @@ class Plan:
         measured: Number of measurements made before.
         candidates: Number of candidates.
         tried: Number of configurations that were tried for them.
-        checked: Whether collisions were checked.
         blocked: Places of the configurations, from 0, to which a straight line in the
-            joints does not lead from the one before without a collision.
+            joints does not lead from the one before without a collision; None where
+            collisions are not checked.
         unmeasurable: Targets that no configuration can measure.
         assumed_tool: Whether the target's place on the tool is assumed.
-        rank: Number of identifiable directions, frames included.
         predicted: The expected calibration result.
         parameters: Predicted standard deviations of the parameters.
         groups: Those of the coupled groups.
@@ -116,11 +115,9 @@ class Plan:
     measured: int
     candidates: int
     tried: int
-    checked: bool
-    blocked: tuple[int, ...]
+    blocked: tuple[int, ...] | None
     unmeasurable: tuple[str, ...]
     assumed_tool: bool
-    rank: int
     predicted: Predicted
     parameters: tuple[ParameterEstimate, ...]
     groups: tuple[CoupledGroup, ...]
@@ -289,11 +286,9 @@ def _finished(
         measured=search.measured,
         candidates=len(search.candidates.q),
         tried=search.candidates.tried,
-        checked=workspace.collisions is not None,
-        blocked=closed,
+        blocked=None if workspace.collisions is None else closed,
         unmeasurable=workspace.unmeasurable(search.candidates),
         assumed_tool=measured is None and bool(assumed_tools(problem)),
-        rank=rows.basis.shape[1],
         predicted=predicted,
         parameters=parameters,
         groups=groups,

@@ -252,6 +252,11 @@ class Predicted:
     position: float
     orientation: float
 
+    @property
+    def rank(self) -> int:
+        """Number of identifiable directions, frames included."""
+        return int(self.directions.count + self.directions.weak.shape[1])
+
 
 def predict(
     found: Information, basis: Floats, tests: TipTests, of: ParameterSet

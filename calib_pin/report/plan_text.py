@@ -67,7 +67,7 @@ def _subject(plan: Plan) -> Iterator[Line]:
         yield Line(
             f"No configuration can measure {', '.join(plan.unmeasurable)}.", "bad"
         )
-    if not plan.checked:
+    if plan.blocked is None:
         moves = "Collisions are not checked."
     elif plan.blocked:
         numbers = ", ".join(str(place + 1) for place in plan.blocked)
@@ -136,6 +136,6 @@ def _tip(plan: Plan) -> Facts:
                 "predicted tool-point uncertainty",
                 f"{tip}   (1 sigma, rms over test poses)",
             ),
-            ("rank", f"{directions.count} of {plan.rank}{remark}"),
+            ("rank", f"{directions.count} of {plan.predicted.rank}{remark}"),
         ],
     )

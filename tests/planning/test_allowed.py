@@ -291,7 +291,7 @@ def test_plans_keep_all_rules(
         distance=of.distance,
         progress=lambda *_: next(calls) > enough,
     )
-    assert plan.checked
+    assert plan.blocked is not None
     assert plan.q.shape == (14, len(chain.joints))
     referee.check(chain.joints, plan.q)
     if method in ("greedy", "ga"):

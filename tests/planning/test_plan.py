@@ -18,7 +18,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.registration import registered
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.planning.plan import CRITERION_NAMES, Plan
 from calib_pin.planning.search import METHODS
@@ -368,7 +368,8 @@ def test_several_planes(method: str, chain: Chain) -> None:
 )
 def test_no_more_rows_than_unknowns(method: str, chain: Chain) -> None:
     """Five offsets and two planes: of random sets few would do."""
-    rank = small(chain, model="plane-distance", setup=PLANES, count=30).rank
+    plan = small(chain, model="plane-distance", setup=PLANES, count=30)
+    rank = plan.predicted.rank
     plan = small(chain, model="plane-distance", setup=PLANES, count=rank, method=method)
     check_set(plan, rank, chain, PLANES)
     assert np.isfinite(plan.value)
@@ -381,7 +382,7 @@ def test_no_more_rows_than_unknowns(method: str, chain: Chain) -> None:
 
 
 @pytest.fixture(scope="module")
-def measured(chain: Chain) -> Measurements:
+def measured(chain: Chain) -> Observations:
     """Twelve poor rows: all of them near one configuration."""
     rng = np.random.default_rng(8)
     problem = nominal_problem(chain, "position", SETUP)
@@ -398,7 +399,7 @@ def measured(chain: Chain) -> Measurements:
     ],
 )
 def test_additions_beat_random_ones(
-    criterion: str, chain: Chain, measured: Measurements
+    criterion: str, chain: Chain, measured: Observations
 ) -> None:
     rng = np.random.default_rng(3)
     grid = chain.random_configurations(300, rng)
@@ -417,7 +418,7 @@ def test_additions_beat_random_ones(
         new = replace(problem, data=data).linearize(zero)[1]
         J = np.concatenate([old, new * problem.parameters.scales])
         if criterion == "prediction":
-            basis = np.linalg.svd(J, full_matrices=False)[2][: plan.rank].T
+            basis = np.linalg.svd(J, full_matrices=False)[2][: plan.predicted.rank].T
             C = np.linalg.inv(basis.T @ J.T @ J @ basis)
             count = len(problem.only.error.screws)
             half = (basis * 1.0)[:count]
@@ -435,7 +436,7 @@ def test_additions_beat_random_ones(
 
 
 def test_additions_begin_where_the_robot_stands(
-    chain: Chain, measured: Measurements
+    chain: Chain, measured: Observations
 ) -> None:
     plan = small(chain, count=6, measured=measured)
     first = np.abs(plan.q - measured.q[-1]).max(axis=1)[0]
@@ -446,7 +447,7 @@ def test_additions_begin_where_the_robot_stands(
 
 @pytest.mark.parametrize("criterion", CRITERION_NAMES)
 def test_one_addition_is_the_best_of_all_candidates(
-    criterion: str, chain: Chain, measured: Measurements
+    criterion: str, chain: Chain, measured: Observations
 ) -> None:
     """With one to choose, greedy has looked at every candidate."""
     plans = {
@@ -463,7 +464,7 @@ def test_one_addition_is_the_best_of_all_candidates(
 
 
 def test_steps_of_additions_begin_with_none(
-    chain: Chain, measured: Measurements
+    chain: Chain, measured: Observations
 ) -> None:
     for criterion in ("O1", "prediction"):
         plan = small(chain, count=3, measured=measured, criterion=criterion)
@@ -609,7 +610,7 @@ def test_a_joint_that_is_held_plans_for_the_others(chain: Chain) -> None:
     for method in ("exchange", "gradient"):
         plan = small(chain, setup=setup, method=method, count=14)
         assert (plan.q[:, 2] == 0.3).all()
-        assert plan.rank < small(chain, method="greedy").rank
+        assert plan.predicted.rank < small(chain, method="greedy").predicted.rank
         assert better("prediction", plan.value, plan.random)
 
 
@@ -685,10 +686,10 @@ def test_a_target_that_nobody_has_placed_is_beside_the_tip() -> None:
     """At the tip, on the last axis, it would tell less than a real one does."""
     chain = calib_pin.load_chain("space6")
     plan = calib_pin.plan(chain, "position", 12, method="greedy")
-    assert plan.assumed_tool and plan.rank == 27
+    assert plan.assumed_tool and plan.predicted.rank == 27
     known = Setup(tool_frame=FrameSetup((0.0, 0.0, 0.1)))
     stated = calib_pin.plan(chain, "position", 12, known, method="greedy")
-    assert not stated.assumed_tool and stated.rank == 25
+    assert not stated.assumed_tool and stated.predicted.rank == 25
     assert not calib_pin.plan(chain, "pose", 12, method="greedy").assumed_tool
 
 

@@ -183,8 +183,8 @@ def test_directions_that_are_too_weak_stay_at_nominal() -> None:
     )
     predicted = found.predicted
     weak = predicted.directions.weak
-    assert 0 < weak.shape[1] < found.rank
-    assert predicted.directions.count + weak.shape[1] == found.rank
+    assert 0 < weak.shape[1] < found.predicted.rank
+    assert predicted.directions.count + weak.shape[1] == found.predicted.rank
     scale = found.problem.parameters.scales
     scaled = predicted.covariance / np.outer(scale, scale)
     # Nothing moves along them, and what moves is known to less than ten scales.

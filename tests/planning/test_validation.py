@@ -145,7 +145,7 @@ def robots(request: pytest.FixtureRequest, arms: tuple[Chain, ...]) -> list[Robo
 
 
 def test_the_robots_differ(robots: list[Robot]) -> None:
-    ranks = {robot.plan.rank for robot in robots}
+    ranks = {robot.plan.predicted.rank for robot in robots}
     assert ranks <= set(range(22, 31))
     reaches = [
         np.ptp(robot.problem.only.error.chain.poses(robot.q)[:, :3, 3])

@@ -74,20 +74,18 @@ def test_how_the_search_ended(status: Status, remark: str, plan: Plan) -> None:
 
 
 @pytest.mark.parametrize(
-    ("checked", "blocked", "remark"),
+    ("blocked", "remark"),
     [
-        (False, (), "Collisions are not checked."),
-        (True, (), "No configuration and no straight move between them collides."),
-        (True, (2, 4), "from the one before does for number 3, 5: take a detour"),
+        (None, "Collisions are not checked."),
+        ((), "No configuration and no straight move between them collides."),
+        ((2, 4), "from the one before does for number 3, 5: take a detour"),
     ],
 )
-def test_collisions(
-    checked: bool, blocked: tuple[int, ...], remark: str, plan: Plan
-) -> None:
-    report = " ".join(text(plan, checked=checked, blocked=blocked).split())
+def test_collisions(blocked: tuple[int, ...] | None, remark: str, plan: Plan) -> None:
+    report = " ".join(text(plan, blocked=blocked).split())
     assert remark in report
     # A plan that was not checked must not look as if it had been.
-    assert ("No configuration" in report) == checked
+    assert ("No configuration" in report) == (blocked is not None)
 
 
 def test_the_criterion_against_the_number(plan: Plan) -> None:
@@ -146,7 +144,7 @@ def test_what_a_fit_will_know(plan: Plan) -> None:
     report = text(plan)
     position = f"{1e3 * plan.predicted.position:.4f} mm"
     assert position in report
-    assert f"{plan.rank} of {plan.rank}" in report
+    assert f"{plan.predicted.rank} of {plan.predicted.rank}" in report
     identifiable = [p for p in plan.parameters if p.status == "identifiable"]
     assert identifiable
     for parameter in identifiable:
@@ -170,7 +168,7 @@ def test_weak_directions_are_named(plan: Plan) -> None:
     )
     said = "(2 weakly observable directions held at nominal:"
     assert said in " ".join(report.split())
-    assert f"{plan.rank - 2} of {plan.rank}" in report
+    assert f"{plan.predicted.rank - 2} of {plan.predicted.rank}" in report
     assert "weakly observable (held at nominal)" in report
     owner, kind, first = parameters[7].name.split(".")
     second = parameters[8].name.split(".")[2]

@@ -9,20 +9,19 @@ from __future__ import annotations
 import difflib
 import re
 from collections.abc import Callable, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import pinocchio as pin
 import pytest
 
 import calib_pin
 from calib_pin.errors import RobotError
+from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.position import Position
-from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.setup import Setup
 from calib_pin.validation.calibrated_model import CalibratedModel
 
@@ -52,11 +51,11 @@ def disturbed(
     chain: Chain, parameterizations: Sequence[str], rng: np.random.Generator
 ) -> CalibratedModel:
     """The chain with random errors of 1e-3 m and rad, in frames at random."""
-    error = ErrorModel.create(chain, parameterizations)
-    theta = 1e-3 * rng.normal(size=len(error.parameters))
-    theta[error.parameters.nuisance] = 0.0
-    frames = (pin.exp6(rng.normal(size=6)) for _ in range(2))
-    return CalibratedModel(error.with_frames(*frames), Position(), theta, Setup())
+    setup = Setup(parameters=tuple(parameterizations))
+    problem = nominal_problem(chain, "position", setup)
+    frames = problem.parameters.nuisance
+    size = np.where(frames, 1.0, 1e-3)
+    return CalibratedModel.create(problem, size * rng.normal(size=len(frames)))
 
 
 def changed_lines(old: bytes, new: bytes) -> list[bytes]:
@@ -71,15 +70,16 @@ def changed_lines(old: bytes, new: bytes) -> list[bytes]:
 
 
 def assert_written(model: CalibratedModel, path: Path, q: Floats) -> None:
-    chain = model.chain
     calib_pin.write_urdf(model, path)
+    calibrated = model.of()
+    chain = calibrated.chain
     source, written = chain.robot.source, path.read_bytes()
     robot = load_robot(path)
     # The tip poses that the model predicts, in the base link.
-    expected = model.error.tip_poses(q, model.theta)
+    expected = calibrated.error.tip_poses(q, calibrated.theta)
     if chain.tip_joint is None:
         # Errors behind the last joint are carried by the tool.
-        tail = model.error.tool * model.tool.inverse()
+        tail = calibrated.error.tool * calibrated.tool.inverse()
         expected = expected @ tail.homogeneous
     found = Chain(robot, chain.base, chain.tip).poses(q)
     np.testing.assert_allclose(found, expected, rtol=0, atol=1e-9)
@@ -105,8 +105,9 @@ def test_every_arm_and_leg(example_robot: Path, tmp_path: Path) -> None:
         model = disturbed(chain, ["placement"], rng)
         q = chain.random_configurations(3, rng)
         # The error is there at all.
-        moved = np.abs(model.error.tip_poses(q, model.theta) - chain.poses(q)).max()
-        assert moved > 1e-4
+        calibrated = model.of()
+        moved = calibrated.error.tip_poses(q, calibrated.theta) - chain.poses(q)
+        assert np.abs(moved).max() > 1e-4
         assert_written(model, tmp_path / f"{k}.urdf", q)
 
 
@@ -160,19 +161,19 @@ def test_every_parameterization_both_ways(
     path = tmp_path / "corrected.urdf"
     assert_written(model, path, q)
     # What another library makes of the file.
-    to_base, tool = model.error.base.homogeneous, model.tool.homogeneous
+    calibrated = model.of()
+    to_base = calibrated.error.base.homogeneous
+    tool = calibrated.tool.homogeneous
     named = dict(zip(chain.joints, q[0], strict=True))
     frames = [(chain.base, chain.tip)]
     (pose,) = independent_poses(path.read_bytes(), named, frames)
-    expected = model.poses(q)[0]
+    expected = calibrated.poses(q)[0]
     np.testing.assert_allclose(to_base @ pose @ tool, expected, rtol=0, atol=1e-9)
 
 
 def test_zero_errors_change_nothing(tmp_path: Path) -> None:
     chain = calib_pin.load_chain("example:talos_reduced", tip="left_sole_link")
     model = disturbed(chain, ["placement"], np.random.default_rng(0))
-    still = CalibratedModel(
-        model.error, model.measurement, 0.0 * model.theta, model.setup
-    )
+    still = replace(model, theta=0.0 * model.theta)
     calib_pin.write_urdf(still, tmp_path / "same.urdf")
     assert (tmp_path / "same.urdf").read_bytes() == chain.robot.source

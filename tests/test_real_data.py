@@ -15,7 +15,7 @@ import pytest
 import calib_pin
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.measurement_models.side_by_side import concatenate
+from calib_pin.observations import Observations
 from calib_pin.setup import DistanceSetup
 
 DATA = Path(
@@ -59,7 +59,7 @@ def test_ur10_through_the_written_urdf(
     assert frozen.errors[0][2].mean <= 0.41e-3
 
 
-def ur10_rows(name: str, chain: calib_pin.Chain) -> calib_pin.Measurements:
+def ur10_rows(name: str, chain: calib_pin.Chain) -> Observations:
     file = DATA / "ur10_tmac" / f"{name}.csv"
     return calib_pin.read_measurements(file, chain, model="position")
 
@@ -112,7 +112,7 @@ def test_ur10_poses() -> None:
     """The T-Mac's full poses: registration leaves 0.756 mm and 0.111 degrees."""
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     rows = calib_pin.read_measurements(DATA / "ur10_tmac" / "train.csv", chain)
-    assert rows.model == "pose"
+    assert rows.models == ("pose",)
     result = calib_pin.calibrate(chain, rows)
     position, orientation = result.errors
     assert result.verdict == "good"
@@ -176,7 +176,7 @@ def test_repetitions_stay_together(
     rows = calib_pin.read_measurements(
         DATA / "ur10_tmac" / "train.csv", chain, model="position"
     ).rows(np.arange(40))
-    twice = concatenate([rows, rows])
+    twice = Observations.of(rows, rows)
     assert len(np.unique(twice.groups())) == len(np.unique(rows.groups()))
     held = calib_pin.calibrate(chain, twice, holdout=0.25)
     assert len(held.fitted) + held.validation.count == 80
@@ -188,7 +188,7 @@ def test_nominal_registration_is_the_honest_before() -> None:
     chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
     rows = calib_pin.read_measurements(
         DATA / "talos_left_arm" / "measurements.csv", chain
-    )
+    ).only
     R = np.array([[0.0, -1.0, 0.0], [1.0, 0.0, 0.0], [0.0, 0.0, 1.0]])
     moved = replace(rows, values=rows.values @ R.T + [3.0, -1.0, 2.0])
     first, second = (
@@ -212,7 +212,7 @@ def panda() -> tuple[calib_pin.Chain, calib_pin.Measurements]:
     chain = calib_pin.load_chain("example:panda", tip="panda_link8")
     rows = calib_pin.read_measurements(
         DATA / "mukca_panda" / "panda_1.csv", chain, model="fixed-point"
-    )
+    ).only
     elsewhere = np.array([not name.startswith("front") for name in rows.target])
     assert (len(rows), int(elsewhere.sum())) == (182, 120)
     return chain, replace(rows, validate=elsewhere)
@@ -246,7 +246,7 @@ def test_panda_without_a_distance_has_no_scale(
     assert not result.identifiability.scale_observable and result.geometry is None
     assert "scale" in calib_pin.format_report(result)
     # Nothing pulls at it, so it stays nominal: the sockets are not drawn together.
-    sockets = {s.name: s for s in result.model.measurement.references}
+    sockets = {name: s for (_, name), s in result.model.references.items()}
     apart = sockets["front/0"].xyz - sockets["front/1"].xyz
     assert np.linalg.norm(apart) == pytest.approx(0.05, abs=0.5e-3)
 

@@ -156,8 +156,11 @@ def told(found: Breakdown) -> Iterator[Block]:
     )
     for name, block in zip(names, found.blocks, strict=True):
         if block.ties:
-            groups = " with ".join(", ".join(group) for group in block.ties)
-            yield Line(f"Only the measurements of {name} connect {groups}.", "note")
+            groups = " | ".join(", ".join(group) for group in block.ties)
+            yield Line(
+                f"Without the measurements of {name} the frames fall apart: {groups}.",
+                "note",
+            )
     if found.coupled_frames:
         sentences = [coupled.sentence for coupled in found.coupled_frames]
         yield Names("Frames that cannot be told apart", sentences)

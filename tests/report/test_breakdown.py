@@ -153,7 +153,9 @@ def test_blocks() -> None:
         ["", "", "orientation", "0.0573", "deg", "", ""],
     ]
     said = [b.text for b in blocks if isinstance(b, Line)]
-    assert said[1:] == ["Only the measurements of day2, probe connect day1 with day2."]
+    assert said[1:] == [
+        "Without the measurements of day2, probe the frames fall apart: day1 | day2."
+    ]
     assert Names("Frames that cannot be told apart", [coupled.sentence]) in blocks
     assert max(map(len, plain_text(blocks).splitlines())) <= 80
 

@@ -42,7 +42,8 @@ class MoveOptions:
             closely in any case: first order says little of them.
         left: Part of the errors that all moves together leave at most. A drift of the
             instrument, which is no move, leaves one half with one frame more.
-        each: Part that each of them leaves at most, while there may be more.
+        each: Part that each of them leaves at most, while there may be more: of two
+            tools in turn most moves explain little before the last of them is found.
         last: Part that the last of them leaves at most.
         configurations: Least number of configurations on each side.
         redundancy: Least number of values, by unknowns, to tell errors of the robot
@@ -59,14 +60,14 @@ class MoveOptions:
     looked_at: float = 0.8
     large: float = 20.0
     left: float = 1.0 / 3.0
-    each: float = 0.9
+    each: float = 0.97
     last: float = 0.5
     configurations: int = 6
     redundancy: float = 2.0
     size: float = 10.0
     measurements: int = 1000
-    moves: int = 8
-    tried: int = 4
+    moves: int = 10
+    tried: int = 3
     rounds: int = 4
     steps: int = 2
     unknowns: int = 500

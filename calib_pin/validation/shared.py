@@ -13,6 +13,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import visible_nuisances
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.estimation.fit import FittedModel
+from calib_pin.estimation.fitted import likely_posteriors
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
@@ -147,7 +148,7 @@ class _Parts:
     ) -> tuple[float, ...]:
         """Standard deviations of a frame, see `FrameSummary.sigma`."""
         fitted = self.model.fit
-        covariance = fitted.covariance[np.ix_(index, index)]
+        covariance = self._covariance[np.ix_(index, index)]
         if not np.isfinite(covariance).all():
             return ()
         screws = part.error.screws[-FRAME:] if end else part.error.screws[:FRAME]
@@ -160,6 +161,12 @@ class _Parts:
         lengths = np.linalg.norm(scaled, axis=1)
         sigma[unknown > OPEN * lengths] = np.nan
         return tuple(sigma.tolist())
+
+    @cached_property
+    def _covariance(self) -> Floats:
+        """Of all parameters, averaged over the likely sizes of errors, (P, P)."""
+        found = likely_posteriors(self.model.fit)
+        return np.asarray(np.mean([one.covariance for one in found], axis=0))
 
     @cached_property
     def _open(self) -> Floats:

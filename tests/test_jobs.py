@@ -12,11 +12,15 @@ from __future__ import annotations
 
 from collections.abc import Sequence
 from dataclasses import dataclass, replace
+from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 import pytest
 
+import calib_pin
+from calib_pin.cli import main
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit, posterior_about
 from calib_pin.estimation.formulation import make_problem, nominal_problem
@@ -27,10 +31,10 @@ from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import (
     CameraSetup,
     ChainSetup,
-    DistanceSetup,
     FrameSetup,
     PointSetup,
     Setup,
@@ -186,6 +190,33 @@ def test_a_tracker_that_moved_and_two_tools_are_one_fit(runs: int) -> None:
     chance = 0.01 if runs == 200 else 0.06
     assert found.between.mean() == pytest.approx(0.95, abs=chance)
     assert found.frames.mean() == pytest.approx(0.95, abs=chance)
+
+
+def test_measurements_without_their_stations_are_untrusted() -> None:
+    """Two findings name the last line before each move, and what to do."""
+    rng = np.random.default_rng(3)
+    chain = load_chain("example:ur10_robot", tip="tool0")
+    problem = nominal_problem(chain, KEYS, MOVED)
+    truth = robot_errors(problem, rng, 1.0)
+    data = simulate(problem, truth, rng, count=POSITIONS, noise=NOISE)
+    assert calib_pin.calibrate(chain, data).verdict == "good"
+    blocks, line = [], 2
+    for block in data.blocks:  # As in a file: station after station.
+        lines = np.arange(line, line + len(block))
+        blocks.append(replace(block, station="", lines=lines))
+        line += len(block)
+    found = calib_pin.calibrate(chain, Observations.of(*blocks))
+    assert found.verdict == "untrusted"
+    moves = [f for f in found.findings if f.code == "instrument-moved"]
+    assert [f.evidence["line"] for f in moves] == [31, 61]
+    for finding, (before, after) in zip(moves, pairwise(PLACES), strict=True):
+        # Frames are those of the robot, as the tracker sees it.
+        apart = np.linalg.norm(
+            (frame_pose(before) * frame_pose(after).inverse()).translation
+        )
+        assert finding.severity == "error" and "station" in finding.remedy
+        assert str(finding.evidence["line"]) in finding.message
+        assert finding.evidence["distance"] == pytest.approx(apart, abs=0.01)
 
 
 # Both arms and the head of a humanoid.
@@ -349,21 +380,30 @@ def test_a_humanoid_is_one_fit(runs: int) -> None:
 
 # One hand touches the other, and nothing else is measured.
 
+TOUCHING = """
+base: l_hand
+tip: r_hand
+model: fixed-point
+frames: {tool: {xyz: [0.01, 0.02, 0.08], estimate: true}}
+sockets: {left/0: {xyz: [0.02, 0.03, 0.05]}, left/1: {xyz: [-0.03, 0.01, 0.06]}}
+"""
+KNOWN = "distances: [{between: [left/0, left/1], value: 0.0547722557505, sigma: 1e-5}]"
 
-@pytest.mark.parametrize("known", [False, True])
-def test_self_touch_has_no_scale_but_for_a_known_length(known: bool) -> None:
+
+@pytest.mark.parametrize(
+    ("known", "rank"),
+    [pytest.param("", 58, id="alone"), pytest.param(KNOWN, 59, id="known")],
+)
+def test_self_touch_has_no_scale_but_for_a_known_length(
+    known: str, rank: int, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
     """14 joints, 15 bodies, three points: 140 - 90 + 9, without the scale one less."""
-    chain = load_chain("example:icub", base="l_hand", tip="r_hand")
-    apart = DistanceSetup(("left/0", "left/1"), 0.0547722557505, 1e-5)
-    setup = Setup(
-        tool_frame=FrameSetup((0.01, 0.02, 0.08), estimate=True),
-        sockets={
-            "left/0": PointSetup((0.02, 0.03, 0.05)),
-            "left/1": PointSetup((-0.03, 0.01, 0.06)),
-        },
-        distances=(apart,) if known else (),
-    )
-    problem = nominal_problem(chain, "fixed-point", setup)
-    zero = np.zeros(len(problem.parameters))
-    found, _ = analyze_structure(problem, zero, np.random.default_rng(0))
-    assert (found.rank, found.scaled) == ((59, True) if known else (58, False))
+    file = tmp_path / "setup.yaml"
+    file.write_text(TOUCHING + known)
+    assert main(["identify", "example:icub", "--setup", str(file)]) == 0
+    text = " ".join(capsys.readouterr().out.split())
+    assert f"structural rank {rank} " in text
+    unobservable = "absolute scale unobservable; add a known length"
+    assert (unobservable in text) != bool(known)
+    # The hands are told apart, and every combination has a name.
+    assert "l_wrist_yaw.placement" in text and "r_wrist_yaw.placement" in text

@@ -89,7 +89,9 @@ def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Row
     J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
     start = 0
     for index, r, columns in rows:
-        J[start : start + len(r), np.searchsorted(every, index)] = columns
+        # Several parameters of a part may be one.
+        at = np.searchsorted(every, index)
+        np.add.at(J[start : start + len(r)].T, at, columns.T)
         start += len(r)
     r = np.concatenate([r for _, r, _ in rows])
     is_own = np.isin(every, own)

@@ -2,16 +2,18 @@
 
 from __future__ import annotations
 
-from collections.abc import Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import replace
 
 import numpy as np
+import pinocchio as pin
 import pytest
 
 from calib_pin.estimation.fit import fit
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.io.urdf import load_chain
+from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
@@ -33,10 +35,10 @@ JOBS = {
 }
 
 
-def job(keys: Sequence[BlockKey]) -> Problem:
+def job(keys: Sequence[BlockKey], chain: Chain | None = None) -> Problem:
     """A simulated job with noise."""
     setup = Setup(stations=STATIONS, tools=TOOLS)
-    problem = nominal_problem(load_chain("space6"), keys, setup)
+    problem = nominal_problem(chain or load_chain("space6"), keys, setup)
     rng = np.random.default_rng(4)
     truth = draw_errors(problem.parameters, rng)
     data = simulate(problem, truth, rng, count=30 * len(keys), noise=1e-4)
@@ -108,4 +110,42 @@ def test_the_same_is_left_for_the_others(
         J[:, own] @ solved,
         rtol=0,
         atol=1e-6 * np.abs(r).max(),
+    )
+
+
+def test_parameters_that_are_one_are_eliminated_as_one(
+    urdf_of: Callable[..., str],
+    chain_of: Callable[..., Chain],
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """A mimic joint has the parameters of its leader: its columns add up."""
+    rng = np.random.default_rng(0)
+    joints = [
+        {
+            "name": f"j{k}",
+            "parent": f"l{k}",
+            "child": f"l{k + 1}",
+            "placement": pin.exp6(rng.uniform(-0.5, 0.5, 6)),
+            "axis": tuple(np.eye(3)[k % 3]),
+        }
+        for k in range(4)
+    ]
+    joints[2]["more"] = '<mimic joint="j1" multiplier="-0.6" offset="0.1"/>'
+    plain = job(JOBS["alike"], chain_of(urdf_of(*joints)))
+    setup = replace(plain.setup, parameters=("joint-offset", "transmission"))
+    plain = make_problem(plain.chains, plain.data, setup)
+    theta = 0.01 * rng.normal(size=len(plain.parameters))
+    assert len(plain.only.index) > len(np.unique(plain.only.index))
+    _, J = plain.factorize(theta)
+    few = eliminated(plain, monkeypatch)
+    own = np.concatenate(list(few.own_of_stations.values()))
+    shared = np.setdiff1d(np.arange(len(theta)), own)
+    Q, _ = np.linalg.qr(J[:, own])
+    rest = J[:, shared] - Q @ (Q.T @ J[:, shared])
+    _, found = few.factorize(theta)
+    np.testing.assert_allclose(
+        found[:, shared].T @ found[:, shared],
+        rest.T @ rest,
+        rtol=0,
+        atol=1e-10 * np.linalg.norm(J[:, shared]) ** 2,
     )

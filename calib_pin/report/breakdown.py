@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterator, Mapping, Sequence
+from itertools import chain as joined
+from itertools import combinations
 
 from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.report.blocks import (
@@ -29,17 +31,18 @@ KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
 
 
 def block_names(keys: Sequence[Sequence[str]]) -> list[str]:
-    """Names of blocks: as much of their keys as tells them apart.
+    """Names of blocks: as few parts of their keys as tell them apart.
 
     Example:
         >>> block_names([("pose", "", "day1", "ball"), ("pose", "", "day2", "ball")])
         ['day1', 'day2']
     """
-    differ = [len(set(values)) > 1 for values in zip(*keys, strict=True)]
-    return [
-        ", ".join(name or "-" for name, told in zip(key, differ, strict=True) if told)
-        for key in keys
-    ]
+    width = len(keys[0])
+    for told in joined(*(combinations(range(width), k) for k in range(width + 1))):
+        names = [tuple(key[k] for k in told) for key in keys]
+        if len(set(names)) == len(keys):
+            break
+    return [", ".join(part or "-" for part in name) for name in names]
 
 
 def keys_of(found: Breakdown) -> list[tuple[str, str, str, str]]:

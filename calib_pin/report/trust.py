@@ -71,11 +71,11 @@ def expected(result: CalibrationResult) -> Iterator[Block]:
     """The expected error of the tool point, at the measurements and elsewhere."""
     several = len(result.accuracies) > 1
     known = [
-        (f"{chain or 'robot'}, {where}" if several else where, accuracy)
+        (f"{chain or 'robot'}, {place}" if several else where, accuracy)
         for chain, found in result.accuracies.items()
-        for where, accuracy in (
-            ("where measured", found.measured),
-            ("over the workspace", found.workspace),
+        for place, where, accuracy in (
+            ("measured", "where measured", found.measured),
+            ("workspace", "over the workspace", found.workspace),
         )
         if accuracy is not None
     ]

@@ -147,14 +147,14 @@ def test_blocks() -> None:
     coupled = CoupledFrames(("day1", "probe"), "", "day1 and probe turn together")
     blocks = list(told(Breakdown(blocks=BLOCKS, coupled_frames=(coupled,))))
     assert table(blocks, "Blocks") == [
-        ["day1, ball", "30", "position", "0.1000", "mm", "12", "3"],
+        ["day1", "30", "position", "0.1000", "mm", "12", "3"],
         ["", "", "orientation", "0.0573", "deg", "", ""],
-        ["day2, probe", "30", "position", "0.1000", "mm", "12", "3"],
+        ["day2", "30", "position", "0.1000", "mm", "12", "3"],
         ["", "", "orientation", "0.0573", "deg", "", ""],
     ]
     said = [b.text for b in blocks if isinstance(b, Line)]
     assert said[1:] == [
-        "Without the measurements of day2, probe the frames fall apart: day1 | day2."
+        "Without the measurements of day2 the frames fall apart: day1 | day2."
     ]
     assert Names("Frames that cannot be told apart", [coupled.sentence]) in blocks
     assert max(map(len, plain_text(blocks).splitlines())) <= 80
@@ -164,4 +164,11 @@ def test_names_of_blocks_tell_them_apart() -> None:
     keys = [("pose", "", "day1", "ball"), ("position", "", "day1", "ball")]
     assert block_names(keys) == ["pose", "position"]
     keys = [("pose", "left", "day1", ""), ("pose", "", "day2", "")]
-    assert block_names(keys) == ["left, day1", "-, day2"]
+    assert block_names(keys) == ["left", "-"]
+    keys = [("pose", "left", "day1", "a"), ("pose", "right", "day2", "b")]
+    assert block_names([*keys, ("pose", "left", "day2", "b")]) == [
+        "left, day1",
+        "right, day2",
+        "left, day2",
+    ]
+    assert block_names(keys[:1]) == [""]

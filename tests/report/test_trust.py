@@ -159,8 +159,7 @@ def test_accuracies_of_chains(result: CalibrationResult) -> None:
     both = {"left": result.accuracy, "right": result.accuracy}
     text = format_report(replace(result, accuracies=both))
     for chain in both:
-        assert f"{chain}, where measured" in text
-        assert f"{chain}, over the workspace" in text
+        assert f"{chain}, measured" in text and f"{chain}, workspace" in text
     assert max(map(len, text.splitlines())) <= 80
 
 

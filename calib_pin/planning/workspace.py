@@ -31,6 +31,9 @@ MARGIN = 0.01
 TIDY = 1e6
 """Reciprocal of the last digit of planned joint positions [1/rad, 1/m]."""
 
+RESTS = 300
+"""Random configurations among which chains that are not measured find their rest."""
+
 BLOCK = 1000
 """Configurations that are tried at once."""
 
@@ -267,7 +270,16 @@ class Workspace:
             for name, mimic in chains.mimics.items():
                 if row[chains.joints.index(name)]:
                     row[chains.joints.index(mimic.leader)] = True
-        return moving, np.clip(0.0, self.lower, self.upper)
+        rest = np.clip(np.zeros((1, len(self.lower))), self.lower, self.upper)
+        if self.collisions is None or moving.all() or self.collisions.free(rest).all():
+            return moving, rest[0]
+        # Arms that hang through the body would refuse all: the nearest that do not.
+        q = chains.random_configurations(RESTS, np.random.default_rng(0))
+        q = np.round(np.clip(q, self.lower, self.upper) * TIDY) / TIDY
+        free = q[self.collisions.free(q)]
+        if len(free):
+            rest = free[[np.abs(free - rest).max(axis=1).argmin()]]
+        return moving, rest[0]
 
     def _spread(
         self, q: Floats, free: NDArray[np.intp], found: Floats, count: int

@@ -20,6 +20,7 @@ from calib_pin.observations import BlockKey, Observations
 from calib_pin.planning.aims import Aims
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.search import METHODS
+from calib_pin.planning.workspace import Workspace
 from calib_pin.setup import (
     CameraSetup,
     FrameSetup,
@@ -199,6 +200,23 @@ def test_plans_of_two_arms(method: str, tree: Chains) -> None:
     J = information(plan, problem)
     assert plan.value == pytest.approx(o1(problem, J, 12), rel=1e-6)
     assert plan.value > plan.random
+
+
+def test_the_other_arm_rests_where_it_touches_nothing(tree: Chains) -> None:
+    """Not at zero, where an arm may hang through the body."""
+    shoulder = tree.joints.index("right_0")
+
+    class Body:
+        def free(self, q: Floats) -> Floats:
+            return np.abs(q[:, shoulder] + 1.0) < 0.4
+
+    problem = nominal_problem(tree, ARMS, TREE)
+    workspace = Workspace.create(problem, Body())
+    found = workspace.candidates(40, np.random.default_rng(0))
+    resting = found.q[found.aim == 0][:, shoulder]
+    assert len(resting) > 10 and len(set(resting)) == 1
+    assert abs(resting[0] + 1.0) < 0.4 and resting[0] == np.round(resting[0], 6)
+    assert len(set(found.q[found.aim == 1][:, shoulder])) > 3
 
 
 def test_the_tip_counts_of_every_chain(tree: Chains) -> None:

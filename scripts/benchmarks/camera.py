@@ -15,11 +15,12 @@ from numba import config
 
 import calib_pin
 from benchmarks.timing import best, show
+from calib_pin.estimation.configurations import asked
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import Measurements
+from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.simulation import exact_problem
 
@@ -51,8 +52,9 @@ def main() -> None:
     target = tuple(BOARD) * len(q)
     truth = calib_pin.draw_errors(nominal.parameters, rng)
     exact = exact_problem(nominal, truth, np.repeat(q, len(BOARD), axis=0), target)
-    values = exact.data.values + rng.normal(size=exact.data.values.shape) * NOISE
-    data = replace(exact.data, values=values, sigma=np.full_like(values, NOISE))
+    values = exact.data.only.values
+    values = values + rng.normal(size=values.shape) * NOISE
+    data = replace(exact.data.only, values=values, sigma=np.full_like(values, NOISE))
     threads = int(config.NUMBA_NUM_THREADS)  # type: ignore[attr-defined]
     print(f"space6, {len(q)} images of {len(BOARD)} points, {threads} threads")
     for estimate in (False, True):
@@ -78,33 +80,32 @@ def _calibrate(chain: Chain, data: Measurements, setup: Setup, intrinsics: str) 
 
 def _residual(nominal: Problem, data: Measurements) -> None:
     """One evaluation of all residuals at the nominal robot."""
-    problem = replace(nominal, data=data)
+    problem = replace(nominal, data=Observations.of(data))
     theta = np.zeros(len(problem.parameters))
     np.testing.assert_allclose(
-        problem.errors(theta), _plain_loop(problem, data), atol=1e-8
+        problem.errors(theta), _plain_loop(problem).reshape(-1), atol=1e-8
     )
     seconds = best(lambda: problem.errors(theta))
-    reference = best(lambda: _plain_loop(problem, data), 3)
+    reference = best(lambda: _plain_loop(problem), 3)
     show("residual, 200 000 pixels", seconds, "a plain loop", reference)
 
 
 def _configurations(nominal: Problem, rng: np.random.Generator) -> Floats:
     """Configurations with the whole board in the image, shape (IMAGES, n)."""
     found: list[Floats] = []
-    zero = np.zeros(len(nominal.parameters))
-    instrument = nominal.split(zero)[1]
+    zero, key = np.zeros(len(nominal.parameters)), nominal.only.key
     while sum(map(len, found)) < IMAGES:
-        q = nominal.error.chain.random_configurations(20_000, rng)
+        q = nominal.chains.random_configurations(20_000, rng)
         for name in BOARD:
-            T = nominal.error.poses(q, nominal.split(zero)[0])
-            q = q[nominal.measurement.observable(T, instrument, (name,) * len(q))]
+            q = q[nominal.observable(zero, asked(nominal, key, q, (name,) * len(q)))]
         found.append(q)
     return np.concatenate(found)[:IMAGES]
 
 
-def _plain_loop(problem: Problem, data: Measurements) -> Floats:
+def _plain_loop(problem: Problem) -> Floats:
     """Residuals image by image, shape (N, 2) [px]."""
-    chain = problem.error.chain
+    ((part, data, *_),) = problem.blocks
+    chain = part.error.chain
     model = chain.robot.model
     buffers, tip = model.createData(), model.getFrameId(chain.tip)
     points = np.array([point.xyz for point in BOARD.values()])
@@ -113,7 +114,7 @@ def _plain_loop(problem: Problem, data: Measurements) -> Floats:
     for row in range(0, len(data), len(points)):
         pin.forwardKinematics(model, buffers, data.q[row])
         F = pin.updateFramePlacement(model, buffers, tip)
-        T = problem.error.base * F * problem.error.tool
+        T = part.error.base * F * part.error.tool
         X = (points - T.translation) @ T.rotation
         x, y = X[:, 0] / X[:, 2], X[:, 1] / X[:, 2]
         r = x * x + y * y

@@ -107,7 +107,7 @@ def ranger_problem() -> tuple[Problem, Ranger]:
     truth[-3:-1] = TURN
     rows = calib_pin.simulate(nominal, truth, rng, count=ROWS, noise=NOISE)
     problem = make_problem(chain, rows, setup)
-    model = problem.measurement
+    model = problem.only.measurement
     assert isinstance(model, PlaneDistance)
     return problem, Ranger(problem, model.planes[0])
 
@@ -144,7 +144,7 @@ def _calibrated(problem: Problem, solver: SolverSetup) -> tuple[float, str]:
     setup = replace(problem.setup, solver=solver)
     start = time.process_time()
     found = calib_pin.calibrate(
-        problem.error.chain, problem.data, setup, validate=False, seed=2
+        problem.chains, problem.data, setup, validate=False, seed=2
     )
     each = (time.process_time() - start) / found.solver.evaluations
     return (

@@ -19,7 +19,7 @@ def _talos() -> tuple[Chain, Measurements]:
     chain = calib_pin.load_chain("example:talos_reduced", tip="gripper_left_base_link")
     file = DATA / "talos_left_arm" / "measurements.csv"
     if file.is_file():
-        return chain, calib_pin.read_measurements(file, chain)
+        return chain, calib_pin.read_measurements(file, chain).only
     print(f"(no real measurements in {DATA}: simulated ones)")
     setup = Setup(tool_frame=FrameSetup((0.1, 0.05, 0.1)))
     return chain, simulated(chain, "position", setup, 61, 3e-4)[2]

@@ -106,7 +106,7 @@ def evolution(model: str, **options: object) -> Race:
     problem, ranger = ranger_problem()
     setup = Setup(**{"tool_frame": TOOL, **options})  # type: ignore[arg-type]
     if model == "plane-distance":
-        setup, rows = problem.setup, problem.data
+        setup, rows = problem.setup, problem.data.only
     else:
         rows = _simulated(model, 100, setup)
     setup = replace(setup, solver=SEARCH)
@@ -216,7 +216,7 @@ def simulation() -> Race:
 
 def compensation() -> Race:
     """Commands for 1000 poses beside Pinocchio's regressor of each."""
-    model, chain = _calibration().model, _chain()
+    model, chain = _calibration().model.of(), _chain()
     q = chain.random_configurations(1000, np.random.default_rng(0))
     targets = model.poses(q)
     robot = chain.robot.model

@@ -53,12 +53,13 @@ class Ranger:
     def __init__(self, problem: Problem, plane: Plane) -> None:
         """Compute all that is independent of the parameters."""
         assert plane.normal is not None
-        self._q = problem.data.q
+        ((part, data, *_),) = problem.blocks
+        self._q = data.q
         self._c, self._s = np.cos(self._q).T, np.sin(self._q).T
-        self._h, self._sigma = problem.data.values[:, 0], problem.sigma[:, 0]
+        self._h, self._sigma = data.values[:, 0], problem.sigma
         self._axes = np.array([plane.normal, *plane.tangents])
         self._offset = plane.offset
-        self._model = problem.error.chain.robot.model.copy()
+        self._model = part.error.chain.robot.model.copy()
         self._data = self._model.createData()
 
     def loop(self, x: Floats) -> float:

@@ -50,12 +50,12 @@ def _result(count: int) -> CalibrationResult:
 
 def page_of(result: CalibrationResult) -> bytes:
     """The page as a command makes it."""
-    chain = result.model.chain
+    chains, setup = result.model.chains, calibrated_setup(result.model)
     return html_report(
         result,
         calibration_document(result, PROVENANCE),
         figures=list(calibration_figures(result)),
-        suggestions=suggestions(chain, "pose", calibrated_setup(result.model), result),
+        suggestions=suggestions(chains, "pose", setup, result),
     )
 
 

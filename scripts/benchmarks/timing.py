@@ -80,4 +80,4 @@ def simulated(
     if registered:
         truth = np.where(nominal.parameters.nuisance, 0.0, truth)
     data = calib_pin.simulate(nominal, truth, rng, count=count, noise=noise)
-    return nominal, truth, data
+    return nominal, truth, data.only

@@ -11,7 +11,8 @@ import calib_pin
 from benchmarks.verdict.criterion import Criterion, Line, between, missing
 from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, log_uniform, stream
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.observations import PART
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import BlockKey, Measurements, Observations
 from calib_pin.setup import AnchorSetup, Setup
 
 EACH = 100
@@ -53,26 +54,23 @@ def run(number: int) -> Components:
     job = draw(number, model="pose", stated=True)
     true = log_uniform(rng, NOISE, 2)
     factors = rng.permutation([WRONG, 1.0 / WRONG])
+    keys: tuple[BlockKey, ...] = (BlockKey("pose"),)
     if number % 2:
-        names, model, blocks = ("position", "orientation"), "pose", (3, 3)
-        setup = Setup()
-        truth = TRUTH
-        targets = [""] * EACH
+        names = ("position", "orientation")
+        setup, truth = Setup(), TRUTH
     else:
-        names, blocks = ("position", "distance"), (3, 1)
-        model = "position+point-distance"
+        names = ("position", "distance")
+        keys = (BlockKey("position"), BlockKey("point-distance"))
         wire = {"wire": AnchorSetup(WIRE, 0.01, estimate_bias=True)}
         setup = Setup(anchors=wire)
         truth = replace(TRUTH, anchors=wire)
-        targets = [f"position{PART}", f"point-distance{PART}wire"] * EACH
     noise = dict(zip(names, true.tolist(), strict=True))
-    problem = nominal_problem(job.chain, model, replace(truth, noise=noise))
+    problem = nominal_problem(job.chain, keys, replace(truth, noise=noise))
     drawn = rng.normal(size=len(problem.parameters)) * problem.parameters.scales
     theta = np.where(problem.parameters.nuisance, 0.0, drawn)
-    q = job.chain.random_configurations(len(targets), rng)
-    rows = calib_pin.simulate(problem, theta, rng, q=q, target=targets)
-    assert rows.sigma is not None
-    rows = replace(rows, sigma=rows.sigma * np.repeat(factors, blocks))
+    exact = calib_pin.simulate(problem, theta, rng, count=EACH * len(keys))
+    wrong = zip(exact.blocks, np.split(factors, len(keys)), strict=True)
+    rows = Observations(tuple(_stated_wrong(*pair) for pair in wrong))
     try:
         noise_found = calib_pin.calibrate(
             job.chain, rows, setup, validate=False
@@ -87,6 +85,13 @@ def run(number: int) -> Components:
             for t, (low, high) in [(noise[c.quantity], c.interval)]
         ),
     )
+
+
+def _stated_wrong(block: Measurements, factors: Floats) -> Measurements:
+    """Measurements of quantities of as many components, one factor for each."""
+    assert block.sigma is not None
+    each = block.sigma.shape[1] // len(factors)
+    return replace(block, sigma=block.sigma * np.repeat(factors, each))
 
 
 def judge(found: Sequence[Components]) -> Iterator[Line]:

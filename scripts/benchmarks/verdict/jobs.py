@@ -14,7 +14,7 @@ from functools import cache
 import numpy as np
 
 import calib_pin
-from calib_pin.estimation.configurations import brought_to_contact
+from calib_pin.estimation.configurations import asked, brought_to_contact
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
@@ -110,7 +110,7 @@ class Job:
     @property
     def model(self) -> str:
         """Name of the measurement model."""
-        return self.problem.measurement.name
+        return self.problem.only.key.model
 
     @property
     def noise(self) -> float:
@@ -146,7 +146,7 @@ class Job:
             target=target,
             count=count if q is None else None,
             repeats=repeats,
-        )
+        ).only
         return rows if self.stated else replace(rows, sigma=None)
 
 
@@ -239,7 +239,7 @@ def _chain(robot: str) -> calib_pin.Chain:
 
 def _offset(problem: Problem, rng: np.random.Generator) -> int:
     """Position of the offset of a random revolute joint."""
-    chain = problem.error.chain
+    chain = problem.only.error.chain
     joint = int(rng.choice(np.flatnonzero(chain.revolute)))
     axis = "xyz"[int(np.argmax(np.abs(chain.axes[joint])))]
     name = f"{chain.joints[joint]}.placement.r{axis}"
@@ -250,7 +250,8 @@ def _minimal(problem: Problem, rng: np.random.Generator) -> int:
     """Fewest configurations that can determine everything."""
     found, _ = analyze_structure(problem, np.zeros(len(problem.parameters)), rng)
     # Of a board there is at most its pose to be seen.
-    values = 6 if problem.measurement.name == "camera" else problem.components
+    part = problem.only
+    values = 6 if part.key.model == "camera" else part.components
     return -(-found.rank // values)
 
 
@@ -329,7 +330,8 @@ def _touched(
     names = tuple(sockets) * starts
     q = chain.random_configurations(len(names), rng)
     theta = np.zeros(len(problem.parameters))
-    _, there = brought_to_contact(problem, theta, q, names, np.ones(len(q), bool))
+    at = asked(problem, problem.only.key, q, names)
+    _, there = brought_to_contact(problem, theta, at)
     return bool((there.reshape(starts, -1).mean(axis=0) > 0.1).all())
 
 

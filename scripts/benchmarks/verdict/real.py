@@ -36,7 +36,7 @@ BLOCKS = 5
 def _read(
     file: str, chain: calib_pin.Chain, model: str | None = None
 ) -> calib_pin.Measurements:
-    return calib_pin.read_measurements(DATA / file, chain, model=model)
+    return calib_pin.read_measurements(DATA / file, chain, model=model).only
 
 
 def _ur10() -> calib_pin.Chain:

@@ -12,6 +12,7 @@ from benchmarks.verdict.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import MODELS, draw, log_uniform, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
+from calib_pin.observations import Observations
 
 SHARES = (0.2, 0.4)
 """Parts of the measurements that are spoiled."""
@@ -78,8 +79,9 @@ def run(number: int) -> Robust:
     except Exception as error:
         return Robust(refused(job, error, kind), model, share)
     outcome = judged(job, result, kind)
-    off = replace(job.problem, data=bad).errors(job.theta) / job.noise
-    sure = spoiled & (np.linalg.norm(off, axis=1) > SURE)
+    off = replace(job.problem, data=Observations.of(bad)).errors(job.theta) / job.noise
+    size = np.linalg.norm(off.reshape(len(bad), -1), axis=1)
+    sure = spoiled & (size > SURE)
     names = np.zeros(len(rows), bool)
     names[[outlier.row for outlier in result.statistics.outliers]] = True
     return Robust(

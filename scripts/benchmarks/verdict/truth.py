@@ -147,10 +147,10 @@ def position_error(job: Job, model: CalibratedModel | None, q: Floats) -> float:
         model: The calibrated robot; None for the nominal one.
         q: Configurations, shape (N, n).
     """
-    error = job.problem.error
-    truth, _ = job.problem.split(job.theta)
+    part = job.problem.only
+    error, (truth, _) = part.error, part.split(job.theta[part.index])
     A = error.poses(q, truth)
-    B = error.poses(q, 0.0 * truth) if model is None else model.poses(q)
+    B = error.poses(q, 0.0 * truth) if model is None else model.of().poses(q)
     B = absorbed(A, B, left=True, right=True)
     squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
     return float(np.sqrt(squares.mean()))

@@ -37,7 +37,7 @@ class MoveOptions:
 
     Attributes:
         looked_at: Part of the errors that a further frame must leave at most, to first
-            order, for a closer look; of errors without a plateau it leaves 0.9.
+            order, for a closer look: of errors without a plateau 0.88 and more.
         large: Errors of the nominal robot, in expected sizes, that are looked at
             closely in any case: first order says little of them.
         left: Part of the errors that all moves together leave at most. A drift of the
@@ -57,7 +57,7 @@ class MoveOptions:
         unknowns: Most parameters of a job that is looked at.
     """
 
-    looked_at: float = 0.8
+    looked_at: float = 0.87
     large: float = 20.0
     left: float = 1.0 / 3.0
     each: float = 0.97

@@ -49,6 +49,10 @@ CHECK = (
 """The advice about measurements that nothing explains."""
 
 
+NAMED = 3
+"""Moves of instruments and tools that a reason names; findings name all of them."""
+
+
 @dataclass(frozen=True)
 class VerdictOptions:
     """Limits of the verdict.
@@ -175,8 +179,10 @@ def _distrust(grounds: Grounds) -> str:
     fitted = grounds.fitted
     moves = [f for f in grounds.findings if f.code in CODES.values()]
     if moves:
-        remedies = dict.fromkeys(finding.remedy for finding in moves)
-        return "; ".join([*(finding.message for finding in moves), *remedies])
+        told = [finding.message for finding in moves[:NAMED]]
+        if len(moves) > NAMED:
+            told.append(f"and {len(moves) - NAMED} more")
+        return "; ".join([*told, *dict.fromkeys(finding.remedy for finding in moves)])
     if not fitted.structure.scaled:
         stated = bool(fitted.problem.setup.distances)
         return f"{SCALE}; {STATED if stated else MISSING}"

@@ -21,7 +21,7 @@ from benchmarks.verdict.truth import judged
 from calib_pin.errors import InputError
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
-from calib_pin.observations import PART
+from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import AnchorSetup, Setup
 from calib_pin.validation.splits import Grouping, folds
 
@@ -205,29 +205,36 @@ def test_a_contradicted_distance_is_named() -> None:
 # 7: outliers were never found in a mix; a part that is all validation broke it.
 
 
-def mixed(validate: bool = False) -> tuple[Job, calib_pin.Measurements, Setup]:
+def mixed(validate: bool = False) -> tuple[Job, Observations, Setup]:
     """Sixty positions, then sixty distances, of space6."""
     job = tracked()
     wire = {"wire": AnchorSetup((1.5, 0.2, 0.4), 0.01, estimate_bias=True)}
     setup = Setup(anchors=wire)
     base = replace(components.TRUTH, anchors=wire, noise=job.problem.setup.noise)
-    problem = nominal_problem(job.chain, "position+point-distance", base)
+    keys = BlockKey("position"), BlockKey("point-distance")
+    problem = nominal_problem(job.chain, keys, base)
     rng = stream(0, 1)
-    targets = [f"position{PART}"] * 60 + [f"point-distance{PART}wire"] * 60
     theta = np.zeros(len(problem.parameters))
-    theta[: len(job.theta)] = job.theta
+    names = job.problem.parameters.names
+    theta[[problem.parameters.index(name) for name in names]] = job.theta
     q = job.chain.random_configurations(120, rng)
-    rows = calib_pin.simulate(problem, theta, rng, q=q, target=targets)
-    return job, replace(rows, validate=(np.arange(120) >= 60) & validate), setup
+    positions, distances = (
+        calib_pin.simulate(problem, theta, rng, key=key, q=own)
+        for key, own in zip(keys, np.split(q, 2), strict=True)
+    )
+    block = distances.only
+    block = replace(block, validate=np.full(len(block), validate))
+    return job, Observations.of(positions, block), setup
 
 
 @pytest.mark.parametrize("row", [17, 90])
 def test_outliers_are_found_in_a_mix(row: int) -> None:
     job, rows, setup = mixed()
-    values = rows.values.copy()
-    column = 0 if row < 60 else 3
-    values[row, column] += 0.02
-    result = calib_pin.calibrate(job.chain, replace(rows, values=values), setup)
+    blocks = list(rows.blocks)
+    spoiled, values = blocks[row // 60], blocks[row // 60].values.copy()
+    values[row % 60, 0] += 0.02
+    blocks[row // 60] = replace(spoiled, values=values)
+    result = calib_pin.calibrate(job.chain, Observations.of(*blocks), setup)
     assert row in {outlier.row for outlier in result.statistics.outliers}
 
 

@@ -1,0 +1,74 @@
+"""A job whose instrument was moved is not trusted, and the line of the move is told."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.estimation.fit import fit_model
+from calib_pin.observations import Observations
+from calib_pin.parameterizations import frame_pose
+from calib_pin.setup import Setup
+from calib_pin.validation.move_findings import move_findings
+
+
+def test_a_moved_job_is_untrusted_with_the_lines(moved_job) -> None:
+    job = moved_job((30, 60), (45,))
+    result = calib_pin.calibrate(job.chain, job.plain)
+    assert result.verdict == "untrusted"
+    first, tool, second = result.findings
+    assert [f.code for f in result.findings] == [
+        "instrument-moved",
+        "tool-remounted",
+        "instrument-moved",
+    ]
+    # Thirty measurements behind a line of titles.
+    assert [f.evidence["line"] for f in result.findings] == [31, 46, 61]
+    places = [frame_pose(job.truth.stations[f"s{k}"]).inverse() for k in range(3)]
+    for finding, A, B in ((first, *places[:2]), (second, *places[1:])):
+        distance = np.linalg.norm(B.translation - A.translation)
+        angle = np.linalg.norm(pin.log3(A.rotation.T @ B.rotation))
+        assert finding.evidence["distance"] == pytest.approx(distance, abs=0.02)
+        assert finding.evidence["angle"] == pytest.approx(angle, abs=0.02)
+        assert finding.message.startswith("the instrument moved after line")
+        assert " m, " in finding.message and "station" in finding.remedy
+    # Nobody knows how a single point is turned.
+    assert "angle" not in tool.evidence and "tool" in tool.remedy
+    assert tool.evidence["rms_before"] > 0.1 > 1e-3 > tool.evidence["rms_after"]
+    assert result.reason.startswith(f"{first.message}; {tool.message}")
+    assert first.remedy in result.reason
+
+
+def test_the_same_with_its_names_is_good(moved_job) -> None:
+    job = moved_job((30, 60), (45,))
+    result = calib_pin.calibrate(job.chain, job.named)
+    assert result.verdict == "good" and result.findings == ()
+
+
+def test_the_line_is_found_among_very_many(moved_job) -> None:
+    job = moved_job((1234,), (), 3000, step=0.02)
+    fitted = fit_model(job.chain, job.plain, Setup(), 0).fit
+    (finding,) = move_findings(fitted)
+    assert finding.evidence["line"] == 1235
+
+
+def test_a_move_between_two_files(moved_job) -> None:
+    job = moved_job((40,), ())
+    files = ["a.csv"] * 40 + ["b.csv"] * 50
+    block = replace(job.plain.only, files=files, station="hall")
+    fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
+    (finding,) = move_findings(fitted)
+    start = "the instrument of the station 'hall' moved between a.csv and b.csv ("
+    assert finding.message.startswith(start)
+
+
+def test_measurements_without_a_file_are_counted(moved_job) -> None:
+    job = moved_job((40,), ())
+    block = replace(job.plain.only, files=(), lines=np.zeros(90, np.int64))
+    fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
+    (finding,) = move_findings(fitted)
+    assert "after measurement 40 (" in finding.message

@@ -1,0 +1,165 @@
+"""Stations, tools, chains and blocks of a calibration, and what they have in common."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+import pinocchio as pin
+import pytest
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.observations import BlockKey
+from calib_pin.parameterizations import frame_pose
+from calib_pin.setup import FrameSetup, Setup, ToolSetup
+from calib_pin.simulation import simulate
+
+
+@pytest.fixture(scope="module")
+def job(moved_job):
+    return moved_job((30, 60), (45,))
+
+
+@pytest.fixture(scope="module")
+def result(job):
+    return calib_pin.calibrate(job.chain, job.named)
+
+
+def test_numbers_and_names(result) -> None:
+    assert [(f.name, f.link, f.measurements) for f in result.stations] == [
+        (f"s{k}", result.model.chains[""].base, 30) for k in range(3)
+    ]
+    assert [(f.name, f.measurements) for f in result.tools] == [("t0", 45), ("t1", 45)]
+    assert [(b.station, b.tool, b.measurements) for b in result.blocks] == [
+        ("s0", "t0", 30),
+        ("s1", "t0", 15),
+        ("s1", "t1", 15),
+        ("s2", "t1", 30),
+    ]
+    (chain,) = result.chains
+    assert chain.measurements == 90 and chain.still == ()
+    assert chain.errors == tuple(
+        replace(e, validation_before=None, validation_after=None) for e in result.errors
+    )
+
+
+def test_accuracy_and_noise_are_those_of_its_measurements(result) -> None:
+    after = np.linalg.norm(result.fitted.after, axis=1)
+    data = result.fitted.rows
+    for frame in result.stations:
+        own = [block.station == frame.name for block in data.blocks]
+        own = np.array(own)[data.block_of]
+        (error,) = frame.errors
+        assert error.after.rms == pytest.approx(np.sqrt(np.mean(after[own] ** 2)))
+        (noise,) = frame.noise
+        assert frame.name in noise.quantity
+    assert [len(frame.noise) for frame in result.tools] == [2, 2]
+
+
+def test_frames_are_the_true_ones_within_their_deviations(result, job) -> None:
+    """Of positions, and of what positions tell of orientations."""
+    for frames, stated in (
+        (result.stations, job.truth.stations),
+        (result.tools, job.truth.tools),
+    ):
+        for frame in frames:
+            truth = frame_pose(stated[frame.name])
+            R = pin.rpy.rpyToMatrix(*frame.rpy)
+            error = np.append(
+                np.array(frame.xyz) - truth.translation,
+                pin.log3(R @ truth.rotation.T),
+            )
+            sigma = np.array(frame.sigma)
+            known = np.isfinite(sigma)
+            assert (sigma[known] > 0.0).all()
+            # Of 24 components one in 160 such comparisons is beyond four.
+            assert (np.abs(error)[known] < 4.0 * sigma[known]).all()
+    assert all(np.isfinite(frame.sigma).all() for frame in result.stations)
+    # Nobody knows how a point is turned.
+    assert all(np.isnan(frame.sigma[3:]).all() for frame in result.tools)
+
+
+def test_what_is_known_has_no_deviation(job) -> None:
+    block = job.named.blocks[0]
+    known = replace(job.truth.stations["s0"], estimate=False)
+    setup = Setup(stations={"s0": known})
+    result = calib_pin.calibrate(job.chain, replace(block, tool=""), setup)
+    (station,), (tool,) = result.stations, result.tools
+    assert not station.estimated and station.sigma == (0.0,) * 6
+    assert tool.estimated and tool.name == "tool"
+
+
+def test_a_tool_on_another_has_its_own_place(moved_job) -> None:
+    job = moved_job((), (45,))
+    first, second = (frame_pose(job.truth.tools[name]) for name in ("t0", "t1"))
+    between = first.inverse() * second
+    rpy = pin.rpy.matrixToRpy(between.rotation)
+    stated = ToolSetup(tuple(between.translation), tuple(rpy), on="t0")
+    setup = Setup(tools={"t1": stated})
+    result = calib_pin.calibrate(job.chain, job.named, setup)
+    for frame, truth in zip(result.tools, (first, second), strict=True):
+        assert frame.xyz == pytest.approx(tuple(truth.translation), abs=2e-3)
+    assert [frame.name for frame in result.tools] == ["t0", "t1"]
+
+
+def test_joints_that_stand_still_are_listed() -> None:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "position", Setup())
+    rng = np.random.default_rng(0)
+    q = chain.random_configurations(60, rng)
+    q[:, 4] = 0.3
+    rows = simulate(problem, np.zeros(len(problem.parameters)), rng, q=q)
+    result = calib_pin.calibrate(chain, rows, validate=False)
+    assert result.chains[0].still == (chain.joints[4],)
+    # With a single chain that is no finding.
+    assert "unmoved-joints" not in {f.code for f in result.findings}
+
+
+ARMS = {"left": "arm_left_7_link", "right": "arm_right_7_link"}
+
+
+@pytest.fixture(scope="module")
+def humanoid():
+    """A few joints of both arms of TALOS, each with a tracker of its own."""
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.setup import ChainSetup
+
+    tip = ARMS["left"]
+    robot = calib_pin.load_chain("example:talos_reduced", tip=tip).robot
+    stated = {name: ChainSetup(tip) for name, tip in ARMS.items()}
+    chains = Chains(robot, stated=stated, names=tuple(ARMS))
+    keys = [BlockKey("position", name, name) for name in ARMS]
+    place = FrameSetup((1.0, 2.0, 0.3), (0.1, 0.2, 0.3))
+    setup = Setup(chains=stated, stations=dict.fromkeys(ARMS, place))
+    problem = nominal_problem(chains, keys, setup)
+    rng = np.random.default_rng(1)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = simulate(problem, theta, rng, count=160, noise=5e-5)
+    return calib_pin.calibrate(chains, rows, Setup(chains=stated))
+
+
+def test_both_arms_are_judged(humanoid) -> None:
+    assert humanoid.verdict == "good"
+    assert list(humanoid.accuracies) == ["left", "right"]
+    assert humanoid.accuracy is humanoid.accuracies["left"]
+    for accuracy in humanoid.accuracies.values():
+        assert accuracy.workspace.better > 0.9
+        assert accuracy.workspace.calibrated.position < 1e-3
+    assert [c.tip for c in humanoid.chains] == list(ARMS.values())
+    assert "of the chain '" in humanoid.reason
+    (unmoved,) = humanoid.findings
+    assert unmoved.code == "unmoved-joints" and unmoved.severity == "info"
+    assert "leg_left_1_joint" in unmoved.evidence["joints"]
+    moved = {joint for chain in humanoid.chains for joint in chain.joints}
+    assert not moved & set(unmoved.evidence["joints"].split(", "))
+
+
+def test_what_an_arm_adds(humanoid) -> None:
+    """The torso is common: each arm tells it without the other."""
+    left, right = humanoid.blocks
+    total = humanoid.identifiability.rank
+    assert 0 < left.added < left.rank and 0 < right.added < right.rank
+    frames = 2 * (6 + 3)
+    assert left.rank + right.added + frames == total
+    assert left.ties == (("left",), ("right",)) or left.ties

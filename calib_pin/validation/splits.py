@@ -252,7 +252,8 @@ def split(
     training, marked = fitted_and_held_out(measurements)
     if len(training) == 0:
         raise InputError("no measurement is left to fit: all are marked for validation")
-    _require_fitted(training, marked, "no {} is left to fit: all are for validation")
+    reason = "no {} is left to fit: all are for validation"
+    _require_fitted(training, marked, reason, column="set")
     if validation is not None:
         if len(validation) == 0:
             raise InputError("there are no measurements to validate with")
@@ -302,7 +303,9 @@ def _held_out(
     return mask
 
 
-def _require_fitted(training: Observations, left: Observations, why: str) -> None:
+def _require_fitted(
+    training: Observations, left: Observations, why: str, column: str | None = None
+) -> None:
     """Refuse validation measurements of a kind of which there is none to fit.
 
     Only the station of the instrument may be another one.
@@ -311,6 +314,7 @@ def _require_fitted(training: Observations, left: Observations, why: str) -> Non
         training: The measurements to fit.
         left: Those to validate with.
         why: The reason, with braces where the kind belongs.
+        column: The column that says so.
 
     Raises:
         InputError: If there are such.
@@ -322,4 +326,4 @@ def _require_fitted(training: Observations, left: Observations, why: str) -> Non
             kind = f"'{model}' measurement"
             kind += f" of the chain '{chain}'" if chain else ""
             kind += f" with the tool '{tool}'" if tool else ""
-            raise block.error(0, why.format(kind))
+            raise block.error(0, why.format(kind), column=column)

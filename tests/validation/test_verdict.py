@@ -289,7 +289,7 @@ def test_folds_keep_stretches_together() -> None:
     rng = stream(0, 1)
     rows = job.measured(rng, q=defects.path(job, rng, 150))
     fitted = fit(make_problem(job.chain, rows, job.setup), np.random.default_rng(0))
-    masks = folds(Grouping.of(rows, job.setup), fitted, 0)
+    masks = folds(Grouping.of(fitted.problem.data, job.setup), fitted, 0)
     # A fold of random rows would have about 24 stretches of its 30 rows.
     for mask in masks:
         assert np.abs(np.diff(mask.astype(int))).sum() <= 8

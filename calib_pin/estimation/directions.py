@@ -297,6 +297,8 @@ def _absorbed(A: Floats, parameters: ParameterSet) -> Floats:
 
 def column_space(A: Floats) -> Floats:
     """Orthonormal basis of the columns of A, rounding left out."""
+    # Those of stations that were eliminated are zero, and may be very many.
+    A = A[:, A.any(axis=0)]
     if A.shape[1] == 0:
         return np.zeros((len(A), 0))
     U, s, _ = np.linalg.svd(A, full_matrices=False)

@@ -12,7 +12,8 @@ counts if its posterior standard deviation is below `WEAK` times its scale.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 from functools import cached_property
 
 import numpy as np
@@ -79,6 +80,7 @@ class Structure:
             free parameters).
         parameters: The parameters.
         scaled: Whether measurements tell how large the robot is.
+        alike: Parameters of stations that were left out, with those of one like them.
     """
 
     singular_values: Floats
@@ -88,6 +90,7 @@ class Structure:
     relations: Floats
     parameters: ParameterSet
     scaled: bool = True
+    alike: Mapping[int, int] = field(default_factory=dict)
 
     @property
     def gap(self) -> float:

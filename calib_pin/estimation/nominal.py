@@ -16,7 +16,12 @@ from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis, visible_directions
 from calib_pin.estimation.identifiability import Structure, structure
 from calib_pin.estimation.model import Configured, ToolPoses
-from calib_pin.estimation.problem import Problem, representative, sigma_at
+from calib_pin.estimation.problem import (
+    Problem,
+    representative,
+    sigma_at,
+    station_kinds,
+)
 from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import least_squares
 from calib_pin.kinematics.spatial import Floats, adjoint, invert
@@ -104,10 +109,11 @@ def structure_at(
     """
     J = jacobian_at(problem, theta, at)
     count = sum(len(some.q) for some in at)
-    shown = problem.parameters.without(_omitted(problem, [some.key for some in at]))
+    alike = _omitted(problem, [some.key for some in at])
+    shown = problem.parameters.without(alike)
     found = structure(J[: len(J) - problem.further.priors], shown, count)
     scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
-    return replace(found, scaled=scaled), J
+    return replace(found, scaled=scaled, alike=alike), J
 
 
 def jacobian_at(problem: Problem, theta: Floats, at: Sequence[Configured]) -> Floats:
@@ -146,7 +152,7 @@ def scale_deviation(
         The deviation; zero where the robot cannot grow, infinite where no row changes.
     """
     free = problem.parameters.free.copy()
-    free[_omitted(problem, [some.key for some in at])] = False
+    free[list(_omitted(problem, [some.key for some in at]))] = False
     scales = problem.parameters.scales
     twists, grown = [], []
     scopes = [problem.parts[some.key].scope for some in at]
@@ -188,15 +194,21 @@ def scale_deviation(
     return 1.0 / size if size > least else np.inf
 
 
-def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> list[int]:
-    """Parameters of stations that none of some blocks is measured from."""
+def _omitted(problem: Problem, keys: Sequence[BlockKey]) -> dict[int, int]:
+    """Parameters of stations that none of some blocks is measured from.
+
+    With each the same parameter of a station of its kind that is.
+    """
     used = {problem.parts[key].scope.station for key in keys}
-    return [
-        int(position)
-        for name, own in problem.own_of_stations.items()
-        if name not in used
-        for position in own
-    ]
+    own = problem.own_of_stations
+    found: dict[int, int] = {}
+    for alike in station_kinds(problem).values() if own else ():
+        shown = [station for station in alike if station in used]
+        for station in alike:
+            if station not in used:
+                pairs = zip(own[station], own[shown[-1]], strict=True)
+                found |= {int(omitted): int(other) for omitted, other in pairs}
+    return found
 
 
 def growth(problem: Problem, theta: Floats) -> Floats:

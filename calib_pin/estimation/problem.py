@@ -258,7 +258,7 @@ class Problem(Measured):
     def _by_block(
         self, evaluate: Callable[[Evaluator], Iterable[_Found]]
     ) -> list[_Found]:
-        """What the evaluators say of each block."""
+        """The results of the evaluators in the order of the blocks."""
         found = {
             k: value
             for one, positions in self.evaluators.items()
@@ -314,15 +314,28 @@ def sigma_at(problem: Problem, key: BlockKey, count: int) -> Floats:
     return np.tile(sigma, (count, 1))
 
 
+def station_kinds(problem: Problem) -> Mapping[frozenset[BlockKey], Sequence[str]]:
+    """Stations by the blocks that are measured from them, but for their names."""
+    blocks: dict[str, list[BlockKey]] = {}
+    for key, part in problem.parts.items():
+        blocks.setdefault(part.scope.station, []).append(key._replace(station=""))
+    found: dict[frozenset[BlockKey], list[str]] = {}
+    for station, keys in blocks.items():
+        found.setdefault(frozenset(keys), []).append(station)
+    return found
+
+
 def representative(problem: Problem) -> list[BlockKey]:
     """Blocks that show the structure; of very many stations some of each kind."""
     keys = list(problem.parts)
     if not problem.own_of_stations:
         return keys
-    found: dict[BlockKey, list[BlockKey]] = {}
-    for key in keys:
-        found.setdefault(key._replace(station=""), []).append(key)
-    return [key for alike in found.values() for key in alike[:ALIKE]]
+    shown = {
+        station
+        for alike in station_kinds(problem).values()
+        for station in alike[:ALIKE]
+    }
+    return [key for key in keys if problem.parts[key].scope.station in shown]
 
 
 def expecting(problem: Problem, expected: Expected) -> Problem:

@@ -149,9 +149,14 @@ def estimates(
             )
         )
 
+    for position, other in structure.alike.items():
+        if fitted is not None and alone.get(other) and sigmas[other] is not None:
+            sigmas[position] = float(fitted.covariance[position, position] ** 0.5)
+
     def status(k: int) -> str:
         if not parameters[k].free:
             return "fixed"
+        k = structure.alike.get(k, k)
         if k in structure.unidentifiable:
             # Hidden at nominal; large errors may have let it move all the same.
             moved = fitted is not None and fitted.directions.hidden[k].any()

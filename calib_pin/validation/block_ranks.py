@@ -112,6 +112,7 @@ def _factor(
     J = part.jacobian(theta[part.index], data.rows(rows), sigma)
     scales = problem.parameters.scales[part.index] * np.sqrt(len(data) / few)
     A = J.reshape(-1, J.shape[2]) * scales
-    U = column_space(A @ own[part.index])
+    absorbed = own[part.index]
+    U = column_space(A @ absorbed[:, absorbed.any(axis=0)])
     columns = A @ every[part.index]
     return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))

@@ -93,14 +93,20 @@ def _links(problem: Problem, part: Part) -> Iterator[Frame]:
 
 def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
     """Connected components of a graph, in the order of its nodes."""
-    group = {node: k for k, node in enumerate(nodes)}
-    for link in links:
-        joined = {group[node] for node in link}
-        group = {n: min(joined) if k in joined else k for n, k in group.items()}
-    return [
-        [node for node in nodes if group[node] == k]
-        for k in sorted(set(group.values()))
-    ]
+    leader = {node: node for node in nodes}
+
+    def led(node: Frame) -> Frame:
+        while (above := leader[node]) != node:
+            leader[node] = node = leader[above]
+        return node
+
+    for first, *others in links:
+        for node in others:
+            leader[led(node)] = led(first)
+    found: dict[Frame, list[Frame]] = {}
+    for node in nodes:
+        found.setdefault(led(node), []).append(node)
+    return list(found.values())
 
 
 def coupled_frames(fitted: Fit) -> tuple[CoupledFrames, ...]:

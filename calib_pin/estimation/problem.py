@@ -258,7 +258,7 @@ class Problem(Measured):
     def _by_block(
         self, evaluate: Callable[[Evaluator], Iterable[_Found]]
     ) -> list[_Found]:
-        """What the evaluators say of each block."""
+        """Values by the evaluators, block after block."""
         found = {
             k: value
             for one, positions in self.evaluators.items()

@@ -237,28 +237,62 @@ def drawn(
     return exact_at(problem, theta, *at)
 
 
+def disturbed(problem: Problem, count: int) -> tuple[Problem, Floats]:
+    """Measurements of every block away from their prediction, and parameters.
+
+    So the curvature of residuals counts.
+    """
+    rng = np.random.default_rng(3)
+    theta = 0.01 * rng.normal(size=len(problem.parameters))
+    exact, noisy = drawn(problem, theta, count, rng), []
+    for data in exact.data.blocks:
+        part = problem.parts[data.key]
+        noise = 0.05 * rng.normal(size=(len(data), part.components))
+        values = part.measurement.disturb(data.values, noise)
+        q = data.q
+        if part.measurement.declaration.contact:
+            q = q + 0.01 * rng.normal(size=q.shape)
+        noisy.append(replace(data, q=q, values=values))
+    return replace(exact, data=Observations(tuple(noisy))), theta
+
+
 @pytest.fixture(params=MIXES)
 def problem(request: pytest.FixtureRequest, body: Robot) -> Problem:
     return problem_of(MIXES[request.param], body)
 
 
 def test_jacobians_agree_with_central_differences(problem: Problem) -> None:
-    rng = np.random.default_rng(3)
-    theta = 0.01 * rng.normal(size=len(problem.parameters))
-    exact, noisy = drawn(problem, theta, 5, rng), []
-    for data in exact.data.blocks:
-        # Away from the prediction: the residual's own curvature counts.
-        part = problem.parts[data.key]
-        noise = 0.05 * rng.normal(size=(len(data), part.components))
-        values = part.measurement.disturb(data.values, noise)
-        noisy.append(replace(data, values=values))
-    measured = replace(exact, data=Observations(tuple(noisy)))
+    measured, theta = disturbed(problem, 5)
     r, J = measured.linearize_rows(theta)
     np.testing.assert_allclose(r, measured.residual(theta), rtol=0, atol=1e-6)
     for k, shift in enumerate(1e-6 * np.eye(len(theta))):
         change = measured.residual(theta + shift) - measured.residual(theta - shift)
         error = np.abs(J[:, k] - change / 2e-6).max()
         assert error < 2e-7 * np.abs(J).max(), problem.parameters.names[k]
+
+
+def test_very_many_measurements_have_the_same_normal_equations(
+    problem: Problem, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Through the kernels, where these know the model."""
+    plain, theta = disturbed(problem, 20)
+    r, J = plain.factorize(theta)
+    lengths = np.linalg.norm(np.column_stack([J, r]), axis=0)
+    lengths[lengths == 0.0] = 1.0
+    monkeypatch.setattr("calib_pin.estimation.problem.MANY", 0)
+    many = replace(plain)
+    assert not many.own_of_stations
+
+    def products(r: Floats, J: Floats) -> Floats:
+        columns = np.column_stack([J, r]) / lengths
+        return np.asarray(columns.T @ columns)
+
+    for found in (many.factorize(theta), many.linearize(theta)):
+        np.testing.assert_allclose(products(*found), products(r, J), rtol=0, atol=1e-11)
+    assert many.cost(theta) == pytest.approx(plain.cost(theta), rel=1e-12)
+    errors = plain.errors(theta)
+    size = max(1.0, np.abs(errors).max())
+    np.testing.assert_allclose(many.errors(theta), errors, rtol=0, atol=1e-12 * size)
 
 
 def test_noise_free_recovery(problem: Problem) -> None:

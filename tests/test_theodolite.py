@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import json
 from collections.abc import Iterator
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -16,7 +17,7 @@ from calib_pin.errors import CalibPinError
 from calib_pin.io.measurements import read_measurements, write_measurements
 from calib_pin.measurement_models import MEASUREMENT_MODELS, measurement_model
 from calib_pin.measurement_models.base import CurvedModel
-from calib_pin.observations import Measurements
+from calib_pin.observations import BlockKey, Measurements
 from calib_pin.plugins import extensions
 from calib_pin.setup import FrameSetup, Setup
 
@@ -149,6 +150,26 @@ def test_recovery_without_noise(known: bool) -> None:
     assert quantity.after.rms < 1e-12
     assert quantity.validation_after is not None
     assert quantity.validation_after.rms < 1e-9
+
+
+def test_beside_a_tracker() -> None:
+    """Two stations and one tool: positions give the directions their lengths."""
+    from calib_pin.estimation.fit import fit
+    from calib_pin.estimation.formulation import make_problem, nominal_problem
+
+    other = FrameSetup((-0.8, 1.2, 0.1), (-0.1, 0.3, -1.0), True)
+    setup = Setup(stations={"pillar": STATION, "tripod": other}, tool_frame=TOOL)
+    keys = BlockKey(NAME, station="pillar"), BlockKey("position", station="tripod")
+    problem = nominal_problem(calib_pin.load_chain("space6"), keys, setup)
+    rng = np.random.default_rng(5)
+    truth = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, truth, rng, count=120, noise=0.0)
+    found = fit(make_problem(problem.chains, rows, Setup()), rng)
+    assert found.structure.scaled and found.rank == 27 + 6
+    assert np.abs(found.problem.errors(found.theta)).max() < 1e-12
+    new = calib_pin.simulate(problem, truth, rng, count=40, noise=0.0)
+    there = replace(found.problem, data=new)
+    assert np.abs(there.errors(found.theta)).max() < 1e-9
 
 
 def test_commands_know_it(capsys: pytest.CaptureFixture[str]) -> None:

@@ -41,7 +41,7 @@ order, and so large that threads seldom wait for the interpreter."""
 
 
 def alike(part: Part) -> tuple[object, ...]:
-    """A key that is equal for parts that `ManyRows` evaluates together."""
+    """Things that are the same in parts which `ManyRows` evaluates together."""
     model = part.measurement
     values = [getattr(model, field.name) for field in fields(model)]  # type: ignore[arg-type]
     return (

@@ -258,7 +258,7 @@ class Problem(Measured):
     def _by_block(
         self, evaluate: Callable[[Evaluator], Iterable[_Found]]
     ) -> list[_Found]:
-        """The results of the evaluators in the order of the blocks."""
+        """Values by the evaluators, block after block."""
         found = {
             k: value
             for one, positions in self.evaluators.items()

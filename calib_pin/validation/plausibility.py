@@ -130,9 +130,8 @@ class _Linear:
     def of(fitted: Fit) -> _Linear:
         """That of a fit, without what expected sizes add to the measurements."""
         whole = fitted.problem
-        problem = replace(
-            whole, data=whole.data.sample(OPTIONS.measurements), expected=None
-        )
+        some = sampled(whole, OPTIONS.measurements)
+        problem = replace(whole, data=some, expected=None)
         parameters = problem.parameters
         robot = parameters.free & ~parameters.nuisance
         r, J = problem.linearize_rows(fitted.theta)

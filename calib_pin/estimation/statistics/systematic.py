@@ -163,13 +163,13 @@ def systematic(
     return _significant(sample, effects, groups)
 
 
-def sampled(problem: Problem) -> Observations:
+def sampled(problem: Problem, count: int = ROWS) -> Observations:
     """Measurements that effects are estimated from; of many stations those of some."""
     data = problem.data
     if problem.own_of_stations:
         kept = set(representative(problem))
         data = Observations(tuple(b for b in data.blocks if b.key in kept))
-    return data.sample(ROWS)
+    return data.sample(count)
 
 
 def _candidates(problem: Problem) -> Systematic | None:

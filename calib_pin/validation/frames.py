@@ -93,14 +93,15 @@ def _links(problem: Problem, part: Part) -> Iterator[Frame]:
 
 def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
     """Connected components of a graph, in the order of its nodes."""
-    group = {node: k for k, node in enumerate(nodes)}
-    for link in links:
-        joined = {group[node] for node in link}
-        group = {n: min(joined) if k in joined else k for n, k in group.items()}
-    return [
-        [node for node in nodes if group[node] == k]
-        for k in sorted(set(group.values()))
-    ]
+    groups = {node: [node] for node in nodes}
+    for first, *others in links:
+        for node in others:
+            if (found := groups[node]) is not (whole := groups[first]):
+                whole += found
+                groups |= dict.fromkeys(found, whole)
+    order = {node: k for k, node in enumerate(nodes)}
+    different = {id(group): group for group in groups.values()}.values()
+    return [sorted(group, key=order.__getitem__) for group in different]
 
 
 def coupled_frames(fitted: Fit) -> tuple[CoupledFrames, ...]:

@@ -11,7 +11,6 @@ from numpy.typing import NDArray
 from calib_pin.estimation.directions import WEAK, column_space, rounding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.measured import Block
-from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 
 ROWS, LEAST = 10_000, 60
@@ -43,15 +42,15 @@ def block_ranks(fitted: Fit) -> tuple[BlockRanks, ...]:
         return (BlockRanks(robot.shape[1], robot.shape[1]),)
     parameters, further = problem.parameters, problem.further
     known = further.jacobian(fitted.theta)[: len(further) - further.priors]
-    used = np.sum([_uses(problem, block) for block in problem.blocks], axis=0)
+    indices = [np.unique(block.part.index) for block in problem.blocks]
+    used = np.bincount(np.concatenate(indices), minlength=len(parameters))
     used[known.any(axis=0)] += 2
     nuisances = parameters.free & parameters.nuisance
-    own = np.eye(len(parameters))[:, nuisances & (used == 1)]
     shared = np.eye(len(parameters))[:, nuisances & (used > 1)]
     every = np.column_stack([shared, robot, fitted.directions.weak])
     share = max(LEAST, ROWS // len(problem.blocks))
     factors = [
-        _factor(problem, fitted.theta, block, own, every, share)
+        _factor(fitted, block, nuisances & (used == 1), every, share)
         for block in problem.blocks
     ]
     distances = known * parameters.scales @ every
@@ -82,37 +81,25 @@ def _joined(first: Floats, factors: Sequence[Floats]) -> list[Floats]:
     return result
 
 
-def _uses(problem: Problem, block: Block) -> NDArray[np.int64]:
-    """Which parameters a block has, 0 or 1, shape (P,)."""
-    return np.isin(np.arange(len(problem.given)), block.part.index).astype(np.int64)
-
-
 def _factor(
-    problem: Problem,
-    theta: Floats,
-    block: Block,
-    own: Floats,
-    every: Floats,
-    count: int,
+    fitted: Fit, block: Block, own: NDArray[np.bool_], every: Floats, count: int
 ) -> Floats:
     """Triangular factor of a block without what it absorbs by itself, (k, k).
 
     Args:
-        problem: The problem.
-        theta: Parameter values, shape (P,).
+        fitted: The fit.
         block: The block.
-        own: Scaled directions that one block alone has, shape (P, f).
-        every: Those that are looked at, shape (P, k).
+        own: Parameters that a single block absorbs, shape (P,).
+        every: Scaled directions that are looked at, shape (P, k).
         count: Number of measurements that stand for all.
     """
-    part, data = block.part, block.data
+    problem, theta, part, data = fitted.problem, fitted.theta, block.part, block.data
     few = min(count, len(data))
     rows = np.linspace(0, len(data) - 1, few).astype(np.int64)
     sigma = block.table(problem.sigma)[rows]
     J = part.jacobian(theta[part.index], data.rows(rows), sigma)
     scales = problem.parameters.scales[part.index] * np.sqrt(len(data) / few)
     A = J.reshape(-1, J.shape[2]) * scales
-    absorbed = own[part.index]
-    U = column_space(A @ absorbed[:, absorbed.any(axis=0)])
+    U = column_space(A[:, own[part.index]])
     columns = A @ every[part.index]
     return np.asarray(np.linalg.qr(columns - U @ (U.T @ columns), mode="r"))

@@ -93,20 +93,15 @@ def _links(problem: Problem, part: Part) -> Iterator[Frame]:
 
 def _groups(nodes: list[Frame], links: Iterable[list[Frame]]) -> list[list[Frame]]:
     """Connected components of a graph, in the order of its nodes."""
-    leader = {node: node for node in nodes}
-
-    def led(node: Frame) -> Frame:
-        while (above := leader[node]) != node:
-            leader[node] = node = leader[above]
-        return node
-
+    groups = {node: [node] for node in nodes}
     for first, *others in links:
         for node in others:
-            leader[led(node)] = led(first)
-    found: dict[Frame, list[Frame]] = {}
-    for node in nodes:
-        found.setdefault(led(node), []).append(node)
-    return list(found.values())
+            if (found := groups[node]) is not (whole := groups[first]):
+                whole += found
+                groups |= dict.fromkeys(found, whole)
+    order = {node: k for k, node in enumerate(nodes)}
+    different = {id(group): group for group in groups.values()}.values()
+    return [sorted(group, key=order.__getitem__) for group in different]
 
 
 def coupled_frames(fitted: Fit) -> tuple[CoupledFrames, ...]:

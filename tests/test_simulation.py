@@ -459,7 +459,7 @@ def test_a_block_by_itself_and_all_of_them_at_configurations() -> None:
         simulate(problem, theta, rng, q=q, target=("",) * 4)
     with pytest.raises(OptionError, match="unknown block 'pose'"):
         simulate(problem, theta, rng, q=q, key=BlockKey("pose"))
-    with pytest.raises(OptionError, match="count is too small.* 5 or more"):
+    with pytest.raises(OptionError, match=r"count is too small.* 5 or more"):
         simulate(problem, theta, rng, count=4)
 
 

@@ -113,7 +113,7 @@ GOLDEN: dict[str, Callable[[], object]] = {
     "payload; allowed: <inertial> in the URDF, or payloads in the setup file": (
         lambda: space6(parameters=("compliance",))
     ),
-    "lab.yaml: no joint of the chain matches 'elbow' (column 'gear_ratios'); allowed: "
+    "lab.yaml: no joint of the robot matches 'elbow' (column 'gear_ratios'); allowed: "
     "joint_1, joint_2, joint_3, joint_4, joint_5, joint_6": (
         lambda: space6(parameters=("transmission",), gear_ratios={"elbow": 2.0})
     ),

@@ -43,7 +43,9 @@ order, and so large that threads seldom wait for the interpreter."""
 def alike(part: Part) -> tuple[object, ...]:
     """Things that are the same in parts which `ManyRows` evaluates together."""
     model = part.measurement
-    values = [getattr(model, field.name) for field in fields(model)]  # type: ignore[arg-type]
+    if not is_dataclass(model):
+        return (part.key,)
+    values = [getattr(model, field.name) for field in fields(model)]
     return (
         part.key._replace(station=""),
         part.error.tool.homogeneous.tobytes(),

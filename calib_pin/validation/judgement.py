@@ -172,7 +172,9 @@ def _unmoved(problem: Problem) -> Iterator[Finding]:
     names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
     names = [*still_joints(problem), *names]
     if names:
-        told = ", ".join(names[:NAMED]) + (", ..." if len(names) > NAMED else "")
+        told = ", ".join(names[:NAMED])
+        if len(names) > NAMED:
+            told += f" and {len(names) - NAMED} more"
         yield Finding(
             "unmoved-joints",
             "info",

@@ -163,7 +163,7 @@ def test_wrong_lengths_are_not_trusted(
 def test_real_lengths_five_percent_too_large() -> None:
     chain = calib_pin.load_chain("example:ur10_robot", base="base_link", tip="tool0")
     file = DATA / "ur10_tmac" / "train.csv"
-    rows = calib_pin.read_measurements(file, chain, model="position")
+    rows = calib_pin.read_measurements(file, chain, model="position").only
     rows = replace(rows, values=1.05 * rows.values)
     result = calib_pin.calibrate(chain, rows)
     assert result.verdict == "untrusted"

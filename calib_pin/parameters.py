@@ -73,7 +73,7 @@ class ParameterSet:
         positions: dict[str, int] = {}
         for k, parameter in enumerate(self.parameters):
             first = positions.setdefault(parameter.name, k)
-            if self.parameters[first] != parameter:
+            if first != k and self.parameters[first] != parameter:
                 raise OptionError(f"parameter '{parameter.name}' is defined twice")
         object.__setattr__(self, "_positions", positions)
 
@@ -207,6 +207,8 @@ class ParameterSet:
         return set(found)
 
     def _replace(self, changes: Mapping[int, Mapping[str, float]]) -> ParameterSet:
+        if not changes:
+            return self
         return ParameterSet(
             tuple(
                 replace(p, **changes[k]) if k in changes else p  # type: ignore[arg-type]

@@ -197,12 +197,12 @@ class Trial:
         row, J = self.problem.layout.row, self.linear[1]
         place = np.full(len(self.problem.data), -1)
         place[rows] = np.arange(len(rows))
-        some = np.flatnonzero(place[row] >= 0)
-        B, at = J[np.ix_(some, own)], place[row[some]]
+        some = np.argsort(place[row], kind="stable")
+        some = some[place[row[some]] >= 0]
+        B, first = J[np.ix_(some, own)], np.flatnonzero(np.diff(row[some], prepend=-1))
 
         def after(values: Floats) -> Floats:
-            summed = np.zeros((len(rows), *values.shape[1:]))
-            np.add.at(summed, at, values)
+            summed = np.add.reduceat(values, first)
             return np.asarray(np.cumsum(summed[::-1], axis=0)[::-1])
 
         g = after(B * r[some, None])

@@ -256,7 +256,17 @@ def disturbed(problem: Problem, count: int) -> tuple[Problem, Floats]:
     return replace(exact, data=Observations(tuple(noisy))), theta
 
 
-@pytest.fixture(params=MIXES)
+PAIRS = [name for name in MIXES if name.count(", ") == 1]
+"""Pairs of models, of which every fourth belongs to the quick tier."""
+
+
+def tiered(name: str) -> object:
+    """A mix as a parameter of tests, slow where others like it are quick."""
+    slow = name in PAIRS and PAIRS.index(name) % 4
+    return pytest.param(name, marks=pytest.mark.slow if slow else ())
+
+
+@pytest.fixture(params=map(tiered, MIXES))
 def problem(request: pytest.FixtureRequest, body: Robot) -> Problem:
     return problem_of(MIXES[request.param], body)
 

@@ -316,7 +316,7 @@ def _measured(
         problem, theta = there.problem, there.theta
     points, rotations = [], []
     for part, data, _, _ in problem.blocks:
-        error, of_robot = part.error, part.split(theta[part.index])[0]
+        error, of_robot = part.error, part.values(theta)[0]
         T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
         to_base = (error.base * error.corrections(of_robot)[0]).inverse()
         points.append(T[:, :3, 3] @ to_base.rotation.T + to_base.translation)

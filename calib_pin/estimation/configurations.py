@@ -165,7 +165,7 @@ def brought_to_contact(
         the joint limits and touch, shape (N,).
     """
     part = problem.parts[at.key]
-    robot, instrument = part.split(theta[part.index])
+    robot, instrument = part.values(theta)
     chain, every = part.error.chain, at.q.copy()
     q = every[:, part.columns]
     touches, left = np.zeros(len(q), bool), np.arange(len(q))

@@ -85,15 +85,7 @@ def eliminate(own: NDArray[np.intp], rows: Sequence[Rows]) -> tuple[Station, Row
     Returns:
         The station, and the rows that are left for the other parameters.
     """
-    every = np.unique(np.concatenate([index for index, _, _ in rows]))
-    J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
-    start = 0
-    for index, r, columns in rows:
-        # Several parameters of a part may be one.
-        at = np.searchsorted(every, index)
-        np.add.at(J[start : start + len(r)].T, at, columns.T)
-        start += len(r)
-    r = np.concatenate([r for _, r, _ in rows])
+    every, r, J = _stacked(rows)
     is_own = np.isin(every, own)
     A, B = J[:, is_own], J[:, ~is_own]
     U, s, Vt = np.linalg.svd(A, full_matrices=False)
@@ -246,17 +238,23 @@ def reduced(rows: Sequence[Rows], count: int) -> tuple[Floats, Floats]:
         rows: Linearized measurements.
         count: Number of parameters P.
     """
-    every = np.unique(np.concatenate([index for index, _, _ in rows]))
-    stacked = np.zeros((sum(len(r) for _, r, _ in rows), len(every) + 1))
-    start = 0
-    for index, r, columns in rows:
-        part = slice(start, start + len(r))
-        stacked[part, np.searchsorted(every, index)] = columns
-        stacked[part, -1] = r
-        start += len(r)
-    if not np.isfinite(stacked).all():
+    every, r, columns = _stacked(rows)
+    if not (np.isfinite(r).all() and np.isfinite(columns).all()):
         return np.full(1, np.nan), np.zeros((1, count))
-    R = np.asarray(np.linalg.qr(stacked, mode="r"))
+    R = np.asarray(np.linalg.qr(np.column_stack([columns, r]), mode="r"))
     J = np.zeros((len(R), count))
     J[:, every] = R[:, :-1]
     return R[:, -1], J
+
+
+def _stacked(rows: Sequence[Rows]) -> Rows:
+    """Rows behind one another, by all parameters of any of them."""
+    every = np.unique(np.concatenate([index for index, _, _ in rows]))
+    J = np.zeros((sum(len(r) for _, r, _ in rows), len(every)))
+    start = 0
+    for index, r, columns in rows:
+        # Several parameters of a part may be one.
+        at = np.searchsorted(every, index)
+        np.add.at(J[start : start + len(r)].T, at, columns.T)
+        start += len(r)
+    return every, np.concatenate([r for _, r, _ in rows]), J

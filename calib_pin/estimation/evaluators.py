@@ -76,7 +76,7 @@ class RowByRow:
     def errors(self, theta: Floats) -> list[Floats]:
         """Residuals in their units, shape (N, d)."""
         part, data = self._block.part, self._block.data
-        of_robot, instrument = part.split(theta[part.index])
+        of_robot, instrument = part.values(theta)
         return [part.measurement.residual(self._tool(of_robot), instrument, data)]
 
     def residual(self, theta: Floats) -> Floats:
@@ -97,7 +97,7 @@ class RowByRow:
     def factorize(self, theta: Floats) -> list[tuple[Floats, Floats]]:
         """Whitened residual, shape (N d,), and Jacobian, shape (N d, p)."""
         part, data = self._block.part, self._block.data
-        of_robot, instrument = part.split(theta[part.index])
+        of_robot, instrument = part.values(theta)
         tool = self._tool.linearize(of_robot)
         linear = part.measurement.linearize(tool.T, instrument, data)
         known = Linearization(

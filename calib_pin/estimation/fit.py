@@ -246,7 +246,7 @@ def with_learned(problem: _System, learned: LearnedCorrection) -> _System:
     """
     parts = {}
     for key, part in problem.parts.items():
-        shift = learned.shift[part.index[: len(part.error.screws)]]
+        shift = learned.shift[part.of_error]
         own = replace(learned, shift=shift, carried=_carried(problem, part))
         parts[key] = replace(part, error=replace(part.error, learned=own))
     return problem.with_parts(parts)
@@ -377,5 +377,5 @@ def _shifts(fitted: Fit, problem: Problem, theta: Floats) -> Floats:
     basis = np.column_stack([visible_nuisances(J, parameters), fitted.directions.robot])
     basis = parameters.scales[:, None] * basis
     for part in problem.parts.values():
-        basis[part.index[len(part.error.screws) :]] = 0.0
+        basis[part.of_instrument] = 0.0
     return basis[:, basis.any(axis=0)]

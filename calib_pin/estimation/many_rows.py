@@ -175,12 +175,12 @@ class ManyRows:
     def _own(self, theta: Floats) -> Floats:
         """The instrument parameters, which all blocks share."""
         part = self._blocks[0].part
-        return part.split(theta[part.index])[1]
+        return part.values(theta)[1]
 
     def _inner(self, theta: Floats) -> Floats:
         """Parameters of the chain between the frames of stations and instruments."""
         part = self._blocks[0].part
-        return part.split(theta[part.index])[0][FRAME:]
+        return part.values(theta)[0][FRAME:]
 
     def _stations(self, theta: Floats) -> tuple[Floats, Floats]:
         """Base frames, (S, 4, 4), and twists of their parameters there, (S, 6, 6)."""

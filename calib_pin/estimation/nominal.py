@@ -163,7 +163,7 @@ def scale_deviation(
         part = problem.parts[some.key]
         own = part.of_chain(some)
         basis = part.error.basis(own.q, own.payload)
-        of_robot = part.split(theta[part.index])[0]
+        of_robot = part.values(theta)[0]
         poses = part.error.linearize(own.q, of_robot, basis)
         count = len(poses.T)
         by_error = poses.derivative(np.tile(np.eye(6), (count, 1, 1)))
@@ -225,7 +225,7 @@ def growth(problem: Problem, theta: Floats) -> Floats:
     """
     changes = []
     for part, data, _, _ in problem.blocks:
-        of_robot, instrument = part.split(theta[part.index])
+        of_robot, instrument = part.values(theta)
         tool = ToolPoses(part.error, data).linearize(of_robot)
         T, poses, start = tool.T, tool.poses, tool.start
         grown = _grown(poses, poses.to_base @ invert(poses.to_tip))

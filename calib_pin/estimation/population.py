@@ -122,7 +122,7 @@ class _Part:
 
     def costs(self, theta: Floats) -> Floats:
         """Half the sums of squares of these measurements, shape (S, P) -> (S,)."""
-        of_robot, instrument = self._part.split(theta[:, self._part.index])
+        of_robot, instrument = self._part.values(theta)
         chains = self._segments.links(np.ascontiguousarray(of_robot))
         amounts = of_robot[:, self._part.error.joint_corrections]
         found, result = self._batch.geometry(instrument), np.empty(len(instrument))

@@ -134,8 +134,7 @@ class Problem(Measured):
         }
         own = self.own_of_stations.items()
         stations, rest = eliminate_products([(p, left.pop(name)) for name, p in own])
-        self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
+        self._remember(theta, stations)
         products = added([*left.values(), *rest])
         return self._with_further(theta, *square_root(products, len(theta)))
 
@@ -156,8 +155,7 @@ class Problem(Measured):
             station, rest = eliminate(self.own_of_stations[name], rows)
             stations.append(station)
             left.append(rest)
-        self._eliminated.clear()
-        self._eliminated[theta.tobytes()] = stations
+        self._remember(theta, stations)
         return self._with_further(theta, *reduced(left, len(theta)))
 
     def linearize_rows(self, theta: Floats) -> tuple[Floats, Floats]:
@@ -234,6 +232,10 @@ class Problem(Measured):
     def _eliminated(self) -> dict[bytes, Sequence[Station]]:
         """The last elimination, by the parameter values at which it was made."""
         return {}
+
+    def _remember(self, theta: Floats, stations: Sequence[Station]) -> None:
+        self._eliminated.clear()
+        self._eliminated[theta.tobytes()] = stations
 
     @cached_property
     def _distances(self) -> KnownDistances:

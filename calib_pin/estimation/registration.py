@@ -72,7 +72,7 @@ class Located:
 
     def state(self, parameters: ParameterSet, part: Part) -> None:
         """Take over the frames of a part that a setup states."""
-        scope, ends = part.scope, (part.index[:FRAME], _tool(part))
+        scope, ends = part.scope, (part.index[:FRAME], part.of_error[-FRAME:])
         base, tool = (
             _given(parameters, frame, own)
             for frame, own in zip((scope.base, scope.end), ends, strict=True)
@@ -84,11 +84,8 @@ class Located:
 
     def register(self, block: Block, theta: Floats) -> Part:
         """Register the part of a block, and remember what that has located."""
-        (part,), data = (
-            with_shared_references([block.part], self.references),
-            block.data,
-        )
-        of_robot, scope = part.split(theta[part.index])[0], part.scope
+        (part,) = with_shared_references([block.part], self.references)
+        data, scope, of_robot = block.data, part.scope, part.values(theta)[0]
         F = part.error.tip_poses(data.q, of_robot, data.payload)
         if data.start.size:
             F = invert(part.error.tip_poses(data.start, of_robot, data.payload)) @ F
@@ -101,8 +98,7 @@ class Located:
             self.tools.setdefault(scope.tool, at_end * scope.offset.inverse())
         for reference in measurement.references:
             if reference.located:
-                key = reference.section, scope.reference(reference)
-                self.references.setdefault(key, reference)
+                self.references.setdefault(scope.place(reference), reference)
         return replace(part, measurement=measurement)
 
     def keep(self, part: Part, theta: Floats) -> None:
@@ -111,8 +107,7 @@ class Located:
         self.bases[part.scope.station] = moved.error.base
         self.tools[part.scope.tool] = moved.error.tool * part.scope.offset.inverse()
         for reference in part.measurement.references:
-            key = reference.section, part.scope.reference(reference)
-            self.references[key] = reference
+            self.references[part.scope.place(reference)] = reference
 
     def placed(self, parts: list[Part]) -> dict[BlockKey, Part]:
         """Parts about all that has been located."""
@@ -134,8 +129,7 @@ class Located:
     def knows(self, block: Block) -> bool:
         """Whether targets that stand still tell where a station is."""
         return all(
-            (reference.section, block.part.scope.reference(reference))
-            in self.references
+            block.part.scope.place(reference) in self.references
             for reference in block.part.measurement.references
         )
 
@@ -181,12 +175,6 @@ def _in_turn(blocks: Sequence[Block], found: Located) -> Iterator[Block]:
     while left:
         # Blocks hold arrays, which are not compared.
         yield left.pop(min(range(len(left)), key=lambda k: turn(left[k])))
-
-
-def _tool(part: Part) -> NDArray[np.intp]:
-    """Positions of the parameters of the tool frame."""
-    count = len(part.error.screws)
-    return part.index[count - FRAME : count]
 
 
 def _require_loose(problem: Problem) -> None:
@@ -250,7 +238,7 @@ def extended(
     values = theta.copy()
     parts = {}
     for key, part in problem.parts.items():
-        own = part.index[len(part.error.screws) :]
+        own = part.of_instrument
         measurement = part.measurement.rebased(theta[own])
         parts[key], values[own] = replace(part, measurement=measurement), 0.0
     known = problem

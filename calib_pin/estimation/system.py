@@ -58,6 +58,10 @@ class Scope:
         """Name of a reference object among those of all parts."""
         return (self.outer if reference.outer else self.inner) + reference.name
 
+    def place(self, reference: ReferenceObject) -> tuple[str, str]:
+        """Section and name of a reference object, which tell it from all others."""
+        return reference.section, self.reference(reference)
+
 
 @dataclass(frozen=True)
 class Part(Model):
@@ -92,6 +96,24 @@ class Part(Model):
                 for parameter in reference.parameters
             ]
         return tuple(result)
+
+    @property
+    def of_error(self) -> NDArray[np.intp]:
+        """Positions of the parameters of its error model among all."""
+        return self.index[: len(self.error.screws)]
+
+    @property
+    def of_instrument(self) -> NDArray[np.intp]:
+        """Positions of the parameters of its measurement model among all."""
+        return self.index[len(self.error.screws) :]
+
+    def values(self, theta: Floats) -> tuple[Floats, Floats]:
+        """Values of its error model and of its measurement model among all, (..., P).
+
+        Args:
+            theta: Values of all parameters, one vector or many.
+        """
+        return theta[..., self.of_error], theta[..., self.of_instrument]
 
     def of_chain(self, at: Configured) -> Configured:
         """Configurations of all joints with those of its chain alone."""
@@ -213,7 +235,7 @@ class System:
     def references(self) -> Mapping[tuple[str, str], ReferenceObject]:
         """The reference objects of all parts, by section and name among all."""
         return {
-            (reference.section, part.scope.reference(reference)): reference
+            part.scope.place(reference): reference
             for part in self.parts.values()
             for reference in part.measurement.references
         }
@@ -276,7 +298,7 @@ def with_shared_references(
     best: dict[tuple[str, str], ReferenceObject] = {}
     for part in parts:
         for reference in part.measurement.references:
-            key = reference.section, part.scope.reference(reference)
+            key = part.scope.place(reference)
             other = best.setdefault(key, reference)
             rank = len(reference.parameters), reference.located
             if rank > (len(other.parameters), other.located):
@@ -287,7 +309,7 @@ def with_shared_references(
             part,
             measurement=part.measurement.with_references(
                 [
-                    best[reference.section, part.scope.reference(reference)]
+                    best[part.scope.place(reference)]
                     for reference in part.measurement.references
                 ]
             ),

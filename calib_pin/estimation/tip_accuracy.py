@@ -120,7 +120,7 @@ def tip_accuracy(
         return None
     rng = np.random.default_rng(seed)
     part = problem.moving if chain is None else problem.of_chain(chain)
-    error, own = part.error, part.index[: len(part.error.screws)]
+    error, own = part.error, part.of_error
     if len(problem.setup.payloads) > 1 and not error.payload:
         error = error.carrying(next(iter(problem.setup.payloads)))
     q = error.chain.random_configurations(SAMPLES, rng)

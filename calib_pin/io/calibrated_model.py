@@ -66,10 +66,7 @@ def frame_key(place: str) -> str:
 
 def count_without_instruments(system: System) -> int:
     """Number of parameters of stations, robot and tools; those come first."""
-    return 1 + max(
-        int(part.index[: len(part.error.screws)].max())
-        for part in system.parts.values()
-    )
+    return 1 + max(int(part.of_error.max()) for part in system.parts.values())
 
 
 def tip_correction(part: Part, theta: np.ndarray[Any, Any]) -> pin.SE3:
@@ -81,7 +78,7 @@ def tip_correction(part: Part, theta: np.ndarray[Any, Any]) -> pin.SE3:
     """
     if part.error.chain.tip_joint is not None:
         return pin.SE3.Identity()
-    return part.error.corrections(part.split(theta[part.index])[0])[-2]
+    return part.error.corrections(part.values(theta)[0])[-2]
 
 
 def model_of(document: Json, chains: Chains) -> CalibratedModel:

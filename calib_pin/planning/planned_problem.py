@@ -209,7 +209,7 @@ class TipTests:
             )
             # Whatever is measured, the pose of the tool is what counts [m, rad].
             pose = measurement_model(Pose.declaration.name, rows.problem.setup)
-            basis = rows.basis[part.index[: len(part.error.screws)]]
+            basis = rows.basis[part.of_error]
             look = Look(replace(part, measurement=pose), ("",), True, np.zeros(1, int))
             found.append(TipTests.at(LookRows(look, basis, np.ones(6)), q))
         return TipTests(

@@ -64,7 +64,7 @@ def calibrated_setup(model: CalibratedModel) -> Setup:
                 named = sections.setdefault(reference.section, {})
                 named[reference.name] = reference.stated()
         free = part.error.parameters.free
-        theta = model.theta[part.index[: len(part.error.screws)]]
+        theta = model.theta[part.of_error]
         mounted = CalibratedChain(part.error, theta, setup).tool
         stands = frame_setup(part.error.base, known=not free[:6].any())
         sits = frame_setup(

@@ -122,7 +122,7 @@ class CalibratedModel(System):
             part = self.parts[chain]
         else:
             part = self.moving if chain is None else self.of_chain(chain)
-        theta = self.theta[part.index[: len(part.error.screws)]]
+        theta = self.theta[part.of_error]
         return CalibratedChain(part.error, theta, self.setup)
 
     @property

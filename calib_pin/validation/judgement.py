@@ -217,7 +217,7 @@ def expected_accuracy(
         rng: Draws the errors by which the bound is found.
     """
     parameters = fitted.problem.parameters
-    index = part.index[: len(part.error.screws)]
+    index = part.of_error
     scales, nuisance = parameters.scales[index], parameters.nuisance[index]
     robot = parameters.free[index] & ~nuisance
     _, J = part.error.jacobian(q, theta[index])

@@ -371,6 +371,6 @@ def _sizes(fitted: Fit, x: Floats) -> Floats:
                 np.linalg.norm(pin.log3(M.rotation)) / ANGLE_SCALE,
             )
             for part in problem.by_chain.values()
-            for M in part.error.corrections(part.split(theta[part.index])[0])[1:-1]
+            for M in part.error.corrections(part.values(theta)[0])[1:-1]
         ]
     )

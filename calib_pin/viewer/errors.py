@@ -90,7 +90,7 @@ def _tool_poses(block: Block, theta: Floats) -> Floats:
     Of relative measurements as well: where the tool is, not how it has moved.
     """
     part, data = block.part, block.data
-    error, of_robot = part.error, part.split(theta[part.index])[0]
+    error, of_robot = part.error, part.values(theta)[0]
     T = error.poses(data.q, of_robot, error.basis(data.q, data.payload))
     model = part.measurement
     if isinstance(model, PointModel):

@@ -68,7 +68,7 @@ def kernel_poses(problem: Problem, theta: Floats) -> Floats:
     """Tool poses of the error model by the kernels."""
     part, data, *_ = problem.blocks[0]
     segments = Segments.of(part.error)
-    (chain,) = segments.links(part.split(theta[part.index])[0][None])
+    (chain,) = segments.links(part.values(theta)[0][None])
     q = data.q * segments.signs
     motion, starts = motions(q, segments.revolute)
     T = np.full((len(q), 4, 4), np.nan)

@@ -178,7 +178,7 @@ def _exchanged(
         labels, codes = found.labels[block.rows], block.data.target.codes
         alike = (codes[i] == codes[j]) & (labels[i] != labels[j])
         i, j = i[alike], j[alike]
-        of_robot, instrument = block.part.split(theta[block.part.index])
+        of_robot, instrument = block.part.values(theta)
         poses = ToolPoses(block.part.error, block.data.rows(rows))(of_robot)
         fits = []
         for a, b in ((i, j), (j, i)):

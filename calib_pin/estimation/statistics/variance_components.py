@@ -148,11 +148,12 @@ def _by_quantity(problem: Problem, theta: Floats) -> Iterator[tuple[int, Part, F
     firsts = {
         key: list(dict.fromkeys(found.tolist())) for key, found in of_keys.items()
     }
-    for place in range(max(map(len, firsts.values()))):
+    most = max(map(len, firsts.values()))
+    for place in range(most):
         # The quantities are what is left where the others weigh nothing.
         chosen = {found[place] for found in firsts.values() if place < len(found)}
         alone = problem
-        if max(map(len, firsts.values())) > 1:
+        if most > 1:
             kept = np.isin(np.arange(len(current)), list(chosen))
             alone = in_units(problem, np.where(kept, current, np.inf))
         products = alone.products(theta)

@@ -148,7 +148,7 @@ def position_error(job: Job, model: CalibratedModel | None, q: Floats) -> float:
         q: Configurations, shape (N, n).
     """
     part = job.problem.only
-    error, (truth, _) = part.error, part.split(job.theta[part.index])
+    error, (truth, _) = part.error, part.values(job.theta)
     A = error.poses(q, truth)
     B = error.poses(q, 0.0 * truth) if model is None else model.of().poses(q)
     B = absorbed(A, B, left=True, right=True)

@@ -20,7 +20,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import AT, Measurements, Observations, states_sigmas
 from calib_pin.progress import Stages, named, portion
-from calib_pin.setup import Setup
+from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.held_out import HeldOut, check
@@ -92,6 +92,8 @@ def calibrate(
         ('good', 34)
     """
     setup, data = setup or Setup(), Observations.of(measurements)
+    # It has been obeyed when files were read, and says nothing of other files.
+    setup = replace(setup, reading=ReadingSetup())
     further = None if validation is None else Observations.of(validation)
     chains = chains_of(chains, data, *([] if further is None else [further]))
     training, held, method = split(data, setup, further, holdout, seed)

@@ -156,7 +156,9 @@ def open_calibration(
     model = read_calibration(name, notice=doubted)
     joints = setup.joints or model.setup.joints
     models = "+".join(dict.fromkeys(key.model for key in model.parts))
-    return model, replace(model.setup, model=models, joints=joints)
+    return model, replace(
+        model.setup, model=models, joints=joints, reading=setup.reading
+    )
 
 
 def require_joints_only(file: Path | None, setup: Setup) -> None:
@@ -167,9 +169,9 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
     """
     from calib_pin.setup import Setup
 
-    if file is not None and setup != Setup(joints=setup.joints):
+    if file is not None and setup != Setup(joints=setup.joints, reading=setup.reading):
         raise OptionError(
-            "a calibration has its own setup", file=file, allowed="joints"
+            "a calibration has its own setup", file=file, allowed="joints, reading"
         )
 
 
@@ -213,6 +215,7 @@ def open_measurements(
         station_per_file=station_per_file,
         unnamed=chain,
         joints=setup.joints,
+        reading=setup.reading,
         notice=None if quiet else notice,
         progress=stage(bar, "read"),
         sockets=[

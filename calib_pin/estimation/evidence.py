@@ -8,7 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal, NamedTuple, Protocol
+from typing import Any, Literal, NamedTuple, Protocol
 
 import numpy as np
 
@@ -33,6 +33,8 @@ class Finding:
         message: One sentence with numbers.
         evidence: The numbers by name, SI units.
         remedy: Advice on how to correct it; empty if there is none.
+        setup: Lines of a setup file that correct it, as plain data.
+        figure: Name of a figure that shows it; empty if none does.
     """
 
     code: str
@@ -40,6 +42,8 @@ class Finding:
     message: str
     evidence: Mapping[str, float | str] = field(default_factory=dict)
     remedy: str = ""
+    setup: Mapping[str, Any] = field(default_factory=dict)
+    figure: str = ""
 
 
 @dataclass(frozen=True)

@@ -36,9 +36,10 @@ from calib_pin.io.written_columns import (
 )
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Labels, Measurements, Observations
 from calib_pin.progress import Progress, portion
-from calib_pin.setup import JointMap
+from calib_pin.setup import JointMap, ReadingSetup
 
 CUT = 0.9
 """Part of the time after which lines are cut into cells."""
@@ -55,6 +56,7 @@ def read_measurements(
     station_per_file: bool = False,
     unnamed: str | None = None,
     joints: Mapping[str, JointMap] = {},
+    reading: ReadingSetup | None = None,
     sockets: Collection[str] = (),
     notice: Callable[[str], None] | None = None,
     progress: Progress | None = None,
@@ -75,6 +77,7 @@ def read_measurements(
         station_per_file: Whether each file is a station, called as the file is.
         unnamed: Chain of measurements that name none; default the only one of `chain`.
         joints: How file columns become joints; others are taken by their own name.
+        reading: How files are to be read where they are not as their columns say.
         sockets: Sockets that are known, for which one configuration is enough.
         notice: Called once per file that has columns without a meaning, with one
             sentence that lists them.
@@ -121,6 +124,8 @@ def read_measurements(
     given = () if chains.names == ("",) else chains.names
     names = dict.fromkeys([*given, *(part.chain for part in parts)])
     data = Observations.of(*_with_joints(parts, chains.named(tuple(names))))
+    if reading is not None:
+        data = read_otherwise(data, reading)
     check_names(data)
     check_places(data, sockets)
     return data

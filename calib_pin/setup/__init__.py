@@ -18,6 +18,7 @@ from calib_pin.setup.constraints import (
     Section,
     listed,
 )
+from calib_pin.setup.reading import AXES, ConvertedSetup, ReadingSetup
 from calib_pin.setup.references import (
     WORLD,
     AnchorSetup,
@@ -48,6 +49,7 @@ from calib_pin.setup.values import (
 from calib_pin.setup.workspace import Ball, Cone, Obstacle, RangerSetup, Region
 
 __all__ = [
+    "AXES",
     "WORLD",
     "AnchorSetup",
     "Ball",
@@ -55,6 +57,7 @@ __all__ = [
     "CameraSetup",
     "ChainSetup",
     "Cone",
+    "ConvertedSetup",
     "DistanceSetup",
     "FrameSetup",
     "Frames",
@@ -64,6 +67,7 @@ __all__ = [
     "PlaneSetup",
     "PointSetup",
     "RangerSetup",
+    "ReadingSetup",
     "Region",
     "Section",
     "Setup",
@@ -199,6 +203,7 @@ class MeasurementSetup(Section):
             known, and named by their numbers, 0 1 2 ..., row by row.
         distances: Known distances between such points.
         joints: Joint map by file column; empty where columns are URDF joint names.
+        reading: How files are to be read where they are not as their columns say.
     """
 
     stations: Mapping[str, FrameSetup] = field(default_factory=dict)
@@ -212,6 +217,7 @@ class MeasurementSetup(Section):
     board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
     joints: Mapping[str, JointMap] = field(default_factory=dict)
+    reading: ReadingSetup = field(default_factory=ReadingSetup)
 
 
 @dataclass(frozen=True)

@@ -24,9 +24,9 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
+from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.gains import PRESS, gains, press_check
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
-from calib_pin.validation.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.splits import Grouping, folds
 
 
@@ -41,6 +41,7 @@ class HeldOut:
         gains: Paired tests on the parts, then those by the hat matrix (PRESS).
         findings: Defects of the held-out measurements.
         skipped: Reason for each skipped fold of a cross-validation.
+        apart: Whether the measurements are others than those that were fitted.
     """
 
     measurements: Observations
@@ -49,6 +50,7 @@ class HeldOut:
     gains: tuple[Gain, ...] = ()
     findings: tuple[Finding, ...] = ()
     skipped: tuple[str, ...] = ()
+    apart: bool = False
 
     @property
     def counted(self) -> tuple[ModelErrors, ...]:
@@ -95,7 +97,7 @@ def check(
         return HeldOut(training, gains=pressed)
     if validation is not None:
         found = _checked_on(model, training, validation, method)
-        return replace(found, gains=found.gains + pressed)
+        return replace(found, gains=found.gains + pressed, apart=True)
     masks = folds(grouping, fitted, seed)
     if parts is None:
         parts = tuple(

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Iterator, Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from itertools import starmap
 from math import erf
@@ -13,8 +13,6 @@ from numpy.typing import NDArray
 from calib_pin.estimation.evidence import ExpectedAccuracy, Finding, PoseErrors
 from calib_pin.estimation.fit import FittedModel
 from calib_pin.estimation.fitted import Fit, likely_posteriors
-from calib_pin.estimation.joint_conventions import suggest_conventions
-from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.system import Part
 from calib_pin.estimation.tip_accuracy import without_frames
 from calib_pin.kinematics.chain import Chain
@@ -24,12 +22,12 @@ from calib_pin.measurement_models.declaration import Quantity
 from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
+from calib_pin.validation.findings import find
+from calib_pin.validation.findings.case import Case
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
-from calib_pin.validation.move_findings import move_findings
-from calib_pin.validation.plausibility import plausibility
 from calib_pin.validation.summaries import ToolAccuracy
-from calib_pin.validation.verdict import CHECK, Grounds, unexplained, verdict
+from calib_pin.validation.verdict import Grounds, verdict
 
 MEASURED, SAMPLES = 100, 300
 """Configurations at which the tool is predicted, measured ones and others."""
@@ -75,14 +73,10 @@ def judge(
         fitted_errors.counted(data.weight),
         ModelErrors.joined(parts) if parts else None,
     )
-    advice, moves = CHECK, move_findings(fitted)
-    if not moves and unexplained(fitted, errors):
-        setup = fitted.problem.setup
-        if suggestion := suggest_conventions(chains, data, setup, progress):
-            advice = suggestion.text(chains.joints, setup.joints)
-    # All that is wrong else may follow from a move.
-    findings = held_out.findings + (moves or plausibility(fitted))
-    findings += tuple(_unmoved(fitted.problem))
+    validation = held_out.measurements if held_out.apart else None
+    case = Case.of(fitted, chains, validation, progress)
+    found = find(case)
+    findings = (*found.causes, *held_out.findings, *found.others)
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
@@ -101,7 +95,7 @@ def judge(
             findings,
             {name: a.workspace for name, a in accuracies.items() if a.workspace},
             max(aside, fitted.robust.disagreement),
-            advice,
+            found.causes,
         )
     )
     return Judgement(status, reason, errors, findings, accuracies)
@@ -152,40 +146,6 @@ def _accuracies(
     )
     return before, after
 
-
-def still_joints(problem: Problem) -> tuple[str, ...]:
-    """Names of the joints of the chains that no measurement moves."""
-    moved = {
-        joint
-        for part, data, _, _ in problem.blocks
-        for joint, span in zip(data.joints, np.ptp(data.q, axis=0), strict=True)
-        if span > 0.0
-    }
-    return tuple(joint for joint in problem.chains.joints if joint not in moved)
-
-
-def _unmoved(problem: Problem) -> Iterator[Finding]:
-    """The joints of a robot with several chains of which nothing can be said."""
-    if len(problem.chains.names) == 1:
-        return
-    chains = problem.chains
-    names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
-    names = [*still_joints(problem), *names]
-    if names:
-        told = ", ".join(names[:NAMED])
-        if len(names) > NAMED:
-            told += f" and {len(names) - NAMED} more"
-        yield Finding(
-            "unmoved-joints",
-            "info",
-            f"{len(names)} joints are moved or seen by no measurement and stay at "
-            f"nominal: {told}",
-            {"joints": ", ".join(names)},
-        )
-
-
-NAMED = 8
-"""Joints that a finding names; the evidence has all of them."""
 
 SURE = 0.95
 """Probability of a bound, and from which a configuration counts as better."""

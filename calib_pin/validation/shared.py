@@ -27,8 +27,9 @@ from calib_pin.validation.breakdown import (
     FrameSummary,
 )
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.unmoved_joints import still_joints
 from calib_pin.validation.frames import Frame, coupled_frames, frames_of, ties
-from calib_pin.validation.judgement import quantity_errors, still_joints
+from calib_pin.validation.judgement import quantity_errors
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.summaries import ToolAccuracy
 

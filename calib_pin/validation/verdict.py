@@ -22,7 +22,6 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
 from calib_pin.validation.gains import PRESS
-from calib_pin.validation.move_findings import CODES
 
 SCALE = (
     "the absolute scale is unobservable: a robot larger by any factor fits these "
@@ -50,7 +49,7 @@ CHECK = (
 
 
 NAMED = 3
-"""Moves of instruments and tools that a reason names; findings name all of them."""
+"""Causes that a reason names; findings name all of them."""
 
 
 @dataclass(frozen=True)
@@ -109,7 +108,7 @@ class Grounds:
         workspaces: Accuracy to expect over the workspace of each chain; empty where
             nothing is known.
         aside: Part of the configurations that was set aside, or would have to be.
-        advice: Advice on measurements that nothing explains.
+        causes: Those of them from which errors follow that no robot explains.
     """
 
     fitted: Fit
@@ -118,7 +117,7 @@ class Grounds:
     findings: Sequence[Finding]
     workspaces: Mapping[str, ExpectedAccuracy]
     aside: float = 0.0
-    advice: str = CHECK
+    causes: Sequence[Finding] = ()
 
     @property
     def worst(self) -> tuple[str, ExpectedAccuracy | None]:
@@ -177,12 +176,11 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
 def _distrust(grounds: Grounds) -> str:
     """The reason to distrust a fit whatever a check says."""
     fitted = grounds.fitted
-    moves = [f for f in grounds.findings if f.code in CODES.values()]
-    if moves:
-        told = [finding.message for finding in moves[:NAMED]]
-        if len(moves) > NAMED:
-            told.append(f"and {len(moves) - NAMED} more")
-        return "; ".join([*told, *dict.fromkeys(finding.remedy for finding in moves)])
+    if causes := grounds.causes:
+        told = [finding.message for finding in causes[:NAMED]]
+        if len(causes) > NAMED:
+            told.append(f"and {len(causes) - NAMED} more")
+        return "; ".join([*told, *dict.fromkeys(finding.remedy for finding in causes)])
     if not fitted.structure.scaled:
         stated = bool(fitted.problem.setup.distances)
         return f"{SCALE}; {STATED if stated else MISSING}"
@@ -192,10 +190,10 @@ def _distrust(grounds: Grounds) -> str:
         return (
             f"{100.0 * grounds.aside:.0f} % of the configurations are outliers; beyond "
             f"{100.0 * OPTIONS.breakdown:.0f} % they cannot be told from the others; "
-            f"{grounds.advice}"
+            f"{CHECK}"
         )
     if reason := unexplained(fitted, grounds.errors):
-        return f"{reason}; {grounds.advice}"
+        return f"{reason}; {CHECK}"
     for finding in grounds.findings:
         if finding.severity == "error":
             return "; ".join(filter(None, (finding.message, finding.remedy)))

@@ -8,11 +8,11 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.problem import error_table
 from calib_pin.observations import BlockKey, Observations
-from calib_pin.validation.file_order import Job, Kind
-from calib_pin.validation.moves import Trial, moved
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.file_order import Job, Kind
+from calib_pin.validation.findings.moves import Trial, moved
 
 CODES: dict[Kind, str] = {"station": "instrument-moved", "tool": "tool-remounted"}
 
@@ -26,10 +26,10 @@ AROUND = 50
 """Measurements on each side of a move among which its line is found."""
 
 
-def move_findings(fitted: Fit) -> tuple[Finding, ...]:
+def move_findings(case: Case) -> tuple[Finding, ...]:
     """Where instruments were moved and tools mounted again, in their order."""
-    found = moved(fitted)
-    return () if found is None else tuple(_findings(fitted.problem.data, *found))
+    found = moved(case)
+    return () if found is None else tuple(_findings(case.data, *found))
 
 
 def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding]:

@@ -12,23 +12,21 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
-from functools import cached_property
 
 import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
-from calib_pin.estimation.directions import column_space
-from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import EXACT, Problem, error_table
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.validation.file_order import KINDS, Job, Kind, Move
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.file_order import KINDS, Job, Kind, Move
+from calib_pin.validation.findings.quick_fit import QuickFit
 
 
 @dataclass(frozen=True)
@@ -46,14 +44,10 @@ class MoveOptions:
             tools in turn most moves explain little before the last of them is found.
         last: Part that the last of them leaves at most.
         configurations: Least number of configurations on each side.
-        redundancy: Least number of values, by unknowns, to tell errors of the robot
-            from moves.
-        size: Expected size of the robot's errors, in scales, while moves are sought.
         measurements: Measurements that are looked at; the line is found among all.
         moves: Most moves that are sought.
         tried: Most frames that are tried for each of them.
         rounds: Most corrections of the place of each of them.
-        steps: Steps of a fit.
         unknowns: Most parameters of a job that is looked at.
     """
 
@@ -63,13 +57,10 @@ class MoveOptions:
     each: float = 0.97
     last: float = 0.5
     configurations: int = 6
-    redundancy: float = 2.0
-    size: float = 10.0
     measurements: int = 1000
     moves: int = 10
     tried: int = 3
     rounds: int = 4
-    steps: int = 2
     unknowns: int = 500
 
 
@@ -77,88 +68,36 @@ OPTIONS = MoveOptions()
 
 
 @dataclass(frozen=True)
-class Trial:
+class Trial(QuickFit):
     """Measurements with a frame of their own behind every move, fitted.
 
     Attributes:
         job: The measurements, not divided.
         moves: The moves, in the order in which they divide the measurements.
-        problem: The problem of the divided ones about its registered references.
-        theta: Parameter values, shape (P,).
         rank: Place of each divided measurement in the order of the files, shape (N,).
     """
 
     job: Job
     moves: tuple[Move, ...]
-    problem: Problem
-    theta: Floats
     rank: Indices
 
     @staticmethod
-    def of(plain: Problem, job: Job, moves: tuple[Move, ...] = ()) -> Trial:
-        """Register the nominal robot, and fit its errors where that says something.
-
-        Args:
-            plain: The problem whose chains and setup these have.
-            job: The measurements.
-            moves: The moves.
+    def divided(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Trial:
+        """Measurements of the chains and the setup of a problem, fitted.
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
         """
         own, _ = job.divided(moves)
         problem = make_problem(plain.chains, own.data, plain.setup)
-        problem, found = register(problem, np.zeros(len(problem.parameters)))
-        trial = Trial(job, moves, problem, found.x, own.rank)
-        free, scales = problem.parameters.free, problem.parameters.scales
-        for _ in range(OPTIONS.steps if trial.redundant else 0):
-            A, b = trial.system
-            theta = trial.theta.copy()
-            theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
-            trial = replace(trial, theta=theta)
-        return trial
-
-    @cached_property
-    def redundant(self) -> bool:
-        """Whether the measurements tell errors of the robot from moves."""
-        free = int(self.problem.parameters.free.sum())
-        return self.problem.values >= OPTIONS.redundancy * free
-
-    @cached_property
-    def linear(self) -> tuple[Floats, Floats]:
-        """Whitened residual (M,), and its Jacobian by scaled parameters, (M, P)."""
-        r, J = self.problem.linearize_rows(self.theta)
-        count = len(self.problem.layout.row)
-        return r[:count], J[:count] * self.problem.parameters.scales
-
-    @cached_property
-    def system(self) -> tuple[Floats, Floats]:
-        """Columns of what is free, and residuals, with expected sizes below them."""
-        r, J = self.linear
-        parameters = self.problem.parameters
-        free = parameters.free & (parameters.nuisance | self.redundant)
-        robot = ~parameters.nuisance & free
-        prior = np.diag(np.where(robot, 1.0 / OPTIONS.size, 0.0))[robot]
-        A = np.concatenate([J, prior])
-        A[:, ~free] = 0.0
-        b = np.concatenate([r, prior @ (self.theta / parameters.scales)])
-        return A[:, parameters.free], b
-
-    @cached_property
-    def rms(self) -> float:
-        """Errors left, in standard deviations, of what unknowns do not use up."""
-        (A, _), (r, _) = self.system, self.linear
-        left = len(r) - int(np.linalg.matrix_rank(A[: len(r)])) if len(r) else 0
-        return float(np.sqrt(r @ r / left)) if left > 0 else np.inf
+        return Trial.of(problem, job=job, moves=moves, rank=own.rank)
 
     def candidates(self) -> list[tuple[float, Move]]:
         """The best place of a move of each frame, the best first.
 
         With the part of the sum of squares that it leaves to first order.
         """
-        A, b = self.system
-        Q = column_space(A)
-        r = b - Q @ (Q.T @ b)
+        (_, b), (Q, r) = self.system, self.unexplained
         data, groups, found = self.problem.data, self.problem.data.groups(), []
         for kind, keys, own in self._frames():
             has = np.array([block.key in keys for block in data.blocks])
@@ -252,19 +191,20 @@ class Trial:
 
 
 @serial_blas
-def moved(fitted: Fit) -> tuple[Trial, Trial] | None:
+def moved(case: Case) -> tuple[Trial, Trial] | None:
     """The measurements of a fit with one frame, and with one behind every move.
 
     None where nothing has moved.
 
     Args:
-        fitted: The fit; what it has set aside is looked at as well.
+        case: The case; what its fit has set aside is looked at as well.
     """
-    if fitted.problem.parameters.free.sum() > OPTIONS.unknowns:
+    problem = case.fit.problem
+    if problem.parameters.free.sum() > OPTIONS.unknowns:
         return None
-    job = Job.of(fitted.problem.data).sample(OPTIONS.measurements)
-    plain = replace(fitted.problem, data=job.data, units=np.zeros(0), expected=None)
-    if not _suspicious(Trial(job, (), plain, fitted.theta, job.rank), fitted.before):
+    job = Job.of(case.data).sample(OPTIONS.measurements)
+    plain = replace(problem, data=job.data, units=np.zeros(0))
+    if not _suspicious(Trial(plain, case.fit.theta, job, (), job.rank), case.nominal):
         return None
     trials = list(_settled(plain, job, ()))
     while 0 < len(trials) <= OPTIONS.moves:
@@ -307,7 +247,7 @@ def _settled(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Iterator[Tria
     None where a part of the measurements cannot be registered.
     """
     try:
-        trial = Trial.of(plain, job, moves)
+        trial = Trial.divided(plain, job, moves)
         for _ in range(OPTIONS.rounds):
             places = [trial.place(k, job) for k in range(len(moves))]
             moves = tuple(
@@ -315,7 +255,7 @@ def _settled(plain: Problem, job: Job, moves: tuple[Move, ...]) -> Iterator[Tria
             )
             if moves == trial.moves:
                 break
-            trial = Trial.of(plain, job, moves)
+            trial = Trial.divided(plain, job, moves)
         yield trial
     except (CalibPinError, np.linalg.LinAlgError):
         return

@@ -11,16 +11,16 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.estimation.joint_conventions import (
-    Reading,
-    Suggestion,
-    suggest_conventions,
-)
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
+from calib_pin.validation.findings.joint_columns import (
+    Reading,
+    Suggestion,
+    suggest_conventions,
+)
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))

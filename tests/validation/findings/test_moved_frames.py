@@ -13,7 +13,8 @@ from calib_pin.estimation.fit import fit_model
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
 from calib_pin.setup import Setup
-from calib_pin.validation.move_findings import move_findings
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.moved_frames import move_findings
 
 
 def test_a_moved_job_is_untrusted_with_the_lines(moved_job) -> None:
@@ -52,7 +53,7 @@ def test_the_same_with_its_names_is_good(moved_job) -> None:
 def test_the_line_is_found_among_very_many(moved_job) -> None:
     job = moved_job((1234,), (), 3000, step=0.02)
     fitted = fit_model(job.chain, job.plain, Setup(), 0).fit
-    (finding,) = move_findings(fitted)
+    (finding,) = move_findings(Case.of(fitted, fitted.problem.chains))
     assert finding.evidence["line"] == 1235
 
 
@@ -61,7 +62,7 @@ def test_a_move_between_two_files(moved_job) -> None:
     files = ["a.csv"] * 40 + ["b.csv"] * 50
     block = replace(job.plain.only, files=files, station="hall")
     fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
-    (finding,) = move_findings(fitted)
+    (finding,) = move_findings(Case.of(fitted, fitted.problem.chains))
     start = "the instrument of the station 'hall' moved between a.csv and b.csv ("
     assert finding.message.startswith(start)
 
@@ -70,5 +71,5 @@ def test_measurements_without_a_file_are_counted(moved_job) -> None:
     job = moved_job((40,), ())
     block = replace(job.plain.only, files=(), lines=np.zeros(90, np.int64))
     fitted = fit_model(job.chain, Observations.of(block), Setup(), 0).fit
-    (finding,) = move_findings(fitted)
+    (finding,) = move_findings(Case.of(fitted, fitted.problem.chains))
     assert "after measurement 40 (" in finding.message

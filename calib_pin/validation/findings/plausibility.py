@@ -19,7 +19,6 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.directions import half_covariance, projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
@@ -32,6 +31,7 @@ from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import DistanceSetup
 from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
 
 
 @dataclass(frozen=True)
@@ -86,12 +86,14 @@ SIZES = np.geomspace(1.0, 100.0, 41)
 """Sizes of the robot's errors among which the likeliest is taken, in expected ones."""
 
 
-@serial_blas
-def plausibility(fitted: Fit) -> tuple[Finding, ...]:
-    """Findings of what no real robot has.
+def plausibility(case: Case) -> tuple[Finding, ...]:
+    """Findings of what no real robot has; none without a whole fit.
 
     They are `scale`, `known-distance`, `implausible-correction`, `large-correction`.
     """
+    fitted = case.fitted
+    if fitted is None:
+        return ()
     robot = fitted.problem.parameters.free & ~fitted.problem.parameters.nuisance
     if not robot.any() or fitted.dof <= 0 or not np.isfinite(fitted.theta).all():
         return ()

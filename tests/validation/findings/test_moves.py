@@ -14,7 +14,8 @@ from calib_pin.estimation.fit import fit_model
 from calib_pin.kinematics.chain import Chain
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.moves import OPTIONS, moved
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.moves import OPTIONS, moved
 
 DATA = Path(
     os.environ.get("CALIB_PIN_DATA", Path(__file__).parents[2] / "shared" / "data")
@@ -26,7 +27,8 @@ needs_data = pytest.mark.skipif(
 
 def found(chain: Chain, data: Observations) -> list[tuple[str, int]]:
     """Kind and place of each move, in their order."""
-    pair = moved(fit_model(chain, data, Setup(), 0).fit)
+    fitted = fit_model(chain, data, Setup(), 0).fit
+    pair = moved(Case.of(fitted, fitted.problem.chains))
     return [] if pair is None else sorted((m.kind, m.rank) for m in pair[1].moves)
 
 
@@ -144,6 +146,7 @@ def test_no_false_alarm_on_real_robots(file: str) -> None:
 def test_a_real_tracker_that_stood_elsewhere() -> None:
     chain, first = measured("ur10_tmac/train.csv")
     _, second = measured("ur10_tmac_b/train.csv")
-    pair = moved(fit_model(chain, Observations.of(first, second), Setup(), 0).fit)
+    fitted = fit_model(chain, Observations.of(first, second), Setup(), 0).fit
+    pair = moved(Case.of(fitted, fitted.problem.chains))
     assert pair is not None
     assert [(m.kind, m.rank) for m in pair[1].moves] == [("station", len(first))]

@@ -27,7 +27,8 @@ from calib_pin.setup import (
     Setup,
 )
 from calib_pin.simulation import simulate
-from calib_pin.validation.plausibility import plausibility
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.plausibility import plausibility
 
 ARM = calib_pin.load_chain("space6")
 BASE = FrameSetup((1.5, -0.4, 0.3), (0.3, 0.2, 2.0), estimate=True)
@@ -67,8 +68,12 @@ def fitted(rows: Measurements, setup: Setup) -> Fit:
     return fit(make_problem(ARM, rows, setup), np.random.default_rng(0))
 
 
+def found_in(fitted: Fit) -> tuple[Finding, ...]:
+    return plausibility(Case.of(fitted, fitted.problem.chains))
+
+
 def found(rows: Measurements, setup: Setup) -> tuple[Finding, ...]:
-    return plausibility(fitted(rows, setup))
+    return found_in(fitted(rows, setup))
 
 
 FRAMES = Setup(base_frame=BASE, tool_frame=TOOL)
@@ -241,7 +246,7 @@ def of_real(file: str, apart: float = 0.05) -> Problem:
 @pytest.mark.parametrize("file", ROBOTS)
 def test_real_robots_are_plausible(file: str) -> None:
     problem = of_real(file)
-    findings = plausibility(fit(problem, np.random.default_rng(0)))
+    findings = found_in(fit(problem, np.random.default_rng(0)))
     assert [f for f in findings if f.severity == "error"] == []
 
 
@@ -261,6 +266,6 @@ def test_real_robots_measured_with_a_wrong_length(
     rows = problem.data.only
     rows = replace(rows, values=factor * rows.values)
     problem = replace(problem, data=Observations.of(rows))
-    (finding,) = plausibility(fit(problem, np.random.default_rng(0)))
+    (finding,) = found_in(fit(problem, np.random.default_rng(0)))
     assert (finding.code, finding.severity) == ("scale", "error")
     assert finding.evidence["scale"] == pytest.approx(expected, rel=0.02)

@@ -1,0 +1,282 @@
+"""Measurements that are read otherwise than their columns say, see `ReadingSetup`.
+
+Files and findings go the same way: what a finding has tried is what its lines in the
+setup file do.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Sequence
+from dataclasses import fields, replace
+
+import numpy as np
+
+from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.measurement_models.catalog import declared
+from calib_pin.observations import (
+    Booleans,
+    Floats,
+    Indices,
+    Measurements,
+    Observations,
+)
+from calib_pin.setup import AXES, ReadingSetup
+
+
+def read_otherwise(data: Observations, reading: ReadingSetup) -> Observations:
+    """Measurements as a setup says that they are to be read.
+
+    Orientations are left to the reader of files, which alone knows their numbers.
+
+    Args:
+        data: The measurements as their columns say.
+        reading: What is to be changed.
+
+    Raises:
+        InputError: If a line does not exist.
+        OptionError: If a joint does not exist.
+    """
+    for key in fields(ReadingSetup):
+        value = getattr(reading, key.name)
+        if key.name in STEPS and value != getattr(ReadingSetup(), key.name):
+            data = STEPS[key.name](data, reading)
+    return data
+
+
+def with_positions(data: Observations, q: Floats) -> Observations:
+    """The same measurements at other joint positions, shape (N, n) [rad, m]."""
+    pairs = zip(data.blocks, data.slices, strict=True)
+    return Observations(tuple(replace(block, q=q[rows]) for block, rows in pairs))
+
+
+def with_values(
+    data: Observations, change: Callable[[Measurements, Booleans], Floats]
+) -> Observations:
+    """The same measurements with other values.
+
+    Args:
+        data: The measurements.
+        change: Values of a block, given it and which of its columns are lengths.
+    """
+    return Observations(
+        tuple(replace(b, values=change(b, _lengths(b))) for b in data.blocks)
+    )
+
+
+def in_files(data: Observations) -> list[Indices]:
+    """The measurements of each file in the order of its lines."""
+    order = data.in_order
+    ends = np.flatnonzero(np.diff(data.files.codes[order])) + 1
+    return np.split(order, ends)
+
+
+def last_motions(data: Observations) -> Floats:
+    """Motion of the joints from the measurement before in the file, shape (N, n).
+
+    [rad, m]; none before the first of a file.
+    """
+    result = np.zeros_like(data.q)
+    for own in in_files(data):
+        result[own[1:]] = np.diff(data.q[own], axis=0)
+    return result
+
+
+def elapsed(data: Observations) -> Floats:
+    """Part of all measurements in the order of the files before each, shape (N,)."""
+    result = np.empty(len(data))
+    result[data.in_order] = np.linspace(0.0, 1.0, len(data))
+    return result
+
+
+def located(data: Observations, place: str) -> int:
+    """The measurement that stands at a place, by its position.
+
+    Args:
+        data: The measurements.
+        place: Line, after its file and a colon if there are several files; of
+            measurements from no file the number, from 1.
+
+    Raises:
+        InputError: If there is none.
+    """
+    file, _, line = place.rpartition(":")
+    names = [
+        name
+        for name in data.files.distinct
+        if not file or name == file or name.endswith(f"/{file}")
+    ]
+    found = np.zeros(len(data), bool)
+    if len(names) == 1:
+        own = data.files.where(names[0])
+        lines = data.lines if data.lines[own].any() else _numbers(data)
+        found = own & (lines == int(line))
+    if not found.any():
+        raise InputError(
+            f"'reading' names the line {place}, where no measurement stands"
+            if len(names) == 1 or file
+            else f"'reading' names the line {place}, but there are several files",
+            allowed="a line of a measurement, such as 12, or file.csv:12",
+        )
+    return int(np.argmax(found))
+
+
+def _numbers(data: Observations) -> Indices:
+    result = np.empty(len(data), np.int64)
+    result[data.in_order] = np.arange(1, len(data) + 1)
+    return result
+
+
+def _lengths(block: Measurements) -> Booleans:
+    """Which columns of the values of a block are lengths."""
+    units = [*declared(block.model).columns.values()]
+    units += [""] * (block.values.shape[1] - len(units))
+    return np.array([unit == "m" for unit in units], bool)
+
+
+def _exchanged(data: Observations, reading: ReadingSetup) -> Observations:
+    q = data.q.copy()
+    for pair in reading.exchanged:
+        one, other = (located(data, place) for place in pair)
+        q[[one, other]] = q[[other, one]]
+    return with_positions(data, q)
+
+
+def _converted(data: Observations, reading: ReadingSetup) -> Observations:
+    for part in reading.converted:
+        which = np.ones(len(data), bool)
+        if part.lines:
+            found = np.array([located(data, place) for place in part.lines])
+            rank = np.empty(len(data), np.int64)
+            rank[data.in_order] = np.arange(len(data))
+            which = np.isin(np.arange(len(data)), found)
+            if not part.each:
+                which = (rank >= rank[found[0]]) & (rank <= rank[found[1]])
+        if part.joints:
+            q, columns = data.q.copy(), _columns(data, part.joints)
+            q[:, columns] *= np.where(which, part.factor, 1.0)[:, None]
+            data = with_positions(data, q)
+        else:
+            data = scaled(data, np.where(which, part.factor, 1.0))
+    return data
+
+
+def scaled(data: Observations, factors: Floats) -> Observations:
+    """The same measurements with their lengths times factors, shape (N,)."""
+    of_block = iter(data.slices)
+
+    def change(block: Measurements, lengths: Booleans) -> Floats:
+        own = factors[next(of_block), None]
+        return np.where(lengths, block.values * own, block.values)
+
+    return with_values(data, change)
+
+
+def _columns(data: Observations, joints: Sequence[str]) -> list[int]:
+    for joint in joints:
+        if joint not in data.joints:
+            raise OptionError(
+                f"'reading' names the joint '{joint}', which the measurements do not "
+                f"have{nearest(joint, data.joints)}",
+                allowed=", ".join(data.joints),
+            )
+    return [data.joints.index(joint) for joint in joints]
+
+
+def _reversed(data: Observations, reading: ReadingSetup) -> Observations:
+    q = data.q.copy()
+    for own in in_files(data):
+        q[own] = data.q[own[::-1]]
+    return with_positions(data, q)
+
+
+def _shifted(data: Observations, reading: ReadingSetup) -> Observations:
+    q, kept, shift = data.q.copy(), np.zeros(len(data), bool), reading.shift
+    for own in in_files(data):
+        if abs(shift) < len(own):
+            mine, below = own[: len(own) - abs(shift)], own[abs(shift) :]
+            if shift < 0:
+                mine, below = below, mine
+            q[mine], kept[mine] = data.q[below], True
+    if not kept.any():
+        raise InputError(f"'reading' shifts by {shift} lines, which no file has")
+    return with_positions(data, q).rows(kept)
+
+
+def _lagging(data: Observations, reading: ReadingSetup) -> Observations:
+    parts = np.zeros(len(data.joints))
+    parts[_columns(data, [*reading.lag])] = list(reading.lag.values())
+    return with_positions(data, data.q - parts * last_motions(data))
+
+
+def _turned(data: Observations, reading: ReadingSetup) -> Observations:
+    """Positions whose columns x, y and z hold other axes."""
+    columns = [AXES.index(name.removeprefix("-")) for name in reading.axes]
+    signs = np.array([-1.0 if name.startswith("-") else 1.0 for name in reading.axes])
+
+    def change(block: Measurements, lengths: Booleans) -> Floats:
+        values = block.values.copy()
+        if tuple(declared(block.model).columns)[:3] == AXES:
+            values[:, columns] = signs * block.values[:, :3]
+        return values
+
+    return with_values(data, change)
+
+
+def _scaled(data: Observations, reading: ReadingSetup) -> Observations:
+    return scaled(data, np.full(len(data), reading.scale))
+
+
+def _steadied(data: Observations, reading: ReadingSetup) -> Observations:
+    part, of_block = elapsed(data)[:, None], iter(data.slices)
+
+    def change(block: Measurements, lengths: Booleans) -> Floats:
+        values, own = block.values.copy(), part[next(of_block)]
+        if tuple(declared(block.model).columns)[:3] == AXES:
+            values[:, :3] -= own * np.array(reading.drift)
+        return values
+
+    return with_values(data, change)
+
+
+def _renamed(kind: str) -> Callable[[Observations, ReadingSetup], Observations]:
+    """Another station or tool from some lines on."""
+    key = {"station": "moved", "tool": "remounted"}[kind]
+
+    def rename(data: Observations, reading: ReadingSetup) -> Observations:
+        rank = np.empty(len(data), np.int64)
+        rank[data.in_order] = np.arange(len(data))
+        first = [rank[located(data, place)] for place in getattr(reading, key)]
+        part, blocks = np.searchsorted(np.sort(first), rank, side="right"), []
+        for block, rows in zip(data.blocks, data.slices, strict=True):
+            first_name = getattr(block, kind) or kind
+            for k in np.unique(part[rows]).tolist():
+                own, name = block.rows(part[rows] == k), f"{first_name}{k + 1}"
+                moved = replace(own, station=name)
+                blocks.append(moved if kind == "station" else replace(own, tool=name))
+        return Observations.of(*blocks)
+
+    return rename
+
+
+def _left(data: Observations, reading: ReadingSetup) -> Observations:
+    kept = np.ones(len(data), bool)
+    kept[[located(data, place) for place in reading.without]] = False
+    if not kept.any():
+        raise InputError("'reading' leaves out all measurements")
+    return data.rows(kept)
+
+
+STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
+    "exchanged": _exchanged,
+    "converted": _converted,
+    "reversed": _reversed,
+    "shift": _shifted,
+    "lag": _lagging,
+    "axes": _turned,
+    "scale": _scaled,
+    "drift": _steadied,
+    "moved": _renamed("station"),
+    "remounted": _renamed("tool"),
+    "without": _left,
+}
+"""The change of each key but `orientation`."""

@@ -1,0 +1,114 @@
+"""The measurements and the fit in which faults of the data are sought."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+
+import numpy as np
+
+from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.problem import error_table
+from calib_pin.kinematics.chains import Chains
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.observations import Indices, Observations
+from calib_pin.parameterizations.base import expected_size
+from calib_pin.progress import Progress
+from calib_pin.setup import Setup
+from calib_pin.validation.findings.quick_fit import QuickFit
+
+MEASUREMENTS = 1000
+"""Measurements that are looked at; more do not make it clearer."""
+
+DOUBTFUL = 0.5
+"""Remaining errors, in expected sizes of an error, from which explanations are sought.
+
+A calibrated robot leaves less, unless its gears and links bend.
+"""
+
+
+@dataclass(frozen=True)
+class Case:
+    """Measurements, and a robot that was fitted to them.
+
+    Attributes:
+        chains: The nominal chains.
+        data: The measurements that were fitted, with the weights of the fit.
+        fit: The solution before some of them, in the order of the blocks.
+        rank: Place of each of these in the order of the files, among all, (N,).
+        nominal: Parameter values of the registered nominal robot, shape (P,).
+        converged: Whether the fit did.
+        fitted: The whole fit; None where measurements are only compared with a robot.
+        held_out: Validation measurements; None without.
+        progress: Told how far the search for explanations is.
+    """
+
+    chains: Chains
+    data: Observations
+    fit: QuickFit
+    rank: Indices
+    nominal: Floats
+    converged: bool = True
+    fitted: Fit | None = None
+    held_out: Observations | None = None
+    progress: Progress | None = None
+
+    @staticmethod
+    def of(
+        fitted: Fit,
+        chains: Chains,
+        held_out: Observations | None = None,
+        progress: Progress | None = None,
+    ) -> Case:
+        """The case of a whole fit."""
+        data = fitted.problem.data
+        some, rank = _some(data)
+        problem = replace(fitted.problem, data=some, expected=None)
+        return Case(
+            chains,
+            data,
+            QuickFit(problem, fitted.theta),
+            rank,
+            fitted.before,
+            fitted.result.status.success,
+            fitted,
+            held_out,
+            progress,
+        )
+
+    @property
+    def setup(self) -> Setup:
+        """The setup of the fit."""
+        return self.fit.problem.setup
+
+    @cached_property
+    def doubtful(self) -> bool:
+        """Whether errors are left that ask for an explanation."""
+        return not self.converged or self.errors_left > DOUBTFUL
+
+    @cached_property
+    def errors_left(self) -> float:
+        """Remaining errors, rms in expected sizes of an error, of the worst quantity.
+
+        What was set aside does not count.
+        """
+        problem = self.fit.problem
+        table = error_table(problem, self.fit.theta)[problem.data.weight > 0.0]
+        sizes = [
+            float(np.sqrt(np.mean(quantity.errors(table) ** 2)))
+            / expected_size(quantity.unit)
+            for quantity in problem.layout.quantities
+            if len(quantity.errors(table))
+        ]
+        return max(sizes, default=0.0)
+
+
+def _some(data: Observations) -> tuple[Observations, Indices]:
+    """At most so many measurements, evenly over the files, and their places."""
+    rank = np.empty(len(data), np.int64)
+    rank[data.in_order] = np.arange(len(data))
+    if len(data) <= MEASUREMENTS:
+        return data, rank
+    ranks = np.linspace(0, len(data) - 1, MEASUREMENTS).astype(np.int64)
+    kept = np.isin(rank, ranks)
+    return data.rows(kept), rank[kept]

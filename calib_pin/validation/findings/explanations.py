@@ -1,0 +1,273 @@
+"""Explanations of measurements that no robot explains, tried one after the other.
+
+A controller counts a joint the other way, a file exchanges two columns, measurements
+stand one line below their joints. Each leaves hundreds of millimeters that no
+calibration removes, and each can be tried: the nominal robot is registered on
+measurements that are read so. Explanations are combined as long as each removes a good
+part of what is left. Where the nominal robot is too far off to tell, its errors are
+fitted as well, for one explanation at a time.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from dataclasses import dataclass, replace
+
+import numpy as np
+
+from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.formulation import make_problem
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.registration import registered
+from calib_pin.observations import Observations
+from calib_pin.setup import Setup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
+from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.setup_lines import written
+
+ROWS = 60
+"""Measurements that explanations are tried on."""
+
+NEIGHBORS = 2000
+"""Measurements that are read otherwise before these are picked, see `_picked`."""
+
+MOST = 3
+"""Faults that may occur at once."""
+
+WIDTH = 3
+"""Explanations that are kept to be combined with others."""
+
+CLEAR = 0.95
+"""Part of the errors that another explanation may leave to be worth combining."""
+
+DECISIVE = 0.2
+"""Part of the nominal robot's errors that all of them together may leave."""
+
+FITTED = 0.5
+"""Part of the errors of a fit that one of them may leave."""
+
+EXPLAINED = 0.02
+"""Part of the errors with which nothing more is sought."""
+
+KEPT = 0.75
+"""Part of the measurements that counts: outliers may stand beside another fault."""
+
+UNLIKELY = 14.0
+"""Logarithm of the likelihood ratio, beyond that of the number of explanations tried,
+from which one of them is no chance."""
+
+
+Family = Callable[[Case], Iterable[Hypothesis]]
+"""The explanations of one kind that are worth a trial in a case."""
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Faults that explain the measurements together.
+
+    Attributes:
+        faults: The faults.
+        before: Errors as the measurements are read now, rms [unit of the quantity].
+        after: Errors if they are read so.
+        ratio: Logarithm of the likelihood ratio.
+        tried: Number of explanations that were tried.
+        fitted: Whether both are errors of a fit, or of the nominal robot.
+    """
+
+    faults: tuple[Hypothesis, ...]
+    before: float
+    after: float
+    ratio: float
+    tried: int
+    fitted: bool
+
+
+@serial_blas
+def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
+    """The explanation that leaves the least errors; None where none is decisive.
+
+    Args:
+        case: The case.
+        families: Where explanations come from.
+    """
+    search = _Search(case, [h for family in families for h in family(case)])
+    return search.combined() or search.fitted()
+
+
+class _Search:
+    """Trials of explanations of a case."""
+
+    def __init__(self, case: Case, known: Sequence[Hypothesis]) -> None:
+        self.case, self.known, self.tried = case, known, 0
+        self.data = _picked(case.data.weighted(np.ones(len(case.data))))
+        setup = case.setup
+        self.plain = replace(
+            setup, parameters=(), learned=None, fixed=(), bounds={}, prior={}
+        )
+
+    def combined(self) -> Explanation | None:
+        """Faults with which the nominal robot fits far better."""
+        size, first = self._nominal, self._nominal(())
+        beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
+        best = beam[0]
+        for k in range(MOST):
+            if self.case.progress is not None:
+                self.case.progress(k / MOST)
+            found: dict[frozenset[int], tuple[float, tuple[Hypothesis, ...]]] = {}
+            for left, kept in beam:
+                for hypothesis in self.known:
+                    trial = (*kept, hypothesis)
+                    key = frozenset(map(id, trial))
+                    if key in found or any(h.of == hypothesis.of for h in kept):
+                        continue
+                    misfit = size(trial)
+                    if misfit < CLEAR * left:
+                        found[key] = misfit, trial
+            beam = sorted(found.values(), key=lambda pair: pair[0])[:WIDTH]
+            if not beam:
+                break
+            best = min(best, beam[0], key=lambda pair: pair[0])
+            if best[0] < EXPLAINED * first:
+                break
+        return self._decided(best[1], first, best[0], DECISIVE, fitted=False)
+
+    def fitted(self) -> Explanation | None:
+        """The fault with which a robot with errors fits far better."""
+        first = self._fitted(())
+        if not np.isfinite(first):
+            return None
+        trials = [(self._fitted((h,)), k) for k, h in enumerate(self.known)]
+        left, k = min(trials, default=(first, -1))
+        return self._decided(self.known[k : k + 1], first, left, FITTED, fitted=True)
+
+    def _decided(
+        self,
+        faults: Sequence[Hypothesis],
+        before: float,
+        after: float,
+        limit: float,
+        *,
+        fitted: bool,
+    ) -> Explanation | None:
+        if not faults or not after < limit * before or not np.isfinite(before):
+            return None
+        values = KEPT * sum(b.values.size for b in self._some(()).blocks)
+        ratio = values * float(np.log(before / max(after, 1e-12)))
+        if ratio < UNLIKELY + np.log(max(self.tried, 1)):
+            return None
+        factor = self._unit
+        return Explanation(
+            tuple(faults), factor * before, factor * after, ratio, self.tried, fitted
+        )
+
+    @property
+    def _unit(self) -> float:
+        """What one standard deviation is, in the unit of the first quantity."""
+        problem = self.case.fit.problem
+        first = problem.layout.component == 0
+        return float(np.sqrt(np.mean(problem.given_sigma[first] ** 2)))
+
+    def _problem(self, faults: Sequence[Hypothesis], setup: Setup) -> Problem:
+        """The problem of some measurements that are read so."""
+        chains = next((h.chains for h in faults if h.chains), self.case.chains)
+        stated = {k: v for h in faults for k, v in h.stated.items()}
+        setup = replace(setup, **stated) if stated else setup
+        return make_problem(chains, self._some(faults), setup)
+
+    def _some(self, faults: Sequence[Hypothesis]) -> Observations:
+        return read_so(self.data, faults).sample(ROWS)
+
+    def _nominal(self, faults: Sequence[Hypothesis]) -> float:
+        """Error of the registered nominal robot, rms in standard deviations."""
+        self.tried += 1
+        try:
+            problem = self._problem(faults, self.plain)
+            return _trimmed(problem)
+        except (CalibPinError, np.linalg.LinAlgError):
+            return np.inf  # No beam meets its plane, say.
+
+    def _fitted(self, faults: Sequence[Hypothesis]) -> float:
+        """Error of a robot whose errors were fitted in a few steps."""
+        self.tried += 1
+        try:
+            problem = self._problem(faults, replace(self.case.setup, learned=None))
+            fit = QuickFit.of(problem)
+        except (CalibPinError, np.linalg.LinAlgError):
+            return np.inf
+        return fit.rms if fit.redundant and np.isfinite(fit.rms) else np.inf
+
+
+def finding(case: Case, found: Explanation) -> Iterator[Finding]:
+    """The findings of an explanation, one of each fault.
+
+    Each has the lines of all, which belong together.
+    """
+    lines = setup_lines(case, found.faults)
+    quantity = case.fit.problem.layout.quantities[0]
+    unit, factor = DISPLAY[quantity.unit]
+    sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
+    robot = "of a fit" if found.fitted else "of the nominal robot"
+    for fault in found.faults:
+        yield Finding(
+            fault.code,
+            "error",
+            f"{fault.words}: so read, the {quantity.name} errors {robot} fall from "
+            f"{sizes[0]} to {sizes[1]}",
+            {
+                "rms_before": found.before,
+                "rms_after": found.after,
+                "log_likelihood_ratio": found.ratio,
+                "tried": float(found.tried),
+            },
+            fault.advice or f"state in the setup file: {written(lines)}",
+            {} if fault.advice else lines,
+            fault.figure,
+        )
+
+
+def _picked(data: Observations) -> Observations:
+    """Measurements in runs of neighbors, for those that a fault takes from others."""
+    if len(data) <= NEIGHBORS:
+        return data
+    order, length = data.in_order, 100
+    starts = np.linspace(0, len(data) - length, NEIGHBORS // length).astype(np.int64)
+    return data.rows(np.sort(np.unique([order[s : s + length] for s in starts])))
+
+
+def _located(problem: Problem) -> Problem:
+    """The problem about its frames and references.
+
+    The closed form is enough to tell a robot from none; without a measurement frame
+    there may be nothing in closed form, and it is fitted.
+    """
+    zero = np.zeros(len(problem.parameters))
+    if any(p.measurement.declaration.external for p in problem.parts.values()):
+        return registered(problem, zero)
+    problem, result = register(problem, zero)
+    return problem.rebased(result.x)[0]
+
+
+def _trimmed(problem: Problem) -> float:
+    """Errors of the best part of the measurements, rms in standard deviations.
+
+    They locate the robot once more without the others, which outliers are among.
+    """
+    zero = np.zeros(len(problem.parameters))
+    size = np.inf
+    for again in (False, True):
+        problem = _located(problem)
+        table = error_table(problem, zero)
+        table[np.isinf(table)] = 1e6
+        sigma = problem.layout.table(problem.given_sigma, len(problem.data))
+        squares = np.nanmean((table / sigma) ** 2, axis=1)
+        limit = np.quantile(squares, KEPT)
+        size = float(np.sqrt(np.mean(squares[squares <= limit])))
+        if not again:
+            kept = (squares <= limit).astype(float)
+            problem = replace(problem, data=problem.data.weighted(kept))
+    return size if np.isfinite(size) else np.inf

@@ -1,0 +1,84 @@
+"""Faults of the data, and measurements as they are to be read if these are there."""
+
+from __future__ import annotations
+
+from collections.abc import Iterable, Mapping, Sequence
+from dataclasses import dataclass, field, replace
+from typing import Any
+
+from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models.readings import read_otherwise
+from calib_pin.observations import Observations
+from calib_pin.setup import ReadingSetup
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.setup_lines import JointReading, lines_of, merged
+
+
+@dataclass(frozen=True)
+class Hypothesis:
+    """One fault of the data, and how they are to be read if it is there.
+
+    Attributes:
+        code: Code of its finding.
+        words: The fault in words, the beginning of a sentence.
+        of: Its subject; two explanations of one subject do not combine.
+        reading: How the measurements are to be read.
+        joints: How the joint positions are to be read; None for as they are.
+        chains: The chains that were measured, where they are others.
+        stated: Further lines of the setup file.
+        advice: What to do instead of stating something; empty where the setup helps.
+        figure: Name of a figure that shows it.
+    """
+
+    code: str
+    words: str
+    of: str
+    reading: ReadingSetup = field(default_factory=ReadingSetup)
+    joints: JointReading | None = None
+    chains: Chains | None = None
+    stated: Mapping[str, Any] = field(default_factory=dict)
+    advice: str = ""
+    figure: str = ""
+
+
+def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
+    """Measurements as they are to be read if they have some faults."""
+    faults = tuple(faults)
+    joints = joint_reading(faults)
+    if joints is not None:
+        data = Observations(
+            tuple(
+                replace(
+                    b,
+                    q=joints.positions(b.q),
+                    start=joints.positions(b.start) if b.start.size else b.start,
+                )
+                for b in data.blocks
+            )
+        )
+    return read_otherwise(data, merged(fault.reading for fault in faults))
+
+
+def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:
+    """How joint positions are to be read with all of some faults."""
+    found = None
+    for fault in faults:
+        if fault.joints is not None:
+            found = fault.joints if found is None else fault.joints.after(found)
+    return found
+
+
+def setup_lines(case: Case, faults: Sequence[Hypothesis]) -> dict[str, Any]:
+    """Lines of a setup file with which measurements are read otherwise."""
+    lines: dict[str, Any] = {}
+    joints = joint_reading(faults)
+    if joints is not None:
+        maps = joints.maps(case.data.joints, case.setup.joints)
+        if maps:
+            lines["joints"] = maps
+    reading = lines_of(merged(fault.reading for fault in faults))
+    if reading:
+        lines["reading"] = reading
+    for fault in faults:
+        lines |= fault.stated
+    return lines

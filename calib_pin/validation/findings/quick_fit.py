@@ -1,0 +1,170 @@
+"""A fit in a few steps, with which explanations of measurements are compared."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from functools import cached_property
+from typing import Any, Self
+
+import numpy as np
+
+from calib_pin.estimation.directions import column_space
+from calib_pin.estimation.nominal import register
+from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models.readings import with_positions
+
+REDUNDANCY = 2.0
+"""Least number of values, by unknowns, to tell errors of the robot from others."""
+
+SIZE = 10.0
+"""Expected size of the robot's errors, in scales, while explanations are sought."""
+
+STEPS = 2
+"""Steps of a quick fit."""
+
+
+@dataclass(frozen=True)
+class Score:
+    """What further columns explain of the errors that a fit leaves, to first order.
+
+    Attributes:
+        left: Part of the sum of squares that they leave, 0 to 1.
+        chance: Probability that chance explains as much (F test).
+        values: Estimated factor of each column, shape (k,).
+        deviations: Their standard deviations, shape (k,).
+    """
+
+    left: float
+    chance: float
+    values: Floats
+    deviations: Floats
+
+
+@dataclass(frozen=True)
+class QuickFit:
+    """Measurements with the errors of the robot fitted to them, in a few steps.
+
+    Attributes:
+        problem: The problem about its registered references.
+        theta: Parameter values, shape (P,).
+    """
+
+    problem: Problem
+    theta: Floats
+
+    @classmethod
+    def of(cls, problem: Problem, **more: Any) -> Self:
+        """Register the nominal robot, and fit its errors where that says something.
+
+        Args:
+            problem: The problem.
+            **more: Further attributes.
+
+        Raises:
+            CalibPinError: If a part of the measurements cannot be registered.
+        """
+        problem, found = register(problem, np.zeros(len(problem.parameters)))
+        trial = cls(problem, found.x, **more)
+        free, scales = problem.parameters.free, problem.parameters.scales
+        for _ in range(STEPS if trial.redundant else 0):
+            A, b = trial.system
+            theta = trial.theta.copy()
+            theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
+            trial = replace(trial, theta=theta)
+        return trial
+
+    @cached_property
+    def redundant(self) -> bool:
+        """Whether the measurements tell errors of the robot from others."""
+        free = int(self.problem.parameters.free.sum())
+        return self.problem.values >= REDUNDANCY * free
+
+    @cached_property
+    def linear(self) -> tuple[Floats, Floats]:
+        """Whitened residual (M,), and its Jacobian by scaled parameters, (M, P)."""
+        r, J = self.problem.linearize_rows(self.theta)
+        count = len(self.problem.layout.row)
+        return r[:count], J[:count] * self.problem.parameters.scales
+
+    @cached_property
+    def system(self) -> tuple[Floats, Floats]:
+        """Columns of what is free, and residuals, with expected sizes below them."""
+        r, J = self.linear
+        parameters = self.problem.parameters
+        free = parameters.free & (parameters.nuisance | self.redundant)
+        robot = ~parameters.nuisance & free
+        prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
+        A = np.concatenate([J, prior])
+        A[:, ~free] = 0.0
+        b = np.concatenate([r, prior @ (self.theta / parameters.scales)])
+        return A[:, parameters.free], b
+
+    @cached_property
+    def unexplained(self) -> tuple[Floats, Floats]:
+        """Orthonormal basis of what is explained, and what it leaves of `system`."""
+        A, b = self.system
+        Q = column_space(A)
+        return Q, b - Q @ (Q.T @ b)
+
+    @cached_property
+    def left(self) -> int:
+        """Number of values that unknowns do not use up."""
+        (A, _), count = self.system, self.problem.values
+        rows = len(self.problem.layout.row)
+        return count - int(np.linalg.matrix_rank(A[:rows])) if rows else 0
+
+    @cached_property
+    def rms(self) -> float:
+        """Errors left, in standard deviations, of what unknowns do not use up."""
+        r, _ = self.linear
+        return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @cached_property
+    def by_joints(self) -> Floats:
+        """Whitened residual by the position of every joint, shape (M, n).
+
+        By central differences; where a relative measurement starts does not move.
+        """
+        data, columns = self.problem.data, []
+        for joint in range(len(data.joints)):
+            step = np.zeros(len(data.joints))
+            step[joint] = 1e-5
+            ends = [
+                replace(self.problem, data=with_positions(data, data.q + h)).residual(
+                    self.theta
+                )
+                for h in (step, -step)
+            ]
+            columns.append((ends[0] - ends[1]) / 2e-5)
+        return np.stack(columns, axis=1)[: len(self.problem.layout.row)]
+
+    def score(self, columns: Floats) -> Score:
+        """Try further columns of the Jacobian, in units of their own.
+
+        Args:
+            columns: Change of the whitened residual by each, shape (M, k).
+        """
+        Q, r = self.unexplained
+        X = np.zeros((len(r), columns.shape[1]))
+        X[: len(columns)] = columns
+        X -= Q @ (Q.T @ X)
+        total = float(r @ r)
+        U, s, Vt = np.linalg.svd(X, full_matrices=False)
+        kept = s > 1e-8 * max(float(s.max(initial=0.0)), 1e-300)
+        U, s, Vt = U[:, kept], s[kept], Vt[kept]
+        along = U.T @ r
+        gain, dof = float(along @ along), self.left - len(s)
+        if not len(s) or dof <= 0 or total <= 0.0:
+            none = np.zeros(columns.shape[1])
+            return Score(1.0, 1.0, none, np.full(columns.shape[1], np.inf))
+        rest = max(total - gain, 1e-300)
+        F = (gain / len(s)) / (rest / dof)
+        inverse = Vt.T / s
+        return Score(
+            rest / total,
+            f_tail(F, len(s), dof),
+            -inverse @ along,
+            np.sqrt(rest / dof * np.sum(inverse**2, axis=1)),
+        )

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import re
 from collections.abc import Callable, Sequence
 from itertools import combinations
 from pathlib import Path
@@ -13,7 +12,8 @@ import pinocchio as pin
 from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, RobotError
-from calib_pin.io.files import read_bytes
+from calib_pin.io.files import TEXT, read_bytes
+from calib_pin.io.meshes import MeshReader
 from calib_pin.io.urdf import locate_mesh, locate_robot
 from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.io.urdf_tree import captured_stderr
@@ -79,14 +79,16 @@ def load_collisions(
     chains = Chains.of(chain)
     robot = chains.robot
     apart = _adjacent(robot.model) if srdf is None else _disabled(srdf, robot)
-    geometry = _solids(robot, package_dirs)
-    if geometry.ngeoms == 0:
+    with MeshReader() as meshes:
+        geometry = _solids(robot, package_dirs, meshes)
+        links = geometry.ngeoms
+        for k, obstacle in enumerate(obstacles if links else (), 1):
+            shape = _shape(obstacle, k, file, meshes)
+            geometry.addGeometryObject(_obstacle(chains, obstacle, k, shape))
+    if links == 0:
         nor = ", and neither are collisions with the obstacles" if obstacles else ""
         tell("the robot has no collision geometry: self-collision is not checked" + nor)
         return None
-    links = geometry.ngeoms
-    for k, obstacle in enumerate(obstacles, 1):
-        geometry.addGeometryObject(_obstacle(chains, obstacle, k, file))
     solids = [
         (solid.parentJoint, robot.model.frames[solid.parentFrame].name)
         for solid in geometry.geometryObjects
@@ -153,33 +155,83 @@ def _listed(pairs: Sequence[tuple[str, str]]) -> str:
     return f"{count} ({named}{'; ...' if len(pairs) > 3 else ''})"
 
 
-def _solids(robot: Robot, package_dirs: Sequence[str | Path]) -> pin.GeometryModel:
+def _solids(
+    robot: Robot, package_dirs: Sequence[str | Path], meshes: MeshReader
+) -> pin.GeometryModel:
     """The collision geometry of a URDF, without pairs."""
     urdf = locate_robot(robot.file).resolve()
     root = ElementTree.fromstring(robot.source)
-    owners: dict[str, str] = {}
-    for element in root.iterfind("link"):
-        owner = element.get("name", "")
-        for mesh in element.iterfind("collision/geometry/mesh"):
-            written = mesh.get("filename", "")
-            path = locate_mesh(written, urdf, package_dirs)
-            if path is None:
-                reason = f"the collision mesh '{written}' does not exist"
-                hint = "--package-dir DIR, the folder of its package"
-                if "package://" not in written:
-                    hint = "a path from the folder of the URDF"
-                raise _link_error(robot, owner, reason, hint)
-            mesh.set("filename", str(path))
-            owners[str(path)] = owner
+    # Pinocchio would read meshes in this process, so it gets spheres in their place.
+    surfaces: dict[str, pin.coal.CollisionGeometry] = {}
+    for link in root.iterfind("link"):
+        owner = link.get("name", "")
+        for k, solid in enumerate(link.iterfind("collision")):
+            shape = solid.find("geometry/*")
+            if shape is not None and shape.tag == "mesh":
+                try:
+                    surfaces[f"{owner}_{k}"] = _mesh(shape, urdf, package_dirs, meshes)
+                except InputError as error:
+                    hint = error.allowed or "another mesh"
+                    raise _link_error(robot, owner, error.reason, hint) from None
+                shape.tag, shape.attrib = "sphere", {"radius": "1"}
     text = ElementTree.tostring(root, encoding="unicode")
     try:
         with captured_stderr():
-            return pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION)
+            model = pin.buildGeomFromUrdfString(robot.model, text, pin.COLLISION)
     except Exception as failure:  # Whatever C++ throws.
-        message = str(failure)
-        link = next((owner for mesh, owner in owners.items() if mesh in message), "")
-        reason = f"its collision geometry cannot be read: {_reason(message)}"
-        raise _link_error(robot, link, reason) from None
+        reason = f"its collision geometry cannot be read: {failure}"
+        raise _link_error(robot, "", reason) from None
+    for solid in model.geometryObjects:
+        solid.geometry = surfaces.get(solid.name, solid.geometry)
+    return model
+
+
+def _mesh(
+    mesh: ElementTree.Element,
+    urdf: Path,
+    package_dirs: Sequence[str | Path],
+    meshes: MeshReader,
+) -> pin.coal.CollisionGeometry:
+    """The surface of a `<mesh>`.
+
+    Raises:
+        InputError: If it is missing or cannot be used.
+    """
+    written = mesh.get("filename", "")
+    path = locate_mesh(written, urdf, package_dirs)
+    if path is None:
+        hint = "--package-dir DIR, the folder of its package"
+        if "package://" not in written:
+            hint = "a path from the folder of the URDF"
+        reason = f"the collision mesh '{written}' does not exist"
+        raise InputError(reason, allowed=hint)
+    scale = mesh.get("scale", "1 1 1")
+    try:
+        x, y, z = map(float, scale.split())
+    except ValueError:
+        reason = f"the scale '{scale}' of the collision mesh '{written}' cannot be read"
+        raise InputError(reason, allowed="three numbers") from None
+    return _surface(meshes, path, (x, y, z), f"the collision mesh '{written}'")
+
+
+def _surface(
+    meshes: MeshReader, path: Path, scale: Sequence[float], name: str
+) -> pin.coal.CollisionGeometry:
+    """The solid of a mesh file with a name for messages.
+
+    Raises:
+        InputError: If it cannot be used.
+    """
+    try:
+        vertices, triangles = meshes.read(path, scale)
+    except InputError as error:
+        raise InputError(f"{name} {error.reason}") from None
+    solid = pin.coal.BVHModelOBBRSS()
+    solid.beginModel(len(triangles), len(vertices))
+    solid.addVertices(vertices)
+    solid.addTriangles(triangles)
+    solid.endModel()
+    return solid
 
 
 def _link_error(
@@ -201,7 +253,10 @@ def _link_error(
 
 
 def _obstacle(
-    chains: Chains, obstacle: Obstacle, number: int, file: str
+    chains: Chains,
+    obstacle: Obstacle,
+    number: int,
+    shape: pin.coal.CollisionGeometry,
 ) -> pin.GeometryObject:
     """An obstacle as a solid of the base link."""
     model = chains.robot.model
@@ -213,11 +268,13 @@ def _obstacle(
         frame.parentJoint,
         base,
         frame.placement * placement,
-        _shape(obstacle, number, file),
+        shape,
     )
 
 
-def _shape(obstacle: Obstacle, number: int, file: str) -> pin.coal.CollisionGeometry:
+def _shape(
+    obstacle: Obstacle, number: int, file: str, meshes: MeshReader
+) -> pin.coal.CollisionGeometry:
     if obstacle.box is not None:
         return pin.coal.Box(*obstacle.box)
     if obstacle.sphere is not None:
@@ -229,19 +286,10 @@ def _shape(obstacle: Obstacle, number: int, file: str) -> pin.coal.CollisionGeom
     if not Path(obstacle.mesh).is_file():
         raise InputError(f"{mesh} does not exist", file=file or None)
     try:
-        with captured_stderr():
-            return pin.coal.MeshLoader().load(
-                obstacle.mesh, np.array(obstacle.scale or (1.0, 1.0, 1.0))
-            )
-    except Exception as failure:  # Whatever C++ throws.
-        reason = f"{mesh} cannot be read: {_reason(str(failure))}"
-        raise InputError(reason, file=file or None) from None
-
-
-def _reason(message: str) -> str:
-    """The reason in a message of the mesh reader, which has several lines."""
-    found = re.search(r"Could not load resource .*\n(.+)", message)
-    return found[1].strip() if found else message
+        scale = obstacle.scale or (1.0, 1.0, 1.0)
+        return _surface(meshes, Path(obstacle.mesh), scale, mesh)
+    except InputError as error:
+        raise error.within(file) from None
 
 
 def _adjacent(model: pin.Model) -> set[frozenset[str]]:
@@ -261,7 +309,7 @@ def _adjacent(model: pin.Model) -> set[frozenset[str]]:
 def _disabled(srdf: str | Path, robot: Robot) -> set[frozenset[str]]:
     """Links that an SRDF allows to touch."""
     try:
-        root = ElementTree.fromstring(read_bytes(srdf))
+        root = ElementTree.fromstring(read_bytes(srdf, TEXT))
     except ElementTree.ParseError as error:
         reason = f"not an SRDF: {error.msg.split(':')[0]}"
         raise InputError(reason, file=srdf, line=error.position[0]) from None

@@ -9,7 +9,7 @@ from itertools import chain
 from pathlib import Path
 
 from calib_pin.errors import InputError
-from calib_pin.io.files import read_blocks, read_bytes
+from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
 
 BLOCK = 1 << 17
@@ -167,7 +167,7 @@ def open_csv(path: str | Path) -> CsvText:
     """
     if Path(path).is_file():
         return CsvText(str(path), Path(path).stat().st_size)
-    data = read_bytes(path)
+    data = b"".join(read_blocks(path, BLOCK, pipe=True))
     return CsvText(str(path), len(data), data)
 
 

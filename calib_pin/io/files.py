@@ -7,6 +7,7 @@ import errno
 import json
 import os
 import shutil
+import stat
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager, suppress
 from pathlib import Path
@@ -204,41 +205,65 @@ def _kept(path: Path) -> Path | None:
     return second
 
 
-def read_bytes(path: str | Path) -> bytes:
+DATA = 1 << 30
+"""Bytes of the largest file of measurements, or of anything made by a program."""
+
+BLOCK = 1 << 20
+"""Bytes that are read at a time."""
+
+TEXT = 1 << 26
+"""Bytes of the largest description of a robot, whose tree takes many times as much."""
+
+
+def read_bytes(path: str | Path, largest: int = DATA) -> bytes:
     """Read a file.
 
     Args:
-        path: The file.
+        path: The file; no pipe and no device.
+        largest: Bytes that it may have.
 
     Returns:
         Its bytes.
 
     Raises:
-        InputError: If there is no such file, or it cannot be read.
+        InputError: If there is no such file, or it is too large or cannot be read.
 
     Example:
         >>> read_bytes("/no/such/arm.urdf")
         Traceback (most recent call last):
         calib_pin.errors.InputError: /no/such/arm.urdf: no such file
     """
-    # Joining one block copies nothing.
-    return b"".join(read_blocks(path, -1))
+    return b"".join(read_blocks(path, BLOCK, largest))
 
 
-def read_blocks(path: str | Path, size: int) -> Iterator[bytes]:
+def read_blocks(
+    path: str | Path, size: int, largest: int = DATA, *, pipe: bool = False
+) -> Iterator[bytes]:
     """Read a file block by block, so that it need not fit into memory.
 
     Args:
         path: The file.
-        size: Bytes of a block; -1 for all of them.
+        size: Bytes of a block.
+        largest: Bytes that the file may have.
+        pipe: Whether it may be a pipe; one that nothing writes to is empty.
 
     Raises:
-        InputError: If there is no such file, or it cannot be read.
+        InputError: If there is no such file, or it is too large or cannot be read.
     """
-    path = Path(path)
+    path, read = Path(path), 0
     try:
-        with path.open("rb") as stream:
+        # Before it is opened: that alone can wait for ever, or make a device act.
+        about = path.stat()
+        mode, known = about.st_mode, about.st_size
+        pipe &= stat.S_ISFIFO(mode)
+        if not (pipe or stat.S_ISREG(mode) or stat.S_ISDIR(mode)):
+            raise InputError("is not a regular file", file=path)
+        with open(path, "rb", opener=_open_pipe if pipe else None) as stream:
             while block := stream.read(size):
+                read += len(block)
+                if max(read, known) > largest:
+                    limit = f"{largest >> 20} MiB"
+                    raise InputError("is too large", file=path, allowed=limit)
                 yield block
     except FileNotFoundError as error:
         reason = f"no such file{_nearest_sibling(path)}"
@@ -247,6 +272,13 @@ def read_blocks(path: str | Path, size: int) -> Iterator[bytes]:
         raise InputError("is a directory, not a file", file=path) from error
     except (OSError, ValueError) as error:
         raise InputError(f"cannot be read: {reason_of(error)}", file=path) from error
+
+
+def _open_pipe(path: str, flags: int) -> int:
+    """Open a pipe without waiting for who will write to it."""
+    descriptor = os.open(path, flags | os.O_NONBLOCK)
+    os.set_blocking(descriptor, True)
+    return descriptor
 
 
 def write_atomically(path: Path, data: bytes, *, force: bool) -> None:

@@ -7,17 +7,14 @@ import os
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
-import numpy as np
 import pinocchio as pin
-from numpy.typing import NDArray
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
-from calib_pin.io.files import read_bytes
+from calib_pin.io.files import TEXT, read_bytes
 from calib_pin.io.urdf_bytes import edit_origins
-from calib_pin.io.urdf_tree import captured_stderr, parse_robot
+from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.kinematics.chain import Chain, Robot
 from calib_pin.kinematics.chains import Chains
-from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import ChainSetup
 
 
@@ -39,32 +36,6 @@ def locate_mesh(
         rest = rest.lstrip("/")  # Some write a third slash.
     files = (folder / rest for folder in folders)
     return next((file.absolute() for file in files if file.is_file()), None)
-
-
-def read_mesh(path: Path, scale: Sequence[float]) -> tuple[Floats, NDArray[np.int64]]:
-    """The surface in a mesh file of any format that Pinocchio reads.
-
-    Args:
-        path: The file.
-        scale: Factors of the coordinates, shape (3,).
-
-    Returns:
-        Vertices, shape (V, 3) [m], and the three vertices of every triangle, shape
-        (F, 3).
-
-    Raises:
-        InputError: If the file cannot be read.
-    """
-    # Boxes along the axes are the quickest to build of what nobody asks for here.
-    loader = pin.coal.MeshLoader(pin.coal.NODE_TYPE.BV_AABB)
-    try:
-        with captured_stderr():
-            surface = loader.load(str(path), np.asarray(scale, float))
-    except Exception as failure:  # Whatever C++ throws.
-        raise InputError("the mesh cannot be read", file=path) from failure
-    corners = map(surface.tri_indices, range(surface.num_tris))
-    triangles = np.array([(t[0], t[1], t[2]) for t in corners], np.int64)
-    return np.array(surface.vertices()), triangles.reshape(-1, 3)
 
 
 def _package_folders(package_dirs: Sequence[str | Path]) -> Iterator[Path]:
@@ -198,7 +169,7 @@ def load_robot(name_or_path: str | Path) -> Robot:
     name = str(name_or_path)
     path = locate_robot(name)
     try:
-        source = read_bytes(path)
+        source = read_bytes(path, TEXT)
     except InputError as error:
         reason, bundled = error.reason, bundled_robots()
         if reason == "no such file":

@@ -22,6 +22,7 @@ from calib_pin.io.files import read_bytes
 from calib_pin.setup.values import as_number
 
 _DEEPEST = 20
+_LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as many.
 _GLOB = '"*.placement.z"'
 
 
@@ -102,7 +103,7 @@ def read_tree(path: str | Path) -> Tree:
         {'elbow_joint.placement.x': 1e-05}
     """
     file = str(path)
-    data = read_bytes(path)
+    data = read_bytes(path, _LARGEST)
     try:
         text = data.decode("utf-8-sig")
         root = _compose(text, file)

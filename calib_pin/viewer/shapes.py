@@ -15,7 +15,8 @@ from scipy.sparse import coo_array
 from scipy.sparse.csgraph import connected_components
 
 from calib_pin.errors import InputError
-from calib_pin.io.urdf import locate_mesh, locate_robot, read_mesh
+from calib_pin.io.meshes import MeshReader
+from calib_pin.io.urdf import locate_mesh, locate_robot
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -164,16 +165,18 @@ def robot_shapes(
     """
     root = fromstring(robot.source)
     links = root.findall("link")
-    reader = _Reader(locate_robot(robot.file).resolve(), package_dirs)
+    urdf = locate_robot(robot.file).resolve()
     colors = {m.get("name", ""): _rgb(m) for m in root.iterfind("material")}
     parts: list[Shape] = []
     missing: list[str] = []
-    for k, link in enumerate(links):
-        if progress is not None:
-            progress(k / len(links))
-        found, lost = _of_link(link, reader, colors)
-        missing += lost
-        parts += _stand_in(link, root) if lost else found
+    with MeshReader() as meshes:
+        reader = _Reader(urdf, package_dirs, meshes)
+        for k, link in enumerate(links):
+            if progress is not None:
+                progress(k / len(links))
+            found, lost = _of_link(link, reader, colors)
+            missing += lost
+            parts += _stand_in(link, root) if lost else found
     if not parts:
         parts = [shape for link in links for shape in _stand_in(link, root)]
     return Shapes(tuple(parts), tuple(dict.fromkeys(missing)))
@@ -209,6 +212,7 @@ class _Reader:
 
     urdf: Path
     package_dirs: Sequence[str | Path]
+    meshes: MeshReader
     known: dict[tuple[Path, str], Surface] = field(default_factory=dict)
 
     def surface(self, geometry: Element) -> Surface:
@@ -221,6 +225,8 @@ class _Reader:
         if geometry.tag == "mesh":
             return self._mesh(geometry.get("filename", ""), geometry.get("scale"))
         radius, length = (float(geometry.get(k, "0")) for k in ("radius", "length"))
+        if not math.isfinite(radius + length):
+            raise ValueError("a size is not finite")
         if geometry.tag == "box":
             return creased(box(_vector(geometry.get("size"))))
         if geometry.tag == "sphere":
@@ -237,10 +243,8 @@ class _Reader:
             raise InputError("no such file", file=written)
         key = path, scale or "1 1 1"
         if key not in self.known:
-            vertices, triangles = read_mesh(path, _vector(key[1]).tolist())
-            if len(triangles) == 0:
-                raise InputError("the mesh is empty", file=path)
-            self.known[key] = creased(Surface(vertices, triangles))
+            mesh = self.meshes.read(path, _vector(key[1]))
+            self.known[key] = creased(Surface(*mesh))
         return self.known[key]
 
 
@@ -278,6 +282,8 @@ def _origin(element: Element) -> Floats:
 def _vector(text: str | None) -> Floats:
     """Three numbers; zeros where there are none."""
     x, y, z = map(float, (text or "0 0 0").split())
+    if not math.isfinite(x + y + z):
+        raise ValueError("a number is not finite")
     return np.array([x, y, z])
 
 

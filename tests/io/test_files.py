@@ -10,8 +10,8 @@ from typing import Any
 
 import pytest
 
-from calib_pin.errors import OptionError, OutputError
-from calib_pin.io.files import write_files, write_folder
+from calib_pin.errors import InputError, OptionError, OutputError
+from calib_pin.io.files import read_blocks, read_bytes, write_files, write_folder
 from calib_pin.io.journal import settled, temporary
 
 OLD = {"a.json": b"old a", "b.urdf": b"old b", "gone.json": b"old gone"}
@@ -278,3 +278,33 @@ def test_temporary_names_are_short_and_the_same(tmp_path: Path) -> None:
         (found,) = tmp_path.iterdir()
         assert found == temporary(tmp_path / name)
     assert [path.name for path in tmp_path.iterdir()] == [name]
+
+
+@pytest.mark.parametrize("kind", ["pipe", "device", "endless"])
+def test_only_regular_files_are_read(tmp_path: Path, kind: str) -> None:
+    path = tmp_path / "a"
+    if kind == "pipe":
+        os.mkfifo(path)
+    else:
+        path.symlink_to({"device": "/dev/tty", "endless": "/dev/zero"}[kind])
+    with pytest.raises(InputError, match="is not a regular file"):
+        read_bytes(path)
+
+
+def test_a_pipe_that_nothing_writes_to_is_empty(tmp_path: Path) -> None:
+    os.mkfifo(tmp_path / "a")
+    assert list(read_blocks(tmp_path / "a", 10, pipe=True)) == []
+
+
+def test_size_is_limited(tmp_path: Path) -> None:
+    path = tmp_path / "a"
+    path.write_bytes(b"12345")
+    assert read_bytes(path, 5) == b"12345"
+    with pytest.raises(InputError) as caught:
+        read_bytes(path, 4)
+    assert (caught.value.file, caught.value.reason) == (str(path), "is too large")
+    # Nor is a file of holes read to its limit.
+    with path.open("r+b") as stream:
+        stream.truncate(1 << 40)
+    with pytest.raises(InputError, match="is too large"):
+        read_bytes(path)

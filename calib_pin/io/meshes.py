@@ -153,7 +153,7 @@ def _started() -> subprocess.Popen[bytes]:
 
 
 def _answer(child: subprocess.Popen[bytes], seconds: float) -> Mesh:
-    """What the process says within some time.
+    """The answer of the process within some time.
 
     Raises:
         ValueError: With the reason, if it cannot read the file.

@@ -8,9 +8,67 @@ line can print it as one line and a program can read the parts.
 from __future__ import annotations
 
 import difflib
+import re
 from collections.abc import Iterable
+from itertools import accumulate
 from pathlib import Path
 from typing import Self
+
+VALUE = 60
+"""Longest value in a message, in characters."""
+
+MESSAGE = 280
+"""Longest message, in characters."""
+
+PATH = 120
+"""Longest path in a message, of which the end is shown."""
+
+ALLOWED = 120
+"""Characters that a list of what is allowed may take from a long reason."""
+
+# Not the apostrophe of a word.
+_QUOTED = re.compile(r"(?<!\w)'[^']*'(?!\w)")
+
+
+def printable(text: str) -> str:
+    r"""A text with control and bidirectional characters as escapes, but for line ends.
+
+    Example:
+        >>> printable("\x1b[2J\u202egnp.exe")
+        '\\x1b[2J\\u202egnp.exe'
+    """
+    return "".join(
+        c if c.isprintable() or c == "\n" else c.encode("unicode_escape").decode()
+        for c in text
+    )
+
+
+def one_line(message: str) -> str:
+    """A message on one line, with names and values in quotes shortened."""
+    line = printable(re.sub(r"[ \t\r\n]+", " ", message).strip())
+    return _cut(_QUOTED.sub(lambda found: _cut(found[0], VALUE), line), MESSAGE)
+
+
+def enumerated(names: Iterable[str], room: int = ALLOWED) -> str:
+    """Names with commas between them, and the number of those that find no room.
+
+    Example:
+        >>> enumerated(["elbow", "wrist", "flange"], room=15)
+        'elbow, wrist and 1 more'
+    """
+    names = [_cut(name, VALUE) for name in names]
+    ends = accumulate(len(name) + 2 for name in names)
+    count = max(sum(end <= room + 2 for end in ends), 1)
+    more = f" and {len(names) - count} more" if count < len(names) else ""
+    return ", ".join(names[:count]) + more
+
+
+def _cut(text: str, room: int) -> str:
+    """The start of a text that is too long; a quote at its end stays."""
+    if len(text) <= room:
+        return text
+    end = f"...{text[-1]}" if text[-1] in "'\"" else "..."
+    return text[: room - len(end)] + end
 
 
 class CalibPinError(Exception):
@@ -46,7 +104,7 @@ class InputError(CalibPinError):
         self.column = column
         self.value = value
         self.allowed = allowed
-        place = "" if self.file is None else self.file
+        place = "" if self.file is None else _cut(self.file[::-1], PATH)[::-1]
         if line is not None:
             place += f":{line}" if place else f"line {line}"
         message = f"{place}: {reason}" if place else reason
@@ -54,12 +112,17 @@ class InputError(CalibPinError):
         if column is not None:
             details.append(f"column '{column}'")
         if value is not None:
-            details.append(f"value {value!r}")
+            details.append(f"value {_cut(repr(value), VALUE)}")
         if details:
             message += f" ({', '.join(details)})"
         if allowed is not None:
-            message += f"; allowed: {allowed}"
-        super().__init__(" ".join(message.split()))
+            head = one_line(message)
+            room = MESSAGE - len("; allowed:  and 1000 more")
+            if len(head) + len(allowed) > room:
+                head = _cut(head, MESSAGE - ALLOWED)
+                allowed = enumerated(allowed.split(", "), room - len(head))
+            message = f"{head}; allowed: {allowed}"
+        super().__init__(one_line(message))
 
     def within(self, file: str) -> Self:
         """The same error, in a file where one is named.

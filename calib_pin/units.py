@@ -1,8 +1,9 @@
-"""Units that people read; inside, everything is SI."""
+"""Units that people read (inside, everything is SI), and numbers that they write."""
 
 from __future__ import annotations
 
 import math
+import re
 
 DISPLAY = {
     "m": ("mm", 1e3),
@@ -14,3 +15,20 @@ DISPLAY = {
     "rad/Nm": ("urad/Nm", 1e6),
 }
 """Unit and factor that people read, by SI unit."""
+
+_NUMBER = re.compile(r"[-+]?(\d+\.?\d*|\.\d+)([eE][-+]?\d+)?", re.ASCII)
+_NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf|infinity)", re.ASCII | re.IGNORECASE)
+
+
+def as_number(text: str) -> float | None:
+    """The number that a text is in all files and options, or None.
+
+    Python also reads `1_000` and the digits of all scripts; here they are slips.
+
+    Args:
+        text: Text without spaces around it; `nan` and `inf`, with or without the
+            point of YAML, are numbers that are not finite.
+    """
+    if _NUMBER.fullmatch(text):
+        return float(text)
+    return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None

@@ -47,6 +47,39 @@ def test_a_message_is_one_line_of_all_fields(
     assert vars(error) == {"reason": "no good", **empty, **fields}
 
 
+@pytest.mark.parametrize(
+    ("reason", "fields", "message"),
+    [
+        (f"no '{'a' * 99}'", {}, f"no '{'a' * 55}...'"),
+        ("no good", {"value": "b" * 99}, f"no good (value '{'b' * 55}...')"),
+        ("no good", {"column": "c" * 99}, f"no good (column '{'c' * 55}...')"),
+        ("no good", {"value": [1] * 99}, f"no good (value [{'1, ' * 18}1,...)"),
+        ("no '\x1b[2J\u202e\ufeff\udcff'", {}, r"no '\x1b[2J\u202e\ufeff\udcff'"),
+        ("a robot's own joint", {"file": f"{'d' * 99}/r.urdf"}, None),
+        ("no good", {"file": f"{'d' * 199}/r.urdf"}, f"...{'d' * 110}/r.urdf: no good"),
+        # Between two apostrophes stands no value.
+        (f"the robot's {'word ' * 20}of others' sort", {}, None),
+    ],
+)
+def test_values_in_messages_are_short_and_harmless(
+    reason: str, fields: dict[str, Any], message: str | None
+) -> None:
+    place = f"{fields['file']}: " if message is None and fields else ""
+    assert str(InputError(reason, **fields)) == (message or f"{place}{reason}")
+
+
+def test_no_message_is_long() -> None:
+    names = ", ".join(f"joint{k}" for k in range(5000))
+    error = InputError("there is no such joint", allowed=names)
+    assert str(error).endswith(", joint26 and 4973 more")
+    assert error.allowed == names
+    for reason in ("no", "no " * 50, "no " * 500):
+        for allowed in ("one", "one " * 20, "one " * 500, "one, " * 500):
+            message = str(InputError(reason, file="m.csv", line=3, allowed=allowed))
+            assert len(message) <= 280
+            assert "; allowed: one" in message
+
+
 def test_within_a_file() -> None:
     error = OptionError("no good", column="x", value=1, allowed="2")
     there = error.within("lab.yaml")

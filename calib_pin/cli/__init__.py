@@ -143,4 +143,6 @@ def _usage(error: Exception) -> str:
 
 
 def _complain(message: str) -> None:
-    print(f"calib-pin: {' '.join(message.split())}", file=sys.stderr)
+    from calib_pin.errors import one_line
+
+    print(f"calib-pin: {one_line(message)}", file=sys.stderr)

@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING, Annotated, Any, TypeVar
 import typer
 
 from calib_pin.errors import OptionError
+from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
@@ -27,9 +28,9 @@ def number(
 ) -> Callable[[str], _Number]:
     """A parser of a number whose errors name the option, the value and the range."""
 
-    def parse(text: str) -> _Number:
+    def parse(text: str | _Number) -> _Number:
         try:
-            value = kind(text)
+            value = None if as_number(str(text)) is None else kind(text)
         except ValueError:
             value = None
         # Not-a-number lies in no interval.
@@ -176,17 +177,15 @@ def parse_limits(
         joint = joint.strip()
         interval, unit = split_header(rest)
         low, _, high = interval.partition(":")
-        try:
-            factor = 1.0 if unit is None else units[unit]
-            lower, upper = factor * float(low), factor * float(high)
-        except (KeyError, ValueError):
-            joint = ""
-        if not joint:
+        lower, upper = as_number(low.strip()), as_number(high.strip())
+        factor = 1.0 if unit is None else units.get(unit)
+        if not joint or lower is None or upper is None or factor is None:
             raise OptionError(
                 f"--limits cannot be {word!r}",
                 allowed="JOINT=LOWER:UPPER, such as 'elbow=-90:90 [deg]'; units "
                 + ", ".join(units),
             )
+        lower, upper = factor * lower, factor * upper
         # Degrees would leave a joint as free as it was, without a word.
         if not -ANGLE.largest <= lower <= upper <= ANGLE.largest:
             raise OptionError(

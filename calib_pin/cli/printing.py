@@ -11,6 +11,7 @@ from typing import TYPE_CHECKING
 
 import typer
 
+from calib_pin.errors import one_line
 from calib_pin.progress import Progress, named
 
 if TYPE_CHECKING:
@@ -64,7 +65,7 @@ def say_written(lines: Iterable[str]) -> None:
 
 def notice(message: str) -> None:
     """A remark on standard error that does not stop the run."""
-    print(f"calib-pin: note: {message}", file=sys.stderr)
+    print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
 
 
 def stage(bar: Bar | None, name: str) -> Progress | None:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from calib_pin.errors import nearest
 from calib_pin.setup.values import LARGEST_ANGLE, LARGEST_LENGTH
+from calib_pin.units import as_number
 
 
 def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
@@ -39,7 +40,8 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     except ValueError:
         pass
     try:
-        if "_" not in "".join(cells):
+        text = "".join(cells)
+        if text.isascii() and "_" not in text:
             return np.fromiter(map(float, cells), np.float64, len(cells))
     except ValueError:
         pass
@@ -66,14 +68,8 @@ def what_is_wrong(cell: str, value: float) -> str:
 
 
 def _number(cell: str) -> float:
-    # Most of the cells without numbers are names, and an error takes time.
-    if cell[:1].isalpha() and cell.strip().lower() not in ("inf", "infinity"):
-        return float("nan")
-    # Python reads 1_000 as a number; in a CSV file it is a slip.
-    try:
-        return float("nan") if "_" in cell else float(cell)
-    except ValueError:
-        return float("nan")
+    number = as_number(cell.strip())
+    return float("nan") if number is None else number
 
 
 Floats = NDArray[np.float64]

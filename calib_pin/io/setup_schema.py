@@ -26,12 +26,13 @@ from calib_pin.setup import (
     SolverSetup,
 )
 from calib_pin.setup.constraints import LENIENT, Constraint, Keys, Names, meanings
-from calib_pin.setup.values import Positive, as_number
+from calib_pin.setup.values import Positive
 from calib_pin.solvers.differential_evolution import (
     INITS,
     STRATEGIES,
     DifferentialEvolution,
 )
+from calib_pin.units import as_number
 
 if TYPE_CHECKING:
     from pydantic import TypeAdapter

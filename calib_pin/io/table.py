@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, enumerated
 from calib_pin.io.columns import (
     Column,
     Floats,
@@ -120,7 +120,7 @@ class Table:
         """A sentence about columns without a meaning; empty if there are none."""
         headers = [self.columns[name].header for name in names]
         headers += ["(unnamed)"] * self.unnamed
-        return f"{self.file}: columns ignored: {', '.join(headers)}" * bool(headers)
+        return f"{self.file}: columns ignored: {enumerated(headers)}" * bool(headers)
 
     def numbers(self, name: str, kind: Kind, *, positive: bool = False) -> Floats:
         """A column of numbers in SI units, shape (N,).

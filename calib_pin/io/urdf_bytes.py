@@ -19,6 +19,7 @@ import pinocchio as pin
 
 from calib_pin.errors import OutputError, RobotError, nearest
 from calib_pin.kinematics.spatial import Floats
+from calib_pin.units import as_number
 
 _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF8, "utf-8"),
@@ -28,9 +29,6 @@ _BYTE_ORDER_MARKS = (
 _DECLARED = re.compile(rb"""<\?xml[^>]*?\sencoding\s*=\s*["']([\w.:-]+)["']""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
-# The numbers of the C++ reader: float() also takes 1_000, nan and Arabic digits.
-_NUMBER = re.compile(r"[+-]?(\d+\.?\d*|\.\d+)([eE][+-]?\d+)?", re.ASCII)
-
 
 FARTHEST = 1e6
 """Largest coordinate of an origin [m]; a world may be larger than its robot."""
@@ -111,9 +109,8 @@ class Document:
         text = element.attributes[attribute]
         place = f"{attribute} in the <{element.tag}> of {owner}"
         words = text.split() if count > 1 else [text]
-        good = len(words) == count and all(_NUMBER.fullmatch(word) for word in words)
-        numbers = np.array([float(word) for word in words] if good else [np.nan])
-        if not np.isfinite(numbers).all():
+        numbers = np.array([as_number(word) for word in words], float)
+        if len(words) != count or not np.isfinite(numbers).all():
             allowed = f"{count} finite numbers" if count > 1 else "a finite number"
             reason = f"{place} cannot be read"
             raise self.error(element, reason, value=text, allowed=allowed)

@@ -19,7 +19,7 @@ import yaml
 
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
-from calib_pin.setup.values import as_number
+from calib_pin.units import as_number
 
 _DEEPEST = 20
 _LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as many.

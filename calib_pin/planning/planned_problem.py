@@ -96,14 +96,9 @@ def planned_problem(
             }
         )
     problem = nominal_problem(chains, keys, setup)
-    heaviest = max(
-        setup.payloads, key=lambda name: setup.payloads[name].mass, default=""
-    )
     parts, assumed = {}, assumed_tools(problem)
     for key, part in problem.parts.items():
-        error = part.error
-        if len(setup.payloads) > 1:
-            error = error.carrying(heaviest)
+        error = part.error.carrying(setup.heaviest)
         if part.scope.tool in assumed:
             error = error.with_frames(error.base, ASSUMED_TOOL * part.scope.offset)
         parts[key] = replace(part, error=error)

@@ -10,6 +10,7 @@ from rich.console import Console, Group, RenderableType
 from rich.padding import Padding
 from rich.text import Text
 
+from calib_pin.errors import printable
 from calib_pin.report.blocks import Block, Line, Names, Table
 
 WIDTH = 80
@@ -56,35 +57,40 @@ def laid_out(blocks: Iterable[Block]) -> RenderableType:
 
 def _rendered(block: Block) -> Iterator[RenderableType]:
     if isinstance(block, Line):
-        line = Text(block.text, style=STYLES[block.tone])
+        line = _text(block.text, style=STYLES[block.tone])
         yield Padding(line, INDENT) if block.indent else line
         return
     if block.title:
-        yield Text(block.title, style="bold")
+        yield _text(block.title, style="bold")
     if isinstance(block, Table):
         yield _table(block)
     elif isinstance(block, Names):
-        yield from (Padding(Text(entry), INDENT) for entry in block.entries)
+        yield from (Padding(_text(entry), INDENT) for entry in block.entries)
     else:
         grid = rich_table.Table.grid(padding=(0, 2))
         # A long path is broken; rich would cut it.
         grid.add_column(overflow="fold")
         grid.add_column(overflow="fold")
         for name, words in block.entries:
-            grid.add_row(f"  {name}", words)
+            grid.add_row(_text(f"  {name}"), _text(words))
         yield grid
+
+
+def _text(words: str, style: str = "") -> Text:
+    """Text in which the names of users cannot steer the terminal."""
+    return Text(printable(words), style)
 
 
 def _table(table: Table) -> rich_table.Table:
     result = rich_table.Table(box=None, pad_edge=False, show_header=table.headed)
     for column in table.columns:
         result.add_column(
-            Text(column.title),
+            _text(column.title),
             justify="right" if column.kind == "number" else "left",
             no_wrap=column.kind in ("word", "number"),
             overflow="fold",
         )
     for k, row in enumerate(table.rows):
         style = "bold" if k in table.emphasized else ""
-        result.add_row(*(Text(cell.text) for cell in row), style=style)
+        result.add_row(*(_text(cell.text) for cell in row), style=style)
     return result

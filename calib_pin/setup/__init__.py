@@ -260,6 +260,11 @@ class FitSetup(Section):
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
 
+    @property
+    def heaviest(self) -> str:
+        """Name of the heaviest payload; empty if there is none."""
+        return max(self.payloads, key=lambda name: self.payloads[name].mass, default="")
+
 
 @dataclass(frozen=True)
 class PlanSetup(Section):

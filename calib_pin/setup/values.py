@@ -3,12 +3,12 @@
 from __future__ import annotations
 
 import math
-import re
 from collections.abc import Callable
 from dataclasses import dataclass
 from typing import Annotated
 
 from calib_pin.setup.constraints import Checked, Constraint, Json, listed
+from calib_pin.units import as_number
 
 Triple = tuple[float, float, float]
 Pair = tuple[float, float]
@@ -21,16 +21,6 @@ LARGEST_ANGLE = 4.0 * math.pi
 
 SMALLEST = 1e-12
 """Smallest standard deviation that can be meant [m, rad]."""
-
-_NUMBER = re.compile(r"[-+]?(\.\d+|\d+(\.\d*)?)([eE][-+]?\d+)?")
-_NOT_FINITE = re.compile(r"[-+]?\.?(nan|inf)", re.IGNORECASE)
-
-
-def as_number(text: str) -> float | None:
-    """The number that a text is in YAML 1.2 (infinite and nan too), or None."""
-    if _NUMBER.fullmatch(text):
-        return float(text)
-    return float(text.replace(".", "")) if _NOT_FINITE.fullmatch(text) else None
 
 
 def number(value: object) -> float:

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from itertools import starmap
 from math import erf
 
@@ -108,6 +108,8 @@ def _expected(
     blocks = tuple(b for b in data.blocks if b.chain == part.key.chain)
     kept = Observations(blocks).sample(MEASURED).q[:, part.columns] if blocks else None
     spread = part.error.chain.random_configurations(SAMPLES, rng)
+    loaded = part.error.carrying(model.problem.setup.heaviest)
+    part = replace(part, error=loaded)
     measured, workspace = (
         None if q is None else expected_accuracy(model.fit, part, model.theta, q, rng)
         for q in (kept, spread)

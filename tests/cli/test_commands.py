@@ -665,6 +665,18 @@ def test_gears_and_compliance_from_simulation_to_evaluation(tmp_path, monkeypatc
     assert rms("out/pa10.urdf rows.csv --setup setup.yaml") > 10.0 * unseen
 
 
+def test_several_payloads(here, run):
+    Path("load.yaml").write_text(
+        "parameters: [compliance]\nframes: {tool: {xyz: [0.05, 0, 0.1]}}\n"
+        "payloads: {a: {mass: 1, com: [0, 0, 0]}, b: {mass: 9, com: [0.1, 0, 0]}}\n"
+    )
+    head, *rows = Path("rows.csv").read_text().splitlines()[1:]
+    cells = [f"{row},{'ab'[k % 2]}" for k, row in enumerate(rows)]
+    Path("loaded.csv").write_text("\n".join([f"{head},payload", *cells, ""]))
+    result = run("identify arm.urdf loaded.csv --setup load.yaml --json")
+    assert (result.status in (0, 2), result.err) == (True, "")
+
+
 def test_parameters_beyond_geometry_on_the_command_line(here, run):
     Path("load.yaml").write_text(
         "payloads: {load: {mass: 5, com: [0.1, 0.05, 0]}}\n"

@@ -65,7 +65,8 @@ def spoiled(rng: random.Random) -> list[str]:
 
 def number(cell: str) -> float:
     try:
-        return float("nan") if "_" in cell else float(cell)
+        plain = cell.strip().isascii() and "_" not in cell
+        return float(cell) if plain else float("nan")
     except ValueError:
         return float("nan")
 

@@ -33,6 +33,9 @@ _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 FARTHEST = 1e6
 """Largest coordinate of an origin [m]; a world may be larger than its robot."""
 
+ATTRIBUTES = 1000
+"""Largest number in an element: the C++ reader compares each with all before it."""
+
 
 @dataclass(frozen=True)
 class Element:
@@ -84,7 +87,7 @@ class Document:
         element: Element,
         reason: str,
         *,
-        value: str | None = None,
+        value: object = None,
         allowed: str | None = None,
     ) -> RobotError:
         """An error that points at an element."""
@@ -233,6 +236,14 @@ def _scan(data: bytes, file: str | None) -> Element:
 
     def start(tag: str, attributes: dict[str, str]) -> None:
         line, offset = parser.CurrentLineNumber, parser.CurrentByteIndex
+        if len(attributes) > ATTRIBUTES:
+            raise RobotError(
+                f"<{tag}> has too many attributes",
+                file=file,
+                line=line,
+                value=len(attributes),
+                allowed=f"at most {ATTRIBUTES}",
+            )
         element = Element(tag, attributes, line, offset, [])
         # Elsewhere, as in the text of a plugin, a dollar may mean something else.
         in_joint = tag == "joint" or (len(path) == 2 and path[1].tag == "joint")

@@ -20,6 +20,12 @@ _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SINGLE = ("revolute", "continuous", "prismatic")
 _WITH_AXIS = (*_SINGLE, "planar")
 
+JOINTS = 10_000
+"""Largest number in a robot: Pinocchio compares each name with all before it."""
+
+DEEPEST = 1000
+"""Most links from the root on; Pinocchio crashes at some thousands."""
+
 
 def parse_robot(source: bytes, file: str) -> Robot:
     """Check a URDF and build the robot.
@@ -49,6 +55,10 @@ def parse_robot(source: bytes, file: str) -> Robot:
     joints = _named(document, "joint")
     if not links:
         raise document.error(root, "the robot has no links")
+    if len(joints) > JOINTS:
+        reason = "the robot has too many joints"
+        allowed = f"at most {JOINTS}"
+        raise document.error(root, reason, value=len(joints), allowed=allowed)
     for joint in joints.values():
         _check_joint(document, joint, links)
     parents = _parents(document, joints)
@@ -152,16 +162,23 @@ def _root(
     parents: Mapping[str, str],
 ) -> str:
     """Name of the root link, after a check that the links form one tree."""
-    grounded: set[str] = set()
+    deep: dict[str, int] = {}
     for link in links:
-        branch = [link]
-        while branch[-1] in parents and branch[-1] not in grounded:
-            branch.append(_end(joints[parents[branch[-1]]], "parent"))
-            if branch[-1] in branch[:-1]:
-                loop = " > ".join(reversed(branch[branch.index(branch[-1]) :]))
-                reason = f"the links {loop} form a loop, and a URDF is a tree"
-                raise document.error(joints[parents[branch[-1]]], reason)
-        grounded.update(branch)
+        branch = dict.fromkeys([link])
+        while link in parents and link not in deep:
+            link = _end(joints[parents[link]], "parent")
+            if link in branch:
+                loop = [*branch, link]
+                words = " > ".join(reversed(loop[loop.index(link) :]))
+                reason = f"the links {words} form a loop, and a URDF is a tree"
+                raise document.error(joints[parents[link]], reason)
+            branch[link] = None
+        above = deep.get(link, 0)
+        deep |= {name: above + k for k, name in enumerate(reversed(branch))}
+        if above + len(branch) > DEEPEST:
+            reason = f"link '{next(iter(branch))}' is too far from the root"
+            allowed = f"at most {DEEPEST} links one after the other"
+            raise document.error(links[next(iter(branch))], reason, allowed=allowed)
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
         names = ", ".join(f"'{link}'" for link in roots)
@@ -183,14 +200,20 @@ def _mimics(document: Document, joints: Mapping[str, Element]) -> dict[str, Mimi
                 for key, usual in (("multiplier", 1.0), ("offset", 0.0))
             )
             stated[name] = Mimic(element.attributes.get("joint", ""), factor, offset)
+    driven: dict[str, Mimic] = {}
+    for name in stated:
+        path: dict[str, None] = {}
+        while name in stated and name not in driven and name not in path:
+            path[name] = None
+            name = stated[name].leader
+        for name in reversed(path):
+            mimic = stated[name]
+            if above := driven.get(mimic.leader):
+                offset = mimic.factor * above.offset + mimic.offset
+                mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
+            driven[name] = mimic
     result = {}
-    for name, mimic in stated.items():
-        seen = {name}
-        while mimic.leader in stated and mimic.leader not in seen:
-            seen.add(mimic.leader)
-            above = stated[mimic.leader]
-            offset = mimic.factor * above.offset + mimic.offset
-            mimic = Mimic(above.leader, mimic.factor * above.factor, offset)
+    for name, mimic in driven.items():
         leader = None if mimic.leader in stated else joints.get(mimic.leader)
         if leader is not None and leader.attributes["type"] in _SINGLE:
             result[name] = mimic

@@ -19,7 +19,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError
-from calib_pin.io import urdf
+from calib_pin.io import urdf, urdf_tree
 from calib_pin.io.files import read_bytes, write_atomically
 from calib_pin.io.urdf import (
     bundled_robots,
@@ -904,6 +904,30 @@ def test_loop_away_from_the_root(bad: Callable[..., None]) -> None:
 <joint name="x" type="fixed"><parent link="d"/><child link="e"/></joint>
 <joint name="y" type="fixed"><parent link="e"/><child link="d"/></joint></robot>"""
     bad(ARM.replace(b"</robot>", loop), reason="the links d > e > d form a loop")
+
+
+def chain(count: int, closing: bytes = b"") -> bytes:
+    """A robot of fixed joints, one after the other; its last link comes first."""
+    links = (b'<link name="l%d"/>' % k for k in range(count, -1, -1))
+    joints = (
+        b'<joint name="j%d" type="fixed"><parent link="l%d"/><child link="l%d"/>'
+        b"</joint>" % (k, k, k + 1)
+        for k in range(count)
+    )
+    return b"\n".join([b'<robot name="r">', *links, *joints, closing, b"</robot>"])
+
+
+def test_limits(bad: Callable[..., None], monkeypatch: pytest.MonkeyPatch) -> None:
+    assert parse_robot(chain(999), "arm.urdf").leaves == ("l999",)
+    reason = "link 'l1000' is too far from the root"
+    bad(chain(1000), line=2, reason=reason, allowed="at most 1000 links one after")
+    many = b"".join(b' a%d=""' % k for k in range(1000))
+    parse_robot(chain(1, b"<gazebo%b/>" % many), "arm.urdf")
+    reason = "<gazebo> has too many attributes"
+    bad(chain(1, b'<gazebo b=""%b/>' % many), line=5, value=1001, reason=reason)
+    monkeypatch.setattr(urdf_tree, "JOINTS", 3)
+    parse_robot(chain(3), "arm.urdf")
+    bad(chain(4), line=1, value=4, reason="the robot has too many joints")
 
 
 # Writing.

@@ -67,7 +67,7 @@ def _shift(value: object) -> int:
     return int(plain)
 
 
-LINE = {"type": ["integer", "string"]}
+LINE = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
 """JSON schema of a line, whose file and a colon precede it if there are several."""
 
 Places = Annotated[tuple[str, ...], Checked(_places, {"type": "array", "items": LINE})]

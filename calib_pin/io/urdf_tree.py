@@ -20,6 +20,12 @@ _TYPES = ("revolute", "continuous", "prismatic", "fixed", "floating", "planar")
 _SINGLE = ("revolute", "continuous", "prismatic")
 _WITH_AXIS = (*_SINGLE, "planar")
 
+_FREEDOM = 200
+"""Most degrees of freedom: Pinocchio's memory grows with their cube, to 0.6 GB here."""
+
+_DEPTH = 1000
+"""Most joints from the root to a link: Pinocchio crashes somewhere above 2000."""
+
 
 def parse_robot(source: bytes, file: str) -> Robot:
     """Check a URDF and build the robot.
@@ -152,16 +158,24 @@ def _root(
     parents: Mapping[str, str],
 ) -> str:
     """Name of the root link, after a check that the links form one tree."""
-    grounded: set[str] = set()
+    depths: dict[str, int] = {}
     for link in links:
         branch = [link]
-        while branch[-1] in parents and branch[-1] not in grounded:
+        while (
+            branch[-1] in parents
+            and branch[-1] not in depths
+            and len(branch) <= _DEPTH + 1
+        ):
             branch.append(_end(joints[parents[branch[-1]]], "parent"))
             if branch[-1] in branch[:-1]:
                 loop = " > ".join(reversed(branch[branch.index(branch[-1]) :]))
                 reason = f"the links {loop} form a loop, and a URDF is a tree"
                 raise document.error(joints[parents[branch[-1]]], reason)
-        grounded.update(branch)
+        depth = depths.get(branch[-1], 0)
+        depths.update((link, depth + k) for k, link in enumerate(reversed(branch)))
+        if depths[link] > _DEPTH:
+            reason = f"link '{link}' stands behind more than {_DEPTH} joints"
+            raise document.error(links[link], reason)
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
         names = ", ".join(f"'{link}'" for link in roots)
@@ -226,6 +240,9 @@ def _build_model(
         named = re.findall(r"[Jj]oint \[(.+?)\]", printed[0])
         culprit = next((joints[name] for name in named if name in joints), None)
         raise document.error(culprit or document.root, reason) from failure
+    if model.nv > _FREEDOM:
+        reason = f"the robot has {model.nv} degrees of freedom"
+        raise document.error(document.root, reason, allowed=f"at most {_FREEDOM}")
     for name, link in links.items():
         if not model.existFrame(name, pin.FrameType.BODY):
             raise document.error(link, f"Pinocchio does not take over link '{name}'")

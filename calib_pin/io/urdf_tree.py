@@ -26,6 +26,9 @@ JOINTS = 10_000
 DEEPEST = 1000
 """Most links from the root on; Pinocchio crashes at some thousands."""
 
+FREEDOM = 200
+"""Most degrees of freedom: Pinocchio's memory grows with their cube, to 0.6 GB here."""
+
 
 def parse_robot(source: bytes, file: str) -> Robot:
     """Check a URDF and build the robot.
@@ -249,6 +252,9 @@ def _build_model(
         named = re.findall(r"[Jj]oint \[(.+?)\]", printed[0])
         culprit = next((joints[name] for name in named if name in joints), None)
         raise document.error(culprit or document.root, reason) from failure
+    if model.nv > FREEDOM:
+        reason = f"the robot has {model.nv} degrees of freedom"
+        raise document.error(document.root, reason, allowed=f"at most {FREEDOM}")
     for name, link in links.items():
         if not model.existFrame(name, pin.FrameType.BODY):
             raise document.error(link, f"Pinocchio does not take over link '{name}'")

@@ -328,10 +328,11 @@ def turning_radius(coefficients: Floats) -> float:
     Beyond, the image folds back over itself: no lens does that.
     """
     k_1, k_2, _, _, k_3 = coefficients
-    # Derivative of r s by r, as a polynomial in r^2.
-    roots = np.roots([7.0 * k_3, 5.0 * k_2, 3.0 * k_1, 1.0])
-    real = roots.real[(np.abs(roots.imag) < 1e-9 * np.abs(roots)) & (roots.real > 0.0)]
-    return float(np.sqrt(real.min(initial=np.inf)))
+    # Derivative of r s by r, as a polynomial in 1 / r^2: no number is too small for it.
+    roots = np.roots([1.0, 3.0 * k_1, 5.0 * k_2, 7.0 * k_3])
+    real = roots.real[np.abs(roots.imag) < 1e-9 * np.abs(roots)]
+    largest = np.sqrt(real.max(initial=0.0))
+    return float(1.0 / largest) if largest > 0.0 else np.inf
 
 
 def undistort(points: Floats, coefficients: Floats) -> Floats:

@@ -193,7 +193,14 @@ def states_sigmas(data: Observations) -> bool:
 
 
 def fitted_and_held_out(data: Observations) -> tuple[Observations, Observations]:
-    """The training and the validation measurements, by the `set` column."""
+    """The training and the validation measurements, by the `set` column.
+
+    Raises:
+        InputError: If no measurement is left to fit.
+    """
+    if data.validate.all():
+        reason = "no measurement is left to fit: all are marked for validation"
+        raise InputError(reason, column="set")
     if not data.validate.any():
         return data, data.rows(data.validate)
     return data.rows(~data.validate), data.rows(data.validate)

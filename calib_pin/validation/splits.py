@@ -250,8 +250,6 @@ def split(
     if validation is not None and holdout is not None:
         raise OptionError("give validation measurements or a holdout, not both")
     training, marked = fitted_and_held_out(measurements)
-    if len(training) == 0:
-        raise InputError("no measurement is left to fit: all are marked for validation")
     reason = "no {} is left to fit: all are for validation"
     _require_fitted(training, marked, reason, column="set")
     if validation is not None:

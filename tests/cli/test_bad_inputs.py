@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
@@ -794,6 +795,20 @@ def test_wrong_input(name, here, refuses):
             content = content(path.read_text() if path.exists() else "")
         path.write_text(content)
     refuses(command, **fields)
+
+
+@pytest.mark.skipif(not hasattr(os, "mkfifo"), reason="needs named pipes")
+@pytest.mark.parametrize("name", ["/dev/zero", "pipe"])
+def test_the_robot_of_a_calibration_is_a_regular_file(name, here, run, refuses):
+    os.mkfifo("pipe")
+    os.mkfifo("done/pipe")
+    edit = stored("robot", "file", to=name)
+    file = Path("done/calibration.json")
+    Path("moved.json").write_text(edit(file.read_text()))
+    refuses("evaluate moved.json new.csv", file="moved.json", reason="neither there")
+    # Where there is a copy, nobody waits for what nothing writes to.
+    file.write_text(edit(file.read_text()))
+    assert run(EVALUATE).status == 0
 
 
 # --- it ran, but the result must not be trusted ------------------------------------

@@ -187,6 +187,14 @@ def test_validation_rows_are_not_counted(here, run):
     assert json.loads(result.out)["measured"] == 30
 
 
+def test_no_training_measurements_to_add_to(here, refuses):
+    comment, header, *rows = Path("rows.csv").read_text().splitlines()
+    marked = [f"{header},set", *(f"{row},validate" for row in rows)]
+    Path("rows.csv").write_text("\n".join([comment, *marked]) + "\n")
+    reason = "no measurement is left to fit: all are marked for validation"
+    refuses(f"{ADD} --add 3 --to rows.csv -o more.csv", column="set", reason=reason)
+
+
 def test_the_same_words_give_the_same_bytes(here, run, refuses):
     words = f"{PLAN} --count 8 --seed 3 -o plan.csv"
     assert run(words).status == 0

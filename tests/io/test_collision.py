@@ -293,6 +293,39 @@ def test_meshes_that_cannot_be_read(
     assert capfd.readouterr() == ("", "")
 
 
+def test_numbers_of_meshes(
+    chain_in: Callable[..., Chain],
+    file_of: Callable[..., Path],
+    refused: Callable[..., Any],
+) -> None:
+    """What Pinocchio takes for a number, and what no solid can be built of."""
+    file_of("ws/src/arm/urdf/a.obj")
+    for scale, parts in (
+        ("1 1", ("the scale '1 1'", "'a.obj' cannot be read")),
+        ("1 x 1", ("the scale '1 x 1'", "'a.obj' cannot be read")),
+        ("nan 1 1", ("'a.obj' has the vertex (nan 0 0)",)),
+        ("1e308 1 1", ("'a.obj' has the vertex (2e+307 0 0)",)),
+    ):
+        shape = f'<mesh filename="a.obj" scale="{scale}"/>'
+        chain = chain_in(urdf(sphere(0.1), shape))
+        with refused(RobotError, file=chain.robot.file, line=3, reason=parts):
+            load_collisions(chain)
+
+
+def test_meshes_stand_where_their_links_do(
+    chain_in: Callable[..., Chain], file_of: Callable[..., Path]
+) -> None:
+    """Each in the place of its own, among other solids of its link."""
+    file_of("ws/src/arm/urdf/a.obj")
+    first = f"{sphere(0.01)}</geometry></collision><collision><origin xyz='0 0 1'/>"
+    chain = chain_in(urdf("", f"{first}<geometry>{mesh('a.obj')}"))
+    for z, free in ((0.5, True), (1.1, False)):
+        ball = Obstacle(sphere=0.1, xyz=(0.3, 0.0, z))
+        collisions = load_collisions(chain, [ball])
+        assert collisions is not None
+        assert collisions.free(np.zeros((1, 1))).tolist() == [free]
+
+
 def test_missing_meshes_of_obstacles(
     chain_in: Callable[..., Chain], refused: Callable[..., Any]
 ) -> None:

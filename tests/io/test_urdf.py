@@ -685,6 +685,35 @@ def test_files_that_are_no_urdf(
     bad(source, **fields)
 
 
+@pytest.mark.parametrize(
+    ("kind", "count", "fields"),
+    [
+        (
+            "revolute",
+            201,
+            dict(
+                line=1,
+                reason="the robot has 201 degrees of freedom",
+                allowed="at most 200",
+            ),
+        ),
+        ("floating", 34, dict(line=1, reason="the robot has 204 degrees of freedom")),
+        ("revolute", 2000, dict(reason="'l1000' is too far from the root")),
+    ],
+)
+def test_robots_that_are_too_large(
+    kind: str, count: int, fields: dict[str, Any], bad: Callable[..., None]
+) -> None:
+    joint = (
+        f'<link name="l%d"/><joint name="j%d" type="{kind}"><parent link="l%d"/>'
+        '<child link="l%d"/><limit lower="-1" upper="1" effort="1" velocity="1"/>'
+        "</joint>"
+    )
+    rows = [joint % (k, k, k - 1, k) for k in range(1, count + 1)]
+    text = '<robot name="r"><link name="l0"/>%s</robot>'
+    bad((text % "".join(rows)).encode(), **fields)
+
+
 ALLOWED_TYPES = "revolute, continuous, prismatic, fixed, floating, planar"
 
 

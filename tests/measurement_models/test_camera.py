@@ -190,6 +190,9 @@ def test_rays_of_pixels() -> None:
 def test_distortion_that_folds_back() -> None:
     assert turning_radius(np.zeros(5)) == np.inf
     assert turning_radius(np.array([0.1, 0.02, 0.1, 0.1, 0.0])) == np.inf
+    for k in range(5):
+        assert turning_radius(1e-320 * np.eye(5)[k]) > 1e6
+        assert turning_radius(-1e-320 * np.eye(5)[k]) > 1e6
     # r (1 - r^2 / 3) turns at r = 1, where it is 2/3.
     barrel = np.array([-1.0 / 3.0, 0.0, 0.0, 0.0, 0.0])
     assert turning_radius(barrel) == pytest.approx(1.0)

@@ -7,7 +7,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib_pin.cli.printing import Bar, notice, stage
-from calib_pin.errors import OptionError, RobotError, require_known
+from calib_pin.errors import OptionError, RobotError, enumerated, require_known
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
@@ -133,6 +133,18 @@ def open_chains(
     return load_chains(
         robot, base=setup.base, tip=setup.tip, stated=setup.chains, names=names
     )
+
+
+def tell_limits(chains: Chains) -> None:
+    """Remark on joints whose range is only assumed."""
+    from calib_pin.kinematics.joint_space import FREE_TRAVEL
+
+    if chains.unlimited:
+        notice(
+            f"{chains.robot.file}: limits missing, inverted or endless: "
+            f"{enumerated(chains.unlimited)}; assumed is a turn, or {FREE_TRAVEL:g} m "
+            "either way of a prismatic joint"
+        )
 
 
 def open_calibration(

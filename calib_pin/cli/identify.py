@@ -15,6 +15,7 @@ from calib_pin.cli.files import (
     open_setup,
     require_distinct,
     stated_blocks,
+    tell_limits,
 )
 from calib_pin.cli.printing import progress_bar, show
 
@@ -80,6 +81,7 @@ def identify(
         chains = open_chains(robot, stated, keys)
         found = structural(chains, keys, stated, seed=seed)
         verdict, reason = "good", ""
+    tell_limits(chains)
     better = suggestions(chains, keys, stated, found, seed=seed)
     if json:
         document = identification_document(found, better, verdict, reason)

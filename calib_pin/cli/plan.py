@@ -20,6 +20,7 @@ from calib_pin.cli.files import (
     require_distinct,
     require_folders,
     stated_blocks,
+    tell_limits,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -204,6 +205,8 @@ def plan(
     else:
         keys = stated_blocks(stated, *filter(None, [chain]))
         chains = open_chains(robot, stated, keys)
+    if not quiet:
+        tell_limits(chains)
     narrower = options.parse_limits(limits or [], chains)
     stated = replace(stated, limits={**stated.limits, **narrower})
     # Nothing of the file may turn out to be impossible after a long search.

@@ -17,6 +17,8 @@ from calib_pin.progress import Progress, named
 if TYPE_CHECKING:
     from calib_pin.report.blocks import Block
 
+_notices: list[str] = []
+
 Bar = Callable[[str, float | None], None]
 """Told the stage and the part that is done, 0 to 1; None where that is not known."""
 
@@ -64,8 +66,18 @@ def say_written(lines: Iterable[str]) -> None:
 
 
 def notice(message: str) -> None:
-    """A remark on standard error that does not stop the run."""
-    print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
+    """A remark on standard error that does not stop the run, told at its end.
+
+    Of a run that an error ends, the error alone is told.
+    """
+    _notices.append(message)
+
+
+def tell_notices(*, forget: bool = False) -> None:
+    """Print the remarks so far, or forget them."""
+    for message in () if forget else _notices:
+        print(f"calib-pin: {one_line(f'note: {message}')}", file=sys.stderr)
+    _notices.clear()
 
 
 def stage(bar: Bar | None, name: str) -> Progress | None:

@@ -15,6 +15,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_setup,
     stated_blocks,
+    tell_limits,
 )
 from calib_pin.cli.printing import (
     notice,
@@ -166,6 +167,7 @@ def simulate(
     with progress_bar() as bar:
         stage(bar, "measure")
         if configurations is None:
+            tell_limits(chains)
             rows = measure(count=count)
         else:
             q = read_configurations(configurations, chains, stated.joints)

@@ -19,7 +19,7 @@ from calib_pin.cli.files import (
     require_file,
     require_folders,
 )
-from calib_pin.cli.printing import Bar, notice, progress_bar, stage
+from calib_pin.cli.printing import Bar, notice, progress_bar, stage, tell_notices
 from calib_pin.errors import OptionError, require_known
 
 if TYPE_CHECKING:
@@ -90,6 +90,7 @@ def view(
     try:
         if port not in (0, window.port):
             notice(f"port {port} cannot be used; {window.port} is free")
+        tell_notices()
         typer.echo(f"viewing at http://localhost:{window.port} (Ctrl-C ends it)")
         window.run(once)
     except KeyboardInterrupt:

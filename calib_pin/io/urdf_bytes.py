@@ -30,8 +30,8 @@ _DECLARED = re.compile(rb"""<\?xml[^>]*?\sencoding\s*=\s*["']([\w.:-]+)["']""")
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
-FARTHEST = 1e6
-"""Largest coordinate of an origin [m]; a world may be larger than its robot."""
+_DEEPEST = 4
+"""Depth of the shape in the geometry in the collision of a link of the robot."""
 
 ATTRIBUTES = 1000
 """Largest number in an element: the C++ reader compares each with all before it."""
@@ -46,7 +46,7 @@ class Element:
         attributes: Its attributes, references and escapes resolved.
         line: Line of its start tag, counted from 1.
         start: Offset of its start tag in the document's data.
-        children: Elements directly inside, for elements of depth 0 and 1 only.
+        children: Elements directly inside, down to those of a geometry.
     """
 
     tag: str
@@ -253,7 +253,7 @@ def _scan(data: bytes, file: str | None) -> Element:
             reason = "is a xacro file; expand it first: xacro FILE > robot.urdf"
             value = macros[0] if macros else f"<{tag}>"
             raise RobotError(reason, file=file, line=line, value=value)
-        if len(path) <= 2:
+        if len(path) <= _DEEPEST:
             (path[-1].children if path else top).append(element)
         path.append(element)
 
@@ -279,12 +279,7 @@ def read_origin(document: Document, joint: Element) -> pin.SE3:
     if origin is None:
         return placement
     if "xyz" in origin.attributes:
-        xyz = document.numbers(owner, origin, "xyz", 3)
-        if np.abs(xyz).max() > FARTHEST:
-            written = origin.attributes["xyz"]
-            reason = f"the origin of {owner} is too far away"
-            raise document.error(origin, reason, value=written, allowed="xyz in m")
-        placement.translation = xyz
+        placement.translation = document.numbers(owner, origin, "xyz", 3)
     if _uses_quaternion(document, origin):
         quaternion = document.numbers(owner, origin, "quat_xyzw", 4)
         if not quaternion.any():

@@ -9,6 +9,7 @@ import tempfile
 from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 
+import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import nearest
@@ -28,6 +29,28 @@ DEEPEST = 1000
 
 FREEDOM = 200
 """Most degrees of freedom: Pinocchio's memory grows with their cube, to 0.6 GB here."""
+
+_NUMBERS = {
+    "origin": {"xyz": 3, "rpy": 3},
+    "mass": {"value": 1},
+    "inertia": dict.fromkeys(("ixx", "ixy", "ixz", "iyy", "iyz", "izz"), 1),
+    "limit": dict.fromkeys(("lower", "upper", "effort", "velocity"), 1),
+    "dynamics": {"damping": 1, "friction": 1},
+    "mimic": {"multiplier": 1, "offset": 1},
+    "box": {"size": 3},
+    "sphere": {"radius": 1},
+    "cylinder": {"radius": 1, "length": 1},
+    "capsule": {"radius": 1, "length": 1},
+    "mesh": {"scale": 3},
+}
+"""Count of the numbers in attributes, by element: what holds others, Pinocchio drops,
+often without a word."""
+
+FARTHEST = 1e6
+"""Largest coordinate of an origin [m]; a world may be larger than its robot."""
+
+HEAVIEST = 1e6
+"""Largest mass of a link [kg]."""
 
 
 def parse_robot(source: bytes, file: str) -> Robot:
@@ -64,6 +87,8 @@ def parse_robot(source: bytes, file: str) -> Robot:
         raise document.error(root, reason, value=len(joints), allowed=allowed)
     for joint in joints.values():
         _check_joint(document, joint, links)
+    for link in links.values():
+        _check_link(document, link)
     parents = _parents(document, joints)
     root_link = _root(document, links, joints, parents)
     inner = {_end(joint, "parent") for joint in joints.values()}
@@ -140,10 +165,35 @@ def _check_joint(
         _attribute(document, axis, "xyz", f"the <axis> of {owner}")
         if not document.numbers(owner, axis, "xyz", 3).any():
             raise document.error(axis, f"the axis of {owner} is zero")
-    limit = joint.child("limit")
-    for key in ("lower", "upper", "effort", "velocity"):
-        if limit is not None and key in limit.attributes:
-            document.numbers(owner, limit, key, 1)
+    _check_numbers(document, owner, joint)
+
+
+def _check_link(document: Document, link: Element) -> None:
+    owner = f"link '{link.attributes['name']}'"
+    _check_numbers(document, owner, link)
+    inertial = link.child("inertial")
+    if inertial is None:
+        return
+    mass = inertial.child("mass")
+    if mass is None or "value" not in mass.attributes:
+        raise document.error(inertial, f"the <inertial> of {owner} has no mass value")
+    if not 0.0 <= document.numbers(owner, mass, "value", 1)[0] <= HEAVIEST:
+        value, allowed = mass.attributes["value"], f"0 to {HEAVIEST:g} kg"
+        reason = f"no link has the mass of {owner}"
+        raise document.error(mass, reason, value=value, allowed=allowed)
+
+
+def _check_numbers(document: Document, owner: str, element: Element) -> None:
+    """Refuse attributes below a link or joint that do not hold their numbers."""
+    for child in element.children:
+        for key, count in _NUMBERS.get(child.tag, {}).items():
+            if key in child.attributes:
+                numbers = document.numbers(owner, child, key, count)
+                if key == "xyz" and np.abs(numbers).max() > FARTHEST:
+                    reason = f"the {child.tag} of {owner} is too far away"
+                    value = child.attributes[key]
+                    raise document.error(child, reason, value=value, allowed="xyz in m")
+        _check_numbers(document, owner, child)
 
 
 def _parents(document: Document, joints: Mapping[str, Element]) -> dict[str, str]:

@@ -37,6 +37,7 @@ class Chains:
         revolute: True for revolute and continuous joints, shape (n,).
         lower: Lower position limits, shape (n,) [rad, m], see `JointSpace`.
         upper: Upper position limits, shape (n,) [rad, m].
+        unlimited: Joints without usable limits in the URDF, see `JointSpace`.
 
     Raises:
         RobotError: If there is no chain or link of a name, a stated chain is called
@@ -83,6 +84,7 @@ class Chains:
         self.mimics = self._space.mimics
         self.revolute = self._space.revolute
         self.lower, self.upper = self._space.lower, self._space.upper
+        self.unlimited = self._space.unlimited
 
     @staticmethod
     def of(chain: Chain | Chains) -> Chains:

@@ -11,6 +11,9 @@ import pinocchio as pin
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.kinematics.tree import turns
 
+WIDEST = 1e3
+"""Range from which limits count as none [rad, m]."""
+
 FREE_TRAVEL = 1.0
 """Travel of a prismatic joint either way where its URDF states no limits [m]: that of
 the usual linear axis that carries a robot."""
@@ -50,6 +53,8 @@ class JointSpace:
         limited: True where the URDF states limits, of a leader also where those of its
             mimic joints narrow it, shape (n,).
         inverted: Names of joints with inverted limits in the URDF; they count as none.
+        unlimited: Names of joints that should have limits and have none in the URDF,
+            inverted ones, or some that no joint has.
     """
 
     def __init__(
@@ -66,9 +71,14 @@ class JointSpace:
         lower, upper = model.lowerPositionLimit[index], model.upperPositionLimit[index]
         # People who mean no limit write two zeros.
         stated = (upper > lower) | ((upper == lower) & (upper != 0.0))
-        limited = single & stated & (np.abs(upper - lower) < 1e6)
+        limited = single & stated & (np.abs(upper - lower) < WIDEST)
         self.inverted: tuple[str, ...] = tuple(
             self.joints[j] for j in np.flatnonzero(single & (lower > upper))
+        )
+        self.unlimited: tuple[str, ...] = tuple(
+            self.joints[j]
+            for j in np.flatnonzero(single & ~limited)
+            if self.joints[j] not in self.mimics
         )
         free = np.where(self.revolute, np.pi, FREE_TRAVEL)
         self.lower: Floats = np.where(limited, lower, -free)

@@ -16,6 +16,7 @@ import pinocchio as pin
 import pytest
 
 from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
@@ -309,7 +310,8 @@ def test_noise_free_recovery(problem: Problem) -> None:
     """Of equal robots the one closest to nominal, with frames and instruments."""
     rng, parameters = np.random.default_rng(7), problem.parameters
     zero = np.zeros(len(parameters))
-    structure, visible = analyze_structure(problem, zero, rng)
+    structure, J = analyze_structure(problem, zero, rng)
+    visible = visible_directions(J, parameters)
     size = 0.1 * parameters.scales
     truth = size * (visible @ rng.normal(size=visible.shape[1]))
     least = min(p.components for p in problem.parts.values())

@@ -13,6 +13,7 @@ import pytest
 
 import calib_pin
 from benchmarks.recovery import CASES, FRAMES, Study, Trials
+from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
@@ -133,7 +134,8 @@ def test_joint_corrections_are_recovered(robot: str, tip: str | None) -> None:
     problem = nominal_problem(chain, "position", setup)
     rng = np.random.default_rng(3)
     parameters = problem.parameters
-    found, visible = analyze_structure(problem, np.zeros(len(parameters)), rng)
+    found, J = analyze_structure(problem, np.zeros(len(parameters)), rng)
+    visible = visible_directions(J, parameters)
     q = chain.random_configurations(50, rng)
 
     def predicted(fitted: Problem, theta: Floats) -> Floats:

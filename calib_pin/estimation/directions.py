@@ -79,10 +79,12 @@ def visible_directions(J: Floats, parameters: ParameterSet) -> Floats:
         Orthonormal directions of the parameters divided by their scale, shape (P, r).
     """
     robot = parameters.free & ~parameters.nuisance
-    s, Vt = robot_svd(J, parameters)
-    result = np.zeros((len(parameters), len(s)))
+    triangle, tolerance = _robot_triangle(J, parameters)
+    _, s, Vt = np.linalg.svd(triangle, full_matrices=False)
+    visible = Vt[s > tolerance].T
+    result = np.zeros((len(parameters), visible.shape[1]))
     # Rounding must not move, by 1e-20, parameters that nothing moves.
-    result[robot] = np.where(np.abs(Vt.T) < 1e-13, 0.0, Vt.T)
+    result[robot] = np.where(np.abs(visible) < 1e-13, 0.0, visible)
     return result
 
 
@@ -256,21 +258,25 @@ def _triangle(directions: Directions, J: Floats, parameters: ParameterSet) -> Fl
     return np.asarray(np.linalg.qr(columns, mode="r"))
 
 
-def robot_svd(J: Floats, parameters: ParameterSet) -> tuple[Floats, Floats]:
-    """Nonzero singular values (r,) and right vectors (r, free robot parameters).
+def robot_values(J: Floats, parameters: ParameterSet) -> Floats:
+    """Nonzero singular values of `visible_directions`, descending, shape (r,)."""
+    triangle, tolerance = _robot_triangle(J, parameters)
+    s = np.linalg.svd(triangle, compute_uv=False)
+    return np.asarray(s[s > tolerance])
 
-    Of the scaled columns of the robot with the nuisances projected out.
+
+def _robot_triangle(J: Floats, parameters: ParameterSet) -> tuple[Floats, float]:
+    """Triangular factor of the robot's scaled columns, the nuisances projected out.
+
+    With the tolerance of its singular values.
     """
     robot = parameters.free & ~parameters.nuisance
-    if not robot.any():
-        return np.zeros(0), np.zeros((0, 0))
     A = J * parameters.scales
-    columns = projected(A[:, robot], A, parameters)
-    _, s, Vt = np.linalg.svd(columns, full_matrices=False)
+    own = A[:, robot]
+    triangle = np.asarray(np.linalg.qr(projected(own, A, parameters), mode="r"))
     # Relative to what stood there before: the projection leaves rounding behind.
-    tolerance = rounding(A) * np.linalg.norm(A[:, robot], 2)
-    rank = int((s > tolerance).sum())
-    return s[:rank], Vt[:rank]
+    longest = np.linalg.eigvalsh(own.T @ own).max(initial=0.0) ** 0.5
+    return triangle, rounding(A) * float(longest)
 
 
 def rounding(A: Floats) -> float:

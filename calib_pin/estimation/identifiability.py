@@ -19,7 +19,7 @@ from functools import cached_property
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.estimation.directions import robot_svd, rounding
+from calib_pin.estimation.directions import robot_values, rounding
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.parameters import ParameterSet
@@ -101,23 +101,16 @@ class Structure:
     @cached_property
     def combinations(self) -> tuple[Combination, ...]:
         """The identifiable combinations, one per rank, in order."""
-        free, scales = self.parameters.free, self.parameters.scales
-        found = np.flatnonzero(free)
-        of_free = np.cumsum(free) - 1
-        order = of_free[[k for k in self.parameters.eliminated if free[k]]]
-        early, ordered = combinations(self.relations[:, order], self.rank)
-        pivots, C = order[early], np.zeros_like(ordered)
-        C[:, order] = ordered
-        scale, at = scales[free], np.argsort(order)
-        sums = []
-        for row, pivot in zip(C, pivots, strict=True):
-            coefficients = row * scale[pivot] / scale
-            terms = [
-                (int(found[k]), float(coefficients[k]))
-                for k in sorted(np.flatnonzero(np.abs(row) > 0.0), key=at.__getitem__)
-            ]
-            sums.append(_readable(terms, self.parameters))
-        return tuple(sums)
+        parameters = self.parameters
+        free, of_free = parameters.free, np.cumsum(parameters.free) - 1
+        order = np.array([k for k in parameters.eliminated if free[k]], np.int64)
+        _, C = combinations(self.relations[:, of_free[order]], self.rank)
+        # The scale of a frame is that of an unknown stand, not of an error.
+        sizes = [expected_size(p.unit) if p.nuisance else p.scale for p in parameters]
+        return tuple(
+            _readable(row, order, np.array(sizes)[order], parameters)
+            for row in C / parameters.scales[order]
+        )
 
     @cached_property
     def unidentifiable(self) -> tuple[int, ...]:
@@ -146,7 +139,7 @@ def structure(
     return Structure(
         singular_values=s,
         rank=rank,
-        robot=robot_svd(J, parameters)[0],
+        robot=robot_values(J, parameters),
         configurations=configurations,
         relations=s[:rank, None] * Vt[:rank],
         parameters=parameters,
@@ -174,14 +167,15 @@ def combinations(A: Floats, rank: int) -> tuple[list[int], Floats]:
     # The threshold moves only if the count shows that it fell on the wrong side.
     for threshold in (1e-7, 1e-8, 1e-6, 1e-9, 1e-5, 1e-10, 1e-4):
         pivots: list[int] = []
-        Q = np.zeros((len(A), 0))
+        basis = np.empty((len(A), len(A)), order="F")
         for k in np.flatnonzero(~absent):
+            Q = basis[:, : len(pivots)]
             rest = A[:, k] - Q @ (Q.T @ A[:, k])
             rest -= Q @ (Q.T @ rest)
             length = np.linalg.norm(rest)
             if length > threshold * norms[k] and len(pivots) < len(A):
+                basis[:, len(pivots)] = rest / length
                 pivots.append(int(k))
-                Q = np.column_stack([Q, rest / length])
         if len(pivots) == rank:
             break
     C = np.zeros((0, A.shape[1]))
@@ -220,26 +214,30 @@ def everett_count(revolute: NDArray[np.bool_], frames: int = 2) -> int:
     return int(4 * revolute.sum() + 2 * (~revolute).sum() + 6 * (frames - 1))
 
 
-def _readable(terms: list[tuple[int, float]], parameters: ParameterSet) -> Combination:
+def _readable(
+    coefficients: Floats,
+    order: NDArray[np.int64],
+    sizes: Floats,
+    parameters: ParameterSet,
+) -> Combination:
     """A sum whose first term has coefficient 1, unless another dwarfs that term.
 
     A tool point close to the last axis, say, makes the first term a hundredth of what
     the others weigh; the sum is then a length and not a strangely large angle.
+
+    Args:
+        coefficients: Of the free parameters in the order of elimination, shape (K,).
+        order: Positions of these parameters, shape (K,).
+        sizes: Their sizes, shape (K,).
+        parameters: The parameters.
     """
-
-    def weight(term: tuple[int, float]) -> float:
-        position, coefficient = term
-        parameter = parameters[position]
-        # The scale of a frame is that of an unknown stand, not of an error.
-        size = expected_size(parameter.unit) if parameter.nuisance else parameter.scale
-        return abs(coefficient) * size
-
-    heaviest = max(map(weight, terms))
-    terms = [term for term in terms if weight(term) > CRUMB * heaviest]
-    lead = terms[0]
-    if heaviest > DWARFED * weight(lead):
-        lead = max(terms, key=weight)
+    weights = np.abs(coefficients) * sizes
+    heaviest = int(np.argmax(weights))
+    kept = np.flatnonzero(weights > CRUMB * weights[heaviest])
+    first = int(kept[0])
+    lead = heaviest if weights[heaviest] > DWARFED * weights[first] else first
+    values = coefficients[kept] / coefficients[lead]
     return Combination(
-        tuple((position, value / lead[1]) for position, value in terms),
-        parameters[lead[0]].unit,
+        tuple(zip(order[kept].tolist(), values.tolist(), strict=True)),
+        parameters[int(order[lead])].unit,
     )

@@ -13,7 +13,7 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.configurations import observable_configurations
-from calib_pin.estimation.directions import nuisance_basis, visible_directions
+from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.identifiability import Structure, structure
 from calib_pin.estimation.model import Configured, ToolPoses
 from calib_pin.estimation.problem import (
@@ -74,8 +74,8 @@ def analyze_structure(
         rng: Random generator.
 
     Returns:
-        The structure of the data alone, and the directions that the data or a prior
-        let the robot move in, shape (P, r).
+        The structure of the data alone, and the whitened Jacobian with the rows of the
+        priors, shape (M, P).
     """
     keys = representative(problem)
     blocks, at = len(keys), []
@@ -89,8 +89,7 @@ def analyze_structure(
         enough = -(-3 * parameters // (blocks * least))
         count = max(-(-LEAST // blocks), FEWEST, enough)
         at.append(observable_configurations(problem, key, theta, count, rng))
-    found, J = structure_at(problem, theta, at)
-    return found, visible_directions(J, problem.parameters)
+    return structure_at(problem, theta, at)
 
 
 @serial_blas

@@ -23,6 +23,7 @@ from calib_pin.estimation.directions import (
     practical_directions,
     pruned,
     robot_singular_values,
+    visible_directions,
 )
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
@@ -172,7 +173,8 @@ class _Stages:
         if any(part.measurement.declaration.contact for part in parts):
             # What is touched must be where the tool can touch it.
             about = np.where(parameters.nuisance, nominal, 0.0)
-        self.structure, self._visible = analyze_structure(problem, about, solver.rng)
+        self.structure, J = analyze_structure(problem, about, solver.rng)
+        self._visible = visible_directions(J, parameters)
         self.stages: list[_Stage] = []
         self.nit = self.nfev = 0
         self._problem, self._solver, self._nominal = problem, solver, nominal

@@ -18,7 +18,7 @@ from typing import Self
 import numpy as np
 
 from calib_pin.errors import InputError, nearest
-from calib_pin.kinematics.spatial import Floats, so3_exp
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Labels, Measurements, Targets
 from calib_pin.parameters import Parameter
 from calib_pin.setup import (
@@ -181,17 +181,17 @@ class Plane(ReferenceObject):
         """
         assert self.normal is not None
         t_1, t_2 = self.tangents
-        first, second = so3_exp(values[0] * t_1), so3_exp(values[1] * t_2)
-        halfway = second @ self.normal
-        normal = first @ halfway
-        by_u = np.cross(t_1, normal)
-        by_v = first @ np.cross(t_2, halfway)
+        (sin_u, sin_v), (cos_u, cos_v) = np.sin(values[:2]), np.cos(values[:2])
+        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
+        halfway = cos_u * self.normal - sin_u * t_2
+        normal = sin_v * t_1 + cos_v * halfway
+        by_u = -cos_v * (sin_u * self.normal + cos_u * t_2)
+        by_v = cos_v * t_1 - sin_v * halfway
         return normal, self.offset + float(values[2]), np.column_stack([by_u, by_v])
 
     def turned_many(self, values: Floats) -> Floats:
         """Normals and offsets at many parameters, shape (S, 3) -> (S, 4)."""
         assert self.normal is not None
-        # Exp(u t_1) Exp(v t_2) n_0 = sin(v) t_1 + cos(v) (cos(u) n_0 - sin(u) t_2)
         # Element by element: a product of matrices may round by the place of a row.
         t_1, t_2 = self.tangents
         u, v = values[:, :1], values[:, 1:2]

@@ -16,6 +16,7 @@ import numpy as np
 
 import calib_pin
 from calib_pin.estimation.configurations import observable_configurations
+from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import nominal_problem
@@ -220,7 +221,8 @@ class Study:
         chain = calib_pin.load_chain(case.robot)
         self.problem = nominal_problem(chain, case.model, case.setup)
         zero = np.zeros(len(self.problem.parameters))
-        self.structure, self.visible = analyze_structure(self.problem, zero, self.rng)
+        self.structure, J = analyze_structure(self.problem, zero, self.rng)
+        self.visible = visible_directions(J, self.problem.parameters)
         self._combined = np.array(
             [c.row(len(zero)) for c in self.structure.combinations]
         )

@@ -9,6 +9,7 @@ from functools import cache
 import numpy as np
 
 import calib_pin
+from calib_pin.estimation.directions import visible_directions
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import analyze_structure
 from calib_pin.estimation.problem import Problem
@@ -98,9 +99,10 @@ class Arm:
         problem = nominal_problem(chain, "pose", setup)
         errors = read_true_errors(calib_pin.robot_file("space7", "errors.yaml"))
         preset, scale = problem.parameters.vector(errors), problem.parameters.scales
-        found, visible = analyze_structure(
+        found, J = analyze_structure(
             problem, np.zeros_like(preset), np.random.default_rng(0)
         )
+        visible = visible_directions(J, problem.parameters)
         rows = np.array([c.row(len(preset)) for c in found.combinations])
         return Arm(
             problem=problem,

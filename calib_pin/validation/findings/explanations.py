@@ -167,7 +167,7 @@ class _Search:
 
     @property
     def _unit(self) -> float:
-        """What one standard deviation is, in the unit of the first quantity."""
+        """One standard deviation of the first quantity, in its unit."""
         problem = self.case.fit.problem
         first = problem.layout.component == 0
         return float(np.sqrt(np.mean(problem.given_sigma[first] ** 2)))

@@ -27,7 +27,7 @@ STEPS = 2
 
 @dataclass(frozen=True)
 class Score:
-    """What further columns explain of the errors that a fit leaves, to first order.
+    """The gain of further columns on the errors that a fit leaves, to first order.
 
     Attributes:
         left: Part of the sum of squares that they leave, 0 to 1.

@@ -9,7 +9,8 @@ from __future__ import annotations
 
 import difflib
 import re
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from itertools import accumulate
 from pathlib import Path
 from typing import Self
@@ -125,10 +126,7 @@ class InputError(CalibPinError):
         super().__init__(one_line(message))
 
     def within(self, file: str) -> Self:
-        """The same error, in a file where one is named.
-
-        For mistakes that a file states and only later work can recognize.
-        """
+        """The same error, in a file where one is named."""
         return type(self)(
             self.reason,
             file=file or None,
@@ -148,6 +146,17 @@ class OptionError(InputError):
 
 class OutputError(CalibPinError):
     """A result cannot be written, or does not read back as it should."""
+
+
+@contextmanager
+def stated_in(file: str) -> Iterator[None]:
+    """Name the file of mistakes that it states and only later work can recognize."""
+    try:
+        yield
+    except InputError as error:
+        if error.file is not None:
+            raise
+        raise error.within(file) from None
 
 
 def nearest(name: str, candidates: Iterable[str]) -> str:

@@ -7,7 +7,13 @@ from pathlib import Path
 from typing import TYPE_CHECKING
 
 from calib_pin.cli.printing import Bar, notice, stage
-from calib_pin.errors import OptionError, RobotError, enumerated, require_known
+from calib_pin.errors import (
+    OptionError,
+    RobotError,
+    enumerated,
+    require_known,
+    stated_in,
+)
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
@@ -220,21 +226,20 @@ def open_measurements(
     from calib_pin.io.measurements import read_measurements
     from calib_pin.observations import Observations
 
-    rows = read_measurements(
-        files,
-        chains,
-        model=setup.model,
-        station_per_file=station_per_file,
-        unnamed=chain,
-        joints=setup.joints,
-        reading=setup.reading,
-        notice=None if quiet else notice,
-        progress=stage(bar, "read"),
-        sockets=[
-            *sockets,
-            *(name for name, s in setup.sockets.items() if s.estimate is False),
-        ],
-    )
+    known = (name for name, s in setup.sockets.items() if s.estimate is False)
+    with stated_in(setup.file):
+        rows = read_measurements(
+            files,
+            chains,
+            model=setup.model,
+            station_per_file=station_per_file,
+            unnamed=chain,
+            joints=setup.joints,
+            reading=setup.reading,
+            notice=None if quiet else notice,
+            progress=stage(bar, "read"),
+            sockets=[*sockets, *known],
+        )
     names = tuple(key.chain for key in rows.keys)
     if chain is not None:
         require_known("measured chain", chain, names)

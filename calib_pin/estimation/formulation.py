@@ -10,7 +10,7 @@ from functools import cache
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import OptionError, nearest
+from calib_pin.errors import OptionError, nearest, stated_in
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.scopes import prefixed, scopes
 from calib_pin.estimation.system import Part, assembled
@@ -115,10 +115,8 @@ def make_parts(
         base, tool = scope.base.estimate, scope.end.estimate
         base = scope.station in outside if base is None else base
         tool = scope.tool in looked_at if tool is None else tool
-        try:
+        with stated_in(setup.file):
             error = _on_tool(created(key.chain, base, tool), scope.offset)
-        except OptionError as mistake:
-            raise mistake.within(setup.file) from None
         columns, index = chains.columns(key.chain), np.zeros(0, np.intp)
         parts.append(Part(error, models[key], key, scope, columns, index))
     return assembled(prefixed(parts))

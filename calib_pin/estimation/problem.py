@@ -10,7 +10,7 @@ from typing import TypeVar
 import numpy as np
 from numpy.typing import NDArray
 
-from calib_pin.errors import OptionError
+from calib_pin.errors import stated_in
 from calib_pin.estimation.elimination import (
     Products,
     Station,
@@ -72,16 +72,13 @@ class Problem(Measured):
     @cached_property
     def parameters(self) -> ParameterSet:
         """Stations, robot, tools and instruments as the setup has them."""
-        try:
+        with stated_in(self.setup.file):
             return (
                 self.given.with_fixed(self.setup.fixed)
                 .with_bounds(self.setup.bounds)
                 .with_priors(self.setup.prior)
                 .without(self.held_at)
             )
-        except OptionError as error:
-            # The names are first known here; the mistake stands in the setup file.
-            raise error.within(self.setup.file) from None
 
     @property
     def count(self) -> int:

@@ -12,7 +12,7 @@ from dataclasses import dataclass, fields, replace
 
 import numpy as np
 
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import require_known, stated_in
 from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.problem import SAMPLE, Problem
 from calib_pin.kinematics.spatial import Floats
@@ -97,14 +97,12 @@ class Solver:
         stated = problem.setup.solver
         self.rng, self._progress = rng, progress
         self.name = stated.name
-        try:
+        with stated_in(problem.setup.file):
             require_known("solver", self.name, SOLVERS)
             known = [option.name for option in fields(DifferentialEvolution)]
             for name in stated.evolution:
                 require_known("option of the solver", name, known)
             self._options = DifferentialEvolution(**stated.evolution)  # type: ignore[arg-type]
-        except OptionError as error:
-            raise error.within(problem.setup.file) from None
 
     @property
     def searches(self) -> bool:

@@ -314,7 +314,7 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
         meant = matching(pattern, chain.joints)
         if not meant:
             raise OptionError(
-                f"limits match no joint of the chain: '{pattern}'"
+                f"limits (--limits) match no joint of the chain: '{pattern}'"
                 f"{nearest(pattern, chain.joints)}",
                 allowed=", ".join(chain.joints),
             )
@@ -322,7 +322,7 @@ def _limits(problem: Problem) -> tuple[Floats, Floats]:
             lower[k], upper[k] = max(lower[k], low), min(upper[k], high)
             if lower[k] > upper[k]:
                 raise OptionError(
-                    f"limits of '{chain.joints[k]}' leave nothing",
+                    f"limits (--limits) of '{chain.joints[k]}' leave nothing",
                     value=[low, high],
                     allowed=f"a part of {chain.lower[k]:.4g} to {chain.upper[k]:.4g}",
                 )

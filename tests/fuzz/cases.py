@@ -6,6 +6,7 @@ import hashlib
 import multiprocessing
 import os
 import random
+import re
 import resource
 import shutil
 import signal
@@ -112,8 +113,9 @@ def fault(case: Case, outcome: Outcome) -> str | None:
         return "unprintable message"
     if status == 1 and len(lines) != 1:
         return f"{len(lines)} lines"
-    if status == 1 and not any(name in err for name in case.files):
-        return "no file named"
+    named = any(name in err for name in case.files) or re.search("--[a-z]", err)
+    if status == 1 and not named:
+        return "neither file nor option named"
     if status == 1 and outcome.changed:
         return "written"
     return None

@@ -81,7 +81,7 @@ TEXTS = {
     "errors.yaml": "joint2.joint-offset.q: 2.0e-3\njoint3.joint-offset.q: -3.0e-3\n",
     "position.yaml": """tip: tool
 model: position
-parameters: [placement, transmission]
+parameters: [joint-offset, transmission]
 frames:
   base: {estimate: true}
   tool: {xyz: [0, 0, 0.1], rpy: [0, 0, 0], estimate: true}
@@ -94,9 +94,9 @@ joints:
   joint2: {joint: joint2, sign: 1, gear: 1, offset: 0.0}
   joint3: {joint: joint3, coupled: {joint2: 0.0}}
 gear_ratios: {joint1: 100, "joint[23]": 81.5}
-fixed: ["*.placement.z", joint3.placement.rx]
-bounds: {"*.placement.x": 0.01, "*.placement.y": [-0.02, 0.01]}
-prior: {"*.placement.*": 0.002}
+fixed: ["*.transmission.sin2", joint3.transmission.gain]
+bounds: {"*.joint-offset.q": 0.01, "*.transmission.sin1": [-0.02, 0.01]}
+prior: {"*.transmission.*": 0.002}
 noise: {position: 1.0e-4}
 solver: {name: gauss-newton}
 loss: auto

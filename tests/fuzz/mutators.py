@@ -114,8 +114,8 @@ def numbers(rng: random.Random, text: str) -> str:
     """A number that is none, that cannot be meant, or just another."""
     for _ in range(rng.choice((1, 1, 1, 3))):
         if found := pick(rng, NUMBER, text):
-            scaled = f"{_float(found[0]) * rng.choice((-1, 1e3, 1e-3, 57.3, 1.1)):.9g}"
-            new = scaled if rng.random() < 0.3 else rng.choice(NUMBERS)
+            scaled = f"{_float(found[0]) * rng.choice((-1, 1e3, 57.3, 1.1, 1.001)):.9g}"
+            new = scaled if rng.random() < 0.5 else rng.choice(NUMBERS)
             text = replaced(found, new)
     return text
 

@@ -210,6 +210,7 @@ class Workspace:
             raise InputError(
                 f"none of {taken} configurations within the joint limits can be "
                 f"planned: {reasons}",
+                file=self.problem.setup.file or None,
                 allowed="wider limits, a larger region, or fewer obstacles",
             )
         return Candidates(found, aim, taken)

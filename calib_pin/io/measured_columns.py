@@ -20,13 +20,15 @@ from calib_pin.io.columns import (
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models import MEASUREMENT_MODELS, declared
+from calib_pin.measurement_models.orientations import quaternions
 from calib_pin.observations import AT, BlockKey, Labels
-from calib_pin.setup import WORLD
+from calib_pin.setup import STATED, WORLD, OrientationSetup
 
-QUATERNION = {"qx": PURE, "qy": PURE, "qz": PURE, "qw": PURE}
-ROTATION_VECTOR = {"rx": ANGLE, "ry": ANGLE, "rz": ANGLE}
-FIXED_AXES = {"roll": ANGLE, "pitch": ANGLE, "yaw": ANGLE}
-ORIENTATIONS = (QUATERNION, ROTATION_VECTOR, FIXED_AXES)
+ORIENTATIONS: Mapping[str, Mapping[str, Kind]] = {
+    way: dict.fromkeys(names, PURE if way == "quaternion" else ANGLE)
+    for way, names in STATED.items()
+}
+"""The kinds of the columns of an orientation, by the ways to state it."""
 
 
 def read_kinds(table: Table, kinds: Mapping[str, Kind]) -> Floats:
@@ -38,38 +40,43 @@ def read_kinds(table: Table, kinds: Mapping[str, Kind]) -> Floats:
     return values
 
 
-def orientation_columns(table: Table) -> Mapping[str, Kind]:
-    """The columns of the one complete orientation of a file."""
-    ways = " or ".join(",".join(kinds) for kinds in ORIENTATIONS)
-    present = [kinds for kinds in ORIENTATIONS if any(name in table for name in kinds)]
-    if not present:
+def orientation_columns(table: Table) -> str:
+    """The one way in which a file states orientations, one of `STATED`."""
+    ways = " or ".join(",".join(kinds) for kinds in STATED.values())
+    present = {
+        way: [name for name in kinds if name in table] for way, kinds in STATED.items()
+    }
+    stated = [way for way, names in present.items() if names]
+    if not stated:
         raise table.error("model 'pose' needs an orientation", allowed=ways)
-    if len(present) > 1:
-        names = [next(name for name in kinds if name in table) for kinds in present]
+    if len(stated) > 1:
+        names = [present[way][0] for way in stated]
         raise table.error(
             f"the orientation is given more than once, by {' and by '.join(names)}",
             names[1],
             f"one of {ways}",
         )
-    missing = [name for name in present[0] if name not in table]
+    missing = [name for name in STATED[stated[0]] if name not in table]
     if missing:
-        whole = ", ".join(present[0])
+        whole = ", ".join(STATED[stated[0]])
         raise table.error(
             f"of the orientation {whole} the file lacks {', '.join(missing)}",
             missing[0],
         )
-    return present[0]
+    return stated[0]
 
 
-def read_quaternions(table: Table, orientation: Mapping[str, Kind]) -> Floats:
-    """Unit quaternions qx qy qz qw with qw >= 0, shape (N, 4)."""
-    given = read_kinds(table, orientation)
-    if orientation is ROTATION_VECTOR:
-        half = 0.5 * np.linalg.norm(given, axis=1, keepdims=True)
-        # sinc is exact at zero angle.
-        given = np.hstack([0.5 * np.sinc(half / np.pi) * given, np.cos(half)])
-    elif orientation is FIXED_AXES:
-        given = _from_fixed_axes(given)
+def read_quaternions(
+    table: Table, way: str, reading: OrientationSetup | None = None
+) -> Floats:
+    """Unit quaternions qx qy qz qw with qw >= 0, shape (N, 4).
+
+    Args:
+        table: The file.
+        way: How it states orientations, one of `STATED`.
+        reading: What these columns hold instead of what they say.
+    """
+    given = quaternions(read_kinds(table, ORIENTATIONS[way]), way, reading)
     with np.errstate(over="ignore"):
         norm = np.linalg.norm(given, axis=1)
     row = int(np.argmax(np.abs(norm - 1.0)))
@@ -78,29 +85,15 @@ def read_quaternions(table: Table, orientation: Mapping[str, Kind]) -> Floats:
             f"the quaternion has the norm {norm[row]:.6g}",
             file=table.file,
             line=int(table.lines[row]),
-            column=", ".join(orientation),
-            value=", ".join(table.cell(c, row) for c in orientation),
+            column=", ".join(STATED[way]),
+            value=", ".join(table.cell(c, row) for c in STATED[way]),
             allowed="a norm of 0.99 to 1.01",
         )
     # Dividing a unit quaternion once more may change its last bit, and a file that was
     # written from here must read back as it was.
     norm[np.abs(norm - 1.0) < 1e-14] = 1.0
-    quaternions = given / norm[:, None]
-    return np.asarray(np.where(quaternions[:, 3:] < 0.0, -quaternions, quaternions))
-
-
-def _from_fixed_axes(angles: Floats) -> Floats:
-    """Quaternions of R = Rz(yaw) Ry(pitch) Rx(roll), shape (N, 3) -> (N, 4)."""
-    (sr, sp, sy), (cr, cp, cy) = np.sin(0.5 * angles).T, np.cos(0.5 * angles).T
-    return np.stack(
-        [
-            sr * cp * cy - cr * sp * sy,
-            cr * sp * cy + sr * cp * sy,
-            cr * cp * sy - sr * sp * cy,
-            cr * cp * cy + sr * sp * sy,
-        ],
-        axis=1,
-    )
+    unit = given / norm[:, None]
+    return np.asarray(np.where(unit[:, 3:] < 0.0, -unit, unit))
 
 
 POSITION = ("x", "y", "z")
@@ -109,7 +102,7 @@ POSITION = ("x", "y", "z")
 KINDS: Mapping[str, Kind] = {kind.si: kind for kind in (LENGTH, ANGLE, PIXEL)}
 """How numbers of a unit may be written."""
 
-ORIENTED = frozenset(name for kinds in ORIENTATIONS for name in kinds)
+ORIENTED = frozenset(name for names in STATED.values() for name in names)
 """Columns of an orientation, in any of the ways."""
 
 
@@ -151,7 +144,10 @@ SMALLEST_SIGMA = {"m": 1e-12, "rad": 1e-12, "px": 1e-9}
 
 
 def read_values(
-    table: Table, model: str, spare: Sequence[str]
+    table: Table,
+    model: str,
+    spare: Sequence[str],
+    orientation: OrientationSetup | None = None,
 ) -> tuple[tuple[str, ...], Floats]:
     """The measured values of a model.
 
@@ -159,6 +155,7 @@ def read_values(
         table: The file.
         model: Name of the model.
         spare: Columns that are no joints, for a hint at a missing one.
+        orientation: What columns of an orientation hold instead of what they say.
 
     Returns:
         The columns that were used, and the values in the layout of
@@ -172,9 +169,9 @@ def read_values(
     values = read_kinds(table, kinds)
     if not declared(model).oriented:
         return tuple(kinds), values
-    orientation = orientation_columns(table)
-    quaternions = read_quaternions(table, orientation)
-    return (*kinds, *orientation), np.hstack([values, quaternions])
+    way = orientation_columns(table)
+    turned = read_quaternions(table, way, orientation)
+    return (*kinds, *STATED[way]), np.hstack([values, turned])
 
 
 def read_sigma(table: Table, model: str) -> tuple[Mapping[str, str], Floats | None]:
@@ -365,7 +362,7 @@ def _check_pose_sigma(table: Table, model: str) -> None:
         raise table.error(
             "'sigma' cannot hold for lengths and angles at once", "sigma", allowed
         )
-    for name in (*QUATERNION, *FIXED_AXES):
+    for name in (*STATED["quaternion"], *STATED["roll-pitch-yaw"]):
         if f"sigma_{name}" in table:
             raise table.error(
                 "the sigma of an orientation is that of its rotation vector in the "

@@ -38,7 +38,7 @@ from calib_pin.observations import (
     Observations,
 )
 from calib_pin.progress import Progress
-from calib_pin.setup import WORLD, JointMap
+from calib_pin.setup import WORLD, JointMap, OrientationSetup
 
 POSITIONS = 0.95
 """Part of the time after which joint positions are read."""
@@ -48,6 +48,7 @@ def read_blocks(
     table: Table,
     chains: Chains,
     joints: Mapping[str, JointMap],
+    orientation: OrientationSetup | None = None,
     asked: Sequence[str] = (),
     station: str | None = None,
     unnamed: str = "",
@@ -64,6 +65,7 @@ def read_blocks(
         table: The file.
         chains: The chains that it may name.
         joints: How file columns become joints; others are taken by their own name.
+        orientation: What columns of an orientation hold instead of what they say.
         asked: Measurement models of a file without a column `model`.
         station: Station of all measurements; None takes the column `station`.
         unnamed: Chain of measurements that name none.
@@ -106,7 +108,9 @@ def read_blocks(
             _check_blank(own, key.model, anybody - read[key.model])
             own = _without_blank(own, set(needed(key.model)))
             texts = {name: labels[rows].map(str) for name, labels in names.items()}
-        part, columns = _read_block(own, chains, key, q[rows], texts, spare)
+        part, columns = _read_block(
+            own, chains, key, q[rows], texts, spare, orientation
+        )
         parts.append(part)
         used |= columns
     ignored = table.ignored([name for name in spare if name not in used])
@@ -206,9 +210,10 @@ def _read_block(
     q: Floats,
     texts: Mapping[str, Labels],
     spare: Sequence[str],
+    orientation: OrientationSetup | None,
 ) -> tuple[Measurements, set[str]]:
     """Measurements of one block, and the columns that hold them."""
-    value_columns, values = read_values(table, key.model, spare)
+    value_columns, values = read_values(table, key.model, spare, orientation)
     check_targets(table, key, texts["target"])
     # How far apart points stand that stand still has nothing to do with the robot.
     if "x" in value_columns and key.chain != WORLD:

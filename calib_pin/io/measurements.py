@@ -118,7 +118,15 @@ def read_measurements(
         tell = portion(progress, k / len(files), 1.0 / len(files))
         table = read_table(file, portion(tell, 0.0, CUT))
         parts += read_blocks(
-            table, chains, joints, asked, station, unnamed, notice, tell
+            table,
+            chains,
+            joints,
+            reading.orientation if reading else None,
+            asked,
+            station,
+            unnamed,
+            notice,
+            tell,
         )
     parts.sort(key=lambda part: [*asked, part.model].index(part.model))
     given = () if chains.names == ("",) else chains.names

@@ -18,7 +18,7 @@ from calib_pin.io.joint_columns import (
     spare_columns,
 )
 from calib_pin.io.measured_columns import (
-    ORIENTATIONS,
+    ORIENTED,
     POSITION,
     check_spread,
     read_values,
@@ -99,7 +99,7 @@ def read_target_file(
     """
     table = read_table(path)
     sources = joint_sources(chain, joints)
-    oriented = any(name in table for kinds in ORIENTATIONS for name in kinds)
+    oriented = any(name in table for name in ORIENTED)
     has_targets = oriented or any(name in table for name in POSITION)
     has_joints = any(name in table for source in sources for name in source.kinds)
     if not has_targets and not has_joints:

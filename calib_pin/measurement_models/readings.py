@@ -12,7 +12,9 @@ from dataclasses import fields, replace
 import numpy as np
 
 from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.kinematics.spatial import from_quaternion
 from calib_pin.measurement_models.catalog import declared
+from calib_pin.measurement_models.orientations import inverse
 from calib_pin.observations import (
     Booleans,
     Floats,
@@ -131,6 +133,17 @@ def _lengths(block: Measurements) -> Booleans:
     units = [*declared(block.model).columns.values()]
     units += [""] * (block.values.shape[1] - len(units))
     return np.array([unit == "m" for unit in units], bool)
+
+
+def _inverted(data: Observations, reading: ReadingSetup) -> Observations:
+    def change(block: Measurements, lengths: Booleans) -> Floats:
+        if not declared(block.model).oriented:
+            return block.values
+        R = from_quaternion(block.values[:, 3:])
+        position = -np.einsum("nji,nj->ni", R, block.values[:, :3])
+        return np.hstack([position, inverse(block.values[:, 3:])])
+
+    return with_values(data, change)
 
 
 def _exchanged(data: Observations, reading: ReadingSetup) -> Observations:
@@ -267,6 +280,7 @@ def _left(data: Observations, reading: ReadingSetup) -> Observations:
 
 
 STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
+    "inverted": _inverted,
     "exchanged": _exchanged,
     "converted": _converted,
     "reversed": _reversed,

@@ -18,7 +18,14 @@ from calib_pin.setup.constraints import (
     Section,
     listed,
 )
-from calib_pin.setup.reading import AXES, ConvertedSetup, ReadingSetup
+from calib_pin.setup.reading import (
+    AXES,
+    HELD,
+    STATED,
+    ConvertedSetup,
+    OrientationSetup,
+    ReadingSetup,
+)
 from calib_pin.setup.references import (
     WORLD,
     AnchorSetup,
@@ -50,6 +57,8 @@ from calib_pin.setup.workspace import Ball, Cone, Obstacle, RangerSetup, Region
 
 __all__ = [
     "AXES",
+    "HELD",
+    "STATED",
     "WORLD",
     "AnchorSetup",
     "Ball",
@@ -63,6 +72,7 @@ __all__ = [
     "Frames",
     "JointMap",
     "Obstacle",
+    "OrientationSetup",
     "Payload",
     "PlaneSetup",
     "PointSetup",

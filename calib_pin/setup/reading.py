@@ -16,6 +16,7 @@ from calib_pin.setup.values import (
     LARGEST_LENGTH,
     Flag,
     Number,
+    OneOf,
     Positive,
     Text,
     Triple,
@@ -25,6 +26,23 @@ from calib_pin.setup.values import (
 
 AXES = ("x", "y", "z")
 """Axes of a position, in the order of its values."""
+
+STATED = {
+    "quaternion": ("qx", "qy", "qz", "qw"),
+    "rotation-vector": ("rx", "ry", "rz"),
+    "roll-pitch-yaw": ("roll", "pitch", "yaw"),
+}
+"""The ways in which a file may state an orientation, and their columns."""
+
+ORDERS = [a + b + c for a in "xyz" for b in "xyz" for c in "xyz" if a != b != c]
+
+HELD = (
+    "wxyz",
+    "rotation-vector",
+    *(f"{kind}-{order}" for kind in ("extrinsic", "intrinsic") for order in ORDERS),
+    *(f"rpy-{order}" for order in ("xzy", "yxz", "yzx", "zxy")),
+)
+"""What the columns of an orientation may hold instead."""
 
 
 def _axes(value: object) -> tuple[str, ...]:
@@ -99,6 +117,44 @@ class ConvertedSetup(Section):
             raise ValueError("lines: [first, last], or each: true")
 
 
+def _held(value: object) -> str:
+    if not isinstance(value, str) or value not in HELD:
+        raise ValueError(
+            "wxyz, rotation-vector, extrinsic- or intrinsic- with axes such as xyz or "
+            "zyz, rpy-xzy, rpy-yxz, rpy-yzx, rpy-zxy"
+        )
+    return value
+
+
+@dataclass(frozen=True)
+class OrientationSetup(Section):
+    """What the columns of an orientation hold, where their names say something else.
+
+    Attributes:
+        columns: The columns that it is about, by what their names say; files with
+            others are read as they are. Left out for all.
+        hold: What their numbers are: `wxyz` a quaternion in this order,
+            `rotation-vector`, `intrinsic-zyx` or `extrinsic-zyx` angles in the order
+            of these rotations about turned or fixed axes, `rpy-yxz` angles about x, y
+            and z that are applied about fixed axes in the order y, x, z.
+        factor: Factor that brings their angles to the unit of the column.
+        inverse: Whether they hold the inverse of the rotation.
+    """
+
+    columns: Annotated[str | None, OneOf(tuple(STATED))] = None
+    hold: Annotated[str | None, Checked(_held, {"enum": list(HELD)})] = None
+    factor: Annotated[float, Positive()] = 1.0
+    inverse: Flag = False
+
+    def _check(self) -> None:
+        fits = (self.hold == "wxyz") == (self.columns == "quaternion")
+        if self.hold is not None and (self.columns is None or not fits):
+            raise ValueError(
+                "with 'hold' also 'columns': quaternion for wxyz, rotation-vector or "
+                "roll-pitch-yaw for angles"
+            )
+
+
 @dataclass(frozen=True)
 class ReadingSetup(Section):
     """How measurement files are to be read where they are not as their columns say.
@@ -106,8 +162,8 @@ class ReadingSetup(Section):
     All keys together are applied in the order in which they stand here.
 
     Attributes:
-        orientation: How the columns of an orientation are to be understood, where
-            their names say something else.
+        orientation: What the columns of an orientation hold.
+        inverted: Whether poses are those of the measurement frame in the tool.
         exchanged: Pairs of lines whose joint positions are exchanged.
         converted: Measurements in another unit.
         reversed: Whether the joint positions of every file stand in reversed order.
@@ -124,7 +180,8 @@ class ReadingSetup(Section):
         without: Lines that are left out.
     """
 
-    orientation: Text | None = None
+    orientation: OrientationSetup | None = None
+    inverted: Flag = False
     exchanged: Pairs = ()
     converted: tuple[ConvertedSetup, ...] = ()
     reversed: Flag = False

@@ -1,0 +1,124 @@
+"""A defect of a user's data, and the measurements that it spoils."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping
+from dataclasses import dataclass, field, replace
+from functools import cache
+from pathlib import Path
+from tempfile import TemporaryDirectory
+from typing import Any
+
+import numpy as np
+
+from benchmarks.verdict.jobs import ROBOTS, Job, draw
+from calib_pin.estimation.evidence import Finding
+from calib_pin.io.measurements import write_measurements
+from calib_pin.observations import Measurements, Observations
+from calib_pin.setup import Setup
+
+ROBOT = "example:ur10_robot"
+"""A robot like the one of the issue."""
+
+CONFIGURATIONS = 60
+"""Measured configurations, as in the issue."""
+
+NOISE = 1e-4
+"""Standard deviation of lengths [m] and angles [rad], as in the issue."""
+
+PIXEL = 0.1
+"""The same of an image [px]."""
+
+
+@dataclass(frozen=True)
+class Input:
+    """What a user hands over.
+
+    Attributes:
+        files: Measurements, or the text of a file, by its name.
+        setup: The user's setup.
+        validation: Further files, for validation.
+        right: Whether a finding with a right code also says the right thing, such as
+            the joint, the line or the factor.
+        robot: Another robot than that of the job.
+    """
+
+    files: Mapping[str, Measurements | Observations | str]
+    setup: Setup
+    validation: Mapping[str, Measurements | Observations | str] = field(
+        default_factory=dict
+    )
+    right: Callable[[Finding], bool] = lambda finding: True
+    robot: str = ROBOT
+
+
+def sixty(job: Job, rng: np.random.Generator) -> Measurements:
+    """Measurements at random configurations."""
+    return job.measured(rng, CONFIGURATIONS)
+
+
+@dataclass(frozen=True)
+class Defect:
+    """A defect of three sizes.
+
+    Attributes:
+        name: Its name.
+        sizes: Three sizes by how they are told, such as `5 mm`.
+        models: Measurement models that can have it.
+        codes: Codes of findings that name it rightly, of any severity; `refused` where
+            the reader may refuse it with a message that satisfies `Input.right`.
+        spoil: Input with the defect, by the job, its clean measurements, a random
+            generator and the size.
+        also: Codes of other findings that are true then as well.
+        measured: Clean measurements of a job.
+        cost: The cost of a size in standard deviations of the noise, where the robot
+            that is calibrated does not show it.
+    """
+
+    name: str
+    sizes: Mapping[str, Any]
+    models: tuple[str, ...]
+    codes: tuple[str, ...]
+    spoil: Callable[[Job, Measurements, np.random.Generator, Any], Input]
+    also: tuple[str, ...] = ()
+    measured: Callable[[Job, np.random.Generator], Measurements] = sixty
+    cost: Callable[[Job, Any], float] | None = None
+
+    @property
+    def cells(self) -> tuple[tuple[str, str], ...]:
+        """Models and sizes that take turns."""
+        return tuple((model, size) for size in self.sizes for model in self.models)
+
+
+@cache
+def job_of(seed: int, model: str) -> Job:
+    """The job of a seed: the robot of the issue, 3 mm off, with an instrument."""
+    noise = PIXEL if model == "camera" else NOISE
+    job = draw(
+        seed, robot=ROBOT, model=model, size=1.0, noise=noise, stated=False, least=60
+    )
+    base, tip = ROBOTS[ROBOT]
+    return replace(job, setup=replace(job.setup, model=model, base=base, tip=tip))
+
+
+def told(*words: str) -> Callable[[Finding], bool]:
+    """Whether a finding says all words, in its message, evidence or remedy."""
+
+    def right(finding: Finding) -> bool:
+        text = f"{finding.message} {dict(finding.evidence)} {finding.remedy}"
+        return all(word in text for word in words)
+
+    return right
+
+
+def line(measurement: int) -> int:
+    """Line of a measurement in its file, by its number from 0; a header precedes."""
+    return measurement + 2
+
+
+def text_of(rows: Measurements | Observations) -> str:
+    """Measurements as the text of a file."""
+    with TemporaryDirectory() as folder:
+        path = Path(folder) / "rows.csv"
+        write_measurements(path, rows)
+        return path.read_text(encoding="utf-8")

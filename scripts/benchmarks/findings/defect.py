@@ -21,10 +21,13 @@ ROBOT = "example:ur10_robot"
 """A robot like the one of the issue."""
 
 CONFIGURATIONS = 60
-"""Measured configurations, as in the issue."""
+"""Fewest measured configurations, as many as in the issue."""
 
 NOISE = 1e-4
 """Standard deviation of lengths [m] and angles [rad], as in the issue."""
+
+FILE = "measured.csv"
+"""Name of the only file."""
 
 PIXEL = 0.1
 """The same of an image [px]."""
@@ -52,9 +55,21 @@ class Input:
     robot: str = ROBOT
 
 
-def sixty(job: Job, rng: np.random.Generator) -> Measurements:
-    """Measurements at random configurations."""
-    return job.measured(rng, CONFIGURATIONS)
+def usual(job: Job, rng: np.random.Generator) -> Measurements:
+    """Measurements at random configurations, enough of them."""
+    return job.measured(rng, max(CONFIGURATIONS, 3 * job.minimal))
+
+
+def one_path(job: Job, rng: np.random.Generator) -> Measurements:
+    """Measurements along smooth motions through the workspace."""
+    count = max(2 * CONFIGURATIONS, 5 * job.minimal)
+    chain, t = job.chain, np.linspace(0.0, 1.0, count)[:, None]
+    wave = np.zeros((count, len(chain.joints)))
+    for turns in (1.0, 2.0, 3.0):
+        phase = rng.uniform(0.0, 2.0 * np.pi, wave.shape[1])
+        wave += 0.3 * np.sin(2.0 * np.pi * turns * t + phase)
+    middle, half = (chain.lower + chain.upper) / 2, (chain.upper - chain.lower) / 2
+    return job.measured(rng, q=middle + half * wave)
 
 
 @dataclass(frozen=True)
@@ -81,7 +96,7 @@ class Defect:
     codes: tuple[str, ...]
     spoil: Callable[[Job, Measurements, np.random.Generator, Any], Input]
     also: tuple[str, ...] = ()
-    measured: Callable[[Job, np.random.Generator], Measurements] = sixty
+    measured: Callable[[Job, np.random.Generator], Measurements] = usual
     cost: Callable[[Job, Any], float] | None = None
 
     @property
@@ -99,6 +114,15 @@ def job_of(seed: int, model: str) -> Job:
     )
     base, tip = ROBOTS[ROBOT]
     return replace(job, setup=replace(job.setup, model=model, base=base, tip=tip))
+
+
+def given(
+    job: Job,
+    rows: Measurements | Observations | str,
+    right: Callable[[Finding], bool] = lambda finding: True,
+) -> Input:
+    """One file, and the setup of a job."""
+    return Input({FILE: rows}, job.setup, right=right)
 
 
 def told(*words: str) -> Callable[[Finding], bool]:

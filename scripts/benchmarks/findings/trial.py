@@ -13,7 +13,7 @@ import yaml
 
 import calib_pin
 from benchmarks.criterion import Criterion, Line, at_most, named
-from benchmarks.findings.defect import NOISE, Defect, Input, job_of
+from benchmarks.findings.defect import NOISE, Defect, Input, given, job_of
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
@@ -82,18 +82,18 @@ def criterion(number: int, defect: Defect) -> Criterion[Outcome]:
     )
 
 
-def calibrated(given: Input) -> CalibrationResult:
+def calibrated(of: Input) -> CalibrationResult:
     """The result of an input that goes through files."""
     with TemporaryDirectory() as folder:
-        chains = open_chains(given.robot, given.setup)
+        chains = open_chains(of.robot, of.setup)
         chains, rows = open_measurements(
-            written(Path(folder), given.files), chains, given.setup, quiet=True
+            written(Path(folder), of.files), chains, of.setup, quiet=True
         )
         validation = None
-        if given.validation:
-            paths = written(Path(folder), given.validation)
-            _, validation = open_measurements(paths, chains, given.setup, quiet=True)
-        return calib_pin.calibrate(chains, rows, given.setup, validation=validation)
+        if of.validation:
+            paths = written(Path(folder), of.validation)
+            _, validation = open_measurements(paths, chains, of.setup, quiet=True)
+        return calib_pin.calibrate(chains, rows, of.setup, validation=validation)
 
 
 def written(
@@ -115,7 +115,7 @@ def _clean(
     """Measurements without the defect, their outcome, and codes of what is found."""
     job = job_of(seed, model)
     rows = measured(job, stream(seed, 1))
-    result = calibrated(Input({"measured.csv": rows}, job.setup))
+    result = calibrated(given(job, rows))
     return rows, judged(job, result), {f.code for f in result.findings}
 
 
@@ -125,10 +125,10 @@ def _run(defect: Defect, number: int) -> Outcome:
     job = job_of(seed, model)
     rows, clean, usual = _clean(defect.measured, seed, model)
     value = defect.sizes[size]
-    given = defect.spoil(job, rows, stream(seed, 3), value)
+    spoiled = defect.spoil(job, rows, stream(seed, 3), value)
     cost, verdict = np.inf, "refused"
     try:
-        result = calibrated(given)
+        result = calibrated(spoiled)
     except CalibPinError as error:
         findings: tuple[Finding, ...] = (Finding("refused", "error", str(error)),)
     else:
@@ -142,17 +142,17 @@ def _run(defect: Defect, number: int) -> Outcome:
     known = {*defect.codes, *defect.also, *usual}
     naming = [f for f in findings if f.code in defect.codes]
     wrong = [f.code for f in findings if f.code not in known and f.severity != "info"]
-    wrong += [f"{f.code}!" for f in naming if not given.right(f)]
+    wrong += [f"{f.code}!" for f in naming if not spoiled.right(f)]
     said = [f"{f.severity} {f.code}: {f.message}; {f.remedy}" for f in findings]
     repaired = None
     if any(f.setup for f in findings):
-        repaired, more = _repaired(job, given, findings, clean)
+        repaired, more = _repaired(job, spoiled, findings, clean)
         said.append(more)
     return Outcome(
         number,
         (model, size),
         float(cost),
-        any(map(given.right, naming)),
+        any(map(spoiled.right, naming)),
         tuple(dict.fromkeys(wrong)),
         verdict,
         repaired,
@@ -169,13 +169,13 @@ def _judged(job: Job, result: CalibrationResult) -> Judged:
 
 
 def _repaired(
-    job: Job, given: Input, findings: Sequence[Finding], clean: Judged
+    job: Job, spoiled: Input, findings: Sequence[Finding], clean: Judged
 ) -> tuple[bool, str]:
     """Whether a job is good and right with the lines of its findings."""
     try:
         for finding in findings:
-            given = replace(given, setup=stated(given.setup, finding))
-        result = calibrated(given)
+            spoiled = replace(spoiled, setup=stated(spoiled.setup, finding))
+        result = calibrated(spoiled)
     except CalibPinError as error:
         return False, f"repaired: refused: {error}"
     found = _judged(job, result)

@@ -1,6 +1,6 @@
 """`scripts/benchmark [NAMES] [OPTIONS]`: run the benchmarks that are named, or all.
 
-Options belong to the benchmark that knows them, `guard` or `verdict`.
+Options belong to the benchmark that knows them, `guard`, `verdict` or `findings`.
 """
 
 from __future__ import annotations
@@ -10,6 +10,7 @@ import sys
 from benchmarks import (
     camera,
     evolution,
+    findings,
     fit,
     guard,
     jobs,
@@ -35,6 +36,7 @@ BENCHMARKS = {
     "report": report.main,
     "guard": guard.main,
     "verdict": verdict.main,
+    "findings": findings.main,
 }
 
 

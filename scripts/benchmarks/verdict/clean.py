@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, at_most
+from benchmarks.criterion import Criterion, Line, at_most
 from benchmarks.verdict.jobs import draw, stream
 from benchmarks.verdict.truth import Outcome, judged, refused
 

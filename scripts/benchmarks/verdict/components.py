@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, between, missing
+from benchmarks.criterion import Criterion, Line, between, missing
 from benchmarks.verdict.jobs import BASE, NOISE, TOOL, draw, log_uniform, stream
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.spatial import Floats

@@ -12,7 +12,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, between, square
+from benchmarks.criterion import Criterion, Line, between, square
 from benchmarks.verdict.jobs import Job, draw, stream
 from benchmarks.verdict.truth import WORKSPACE, position_error
 from calib_pin.estimation.formulation import nominal_problem
@@ -92,7 +92,7 @@ def run(number: int) -> Coverage:
     elif kind == "far first guess":
         setup = far(setup, rng)
     elif kind == "unmodeled":
-        job = _unmodeled(job, rng, length * float(rng.uniform(*UNMODELED)))
+        job = unmodeled(job, rng, length * float(rng.uniform(*UNMODELED)))
     try:
         rows = job.measured(rng, q=q, repeats=repeats)
         result = calib_pin.calibrate(job.chain, rows, setup, validate=False)
@@ -141,7 +141,7 @@ def far(setup: Setup, rng: np.random.Generator) -> Setup:
     return replace(setup, anchors=anchors)
 
 
-def _unmodeled(job: Job, rng: np.random.Generator, size: float) -> Job:
+def unmodeled(job: Job, rng: np.random.Generator, size: float) -> Job:
     """A robot whose gears err, by so much at the tool (a component) [m]."""
     setup = replace(job.problem.setup, parameters=("placement", "transmission"))
     problem = nominal_problem(job.chain, job.model, setup)

@@ -11,8 +11,8 @@ from dataclasses import replace
 import numpy as np
 
 import calib_pin
+from benchmarks.criterion import Criterion, Line, between, missing
 from benchmarks.timing import DATA
-from benchmarks.verdict.criterion import Criterion, Line, between, missing
 from calib_pin.setup import DistanceSetup, Setup
 from calib_pin.validation.result import CalibrationResult
 

@@ -8,7 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, at_most, between
+from benchmarks.criterion import Criterion, Line, at_most, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import MODELS, draw, log_uniform, stream
 from benchmarks.verdict.truth import Outcome, judged, refused

@@ -9,7 +9,7 @@ from dataclasses import replace
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, between
+from benchmarks.criterion import Criterion, Line, between
 from benchmarks.verdict.defects import GROSS, spoil
 from benchmarks.verdict.jobs import Job, draw, log_uniform, stream
 from calib_pin.observations import Measurements
@@ -60,4 +60,4 @@ def judge(found: Sequence[dict[str, float]]) -> Iterator[Line]:
     yield Line("clean, auto", f"{1e3 * best['auto']:.0f} ms of processor time")
 
 
-CRITERION = Criterion(8, "Time", 3, run, judge)
+CRITERION = Criterion(8, "Time", 3, run, judge, alone=True)

@@ -6,7 +6,7 @@ from collections import Counter
 from collections.abc import Iterator, Sequence
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, at_most, named
+from benchmarks.criterion import Criterion, Line, at_most, named
 from benchmarks.verdict.defects import DEFECTS
 from benchmarks.verdict.jobs import draw
 from benchmarks.verdict.truth import Outcome, judged, refused

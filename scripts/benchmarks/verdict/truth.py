@@ -146,11 +146,20 @@ def position_error(job: Job, model: CalibratedModel | None, q: Floats) -> float:
         job: The job, with the true robot.
         model: The calibrated robot; None for the nominal one.
         q: Configurations, shape (N, n).
+
+    Raises:
+        ValueError: If the model has joints that the job does not have.
     """
     part = job.problem.only
     error, (truth, _) = part.error, part.values(job.theta)
     A = error.poses(q, truth)
-    B = error.poses(q, 0.0 * truth) if model is None else model.of().poses(q)
+    if model is None:
+        B = error.poses(q, 0.0 * truth)
+    else:
+        own = model.of()
+        # A wrong tip leaves joints out.
+        joints = [job.chain.joints.index(name) for name in own.error.chain.joints]
+        B = own.poses(q[:, joints])
     B = absorbed(A, B, left=True, right=True)
     squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
     return float(np.sqrt(squares.mean()))

@@ -7,7 +7,7 @@ from collections.abc import Iterator, Sequence
 import numpy as np
 
 import calib_pin
-from benchmarks.verdict.criterion import Criterion, Line, at_most, square
+from benchmarks.criterion import Criterion, Line, at_most, square
 from benchmarks.verdict.defects import ROWS, narrow, path, stuck
 from benchmarks.verdict.jobs import draw, stream
 from benchmarks.verdict.truth import Outcome, judged, refused

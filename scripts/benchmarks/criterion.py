@@ -1,4 +1,4 @@
-"""A criterion of the verdict: its jobs, and lines with a figure beside a limit."""
+"""A criterion of a benchmark: its jobs, and lines with a figure beside a limit."""
 
 from __future__ import annotations
 
@@ -39,7 +39,7 @@ class Line:
 
 @dataclass(frozen=True)
 class Criterion(Generic[T]):
-    """One of the eight criteria.
+    """One of the criteria.
 
     Attributes:
         number: Its number.
@@ -48,6 +48,7 @@ class Criterion(Generic[T]):
         run: Outcome of the job of a number.
         judge: Lines about the outcomes.
         least: Jobs that a partial run has at least.
+        alone: Whether its jobs need the machine for themselves, to read clocks.
     """
 
     number: int
@@ -56,6 +57,7 @@ class Criterion(Generic[T]):
     run: Callable[[int], T]
     judge: Callable[[Sequence[T]], Iterator[Line]]
     least: int = 1
+    alone: bool = False
 
 
 def at_most(

@@ -1,0 +1,7 @@
+"""Defects of measured values."""
+
+from __future__ import annotations
+
+from benchmarks.findings.defect import Defect
+
+DEFECTS: tuple[Defect, ...] = ()

@@ -12,6 +12,7 @@ compiled functions call none of another file, and files share this layout alone.
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import suppress
 from math import cos, sin
 from typing import Any, TypeVar, cast
 
@@ -19,6 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from calib_pin.compiled.cache import Cache
 from calib_pin.kinematics.spatial import Floats
 
 Booleans = NDArray[np.bool_]
@@ -44,10 +46,9 @@ def compiled(function: _Function) -> _Function:
         "error_model": "numpy",
         "fastmath": {"reassoc", "contract", "nsz", "arcp"},
     }
-    try:
-        jit = njit(**options, cache=True)(function)
-    except RuntimeError:  # No folder to keep it in: a read-only installation.
-        jit = njit(**options)(function)
+    jit = njit(**options)(function)
+    with suppress(RuntimeError):  # No folder to keep it in: a read-only installation.
+        jit._cache = Cache(function)
     return cast(_Function, jit)
 
 

@@ -10,7 +10,7 @@ import numpy as np
 import pinocchio as pin
 import pytest
 
-from calib_pin.compiled import blocks, comparisons, kernels, link_kernels
+from calib_pin.compiled import comparisons, kernels, link_kernels
 from calib_pin.compiled.blocks import BLOCK, motions
 from calib_pin.errors import RobotError
 from calib_pin.estimation.many_rows import ManyRows
@@ -270,19 +270,3 @@ def test_rotation_vectors_of_half_turns() -> None:
         found = np.array(comparisons.rotation_vector(R))
         assert np.linalg.norm(found) == pytest.approx(np.pi, rel=1e-14)
         assert abs(found @ axis) == pytest.approx(np.pi, rel=1e-14)
-
-
-def test_without_a_folder_for_machine_code(monkeypatch: pytest.MonkeyPatch) -> None:
-    """A read-only installation compiles anew in every process."""
-    njit = blocks.njit
-
-    def refuse(**options: object) -> object:
-        if options.get("cache"):
-            raise RuntimeError("cannot cache function: no locator available")
-        return njit(**options)
-
-    def double(x: float) -> float:
-        return 2.0 * x
-
-    monkeypatch.setattr(blocks, "njit", refuse)
-    assert blocks.compiled(double)(2.0) == 4.0

@@ -69,7 +69,8 @@ def view(
 
     A calibration shows the nominal robot beside the corrected one. Errors are those of
     the nominal robot with base and tool registered on these measurements (before), and
-    those of the calibration as it is (after). The page is open to this machine only.
+    those of the calibration as it is (after). The page is open to this machine only, at
+    the address that is printed.
     """
     _require_viser()
     from calib_pin.viewer.server import Window
@@ -91,7 +92,7 @@ def view(
         if port not in (0, window.port):
             notice(f"port {port} cannot be used; {window.port} is free")
         tell_notices()
-        typer.echo(f"viewing at http://localhost:{window.port} (Ctrl-C ends it)")
+        typer.echo(f"viewing at {window.url} (Ctrl-C ends it)")
         window.run(once)
     except KeyboardInterrupt:
         typer.echo()

@@ -199,6 +199,7 @@ def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
         def __init__(self, scene: Scene, port: int) -> None:
             scenes.append(scene)
             self.port = 8081 if port == 8080 else port
+            self.url = f"http://localhost:{self.port}/?token=abc"
 
         def run(self, once: bool) -> None:
             if not once:

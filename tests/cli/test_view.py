@@ -42,7 +42,7 @@ def test_a_robot_alone(
     result = run("view arm.urdf --once")
     assert (result.status, result.out) == (
         0,
-        "viewing at http://localhost:8081 (Ctrl-C ends it)\n",
+        "viewing at http://localhost:8081/?token=abc (Ctrl-C ends it)\n",
     )
     assert result.err == "calib-pin: note: port 8080 cannot be used; 8081 is free\n"
     (scene,) = opened
@@ -60,7 +60,7 @@ def test_a_robot_with_measurements_and_a_plan(
     result = run("view arm.urdf rows.csv --setup setup.yaml --plan new.csv --port 5")
     assert (result.status, result.err) == (0, "")
     assert result.out.splitlines() == [
-        "viewing at http://localhost:5 (Ctrl-C ends it)",
+        "viewing at http://localhost:5/?token=abc (Ctrl-C ends it)",
         "",
     ]
     (scene,) = opened

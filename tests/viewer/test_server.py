@@ -7,25 +7,28 @@ import signal
 import socket
 import subprocess
 import sys
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
+from http.client import HTTPConnection
 from pathlib import Path
 from typing import Any
-from urllib.parse import urlsplit
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 import viser
 
 from calib_pin.cli import main
+from calib_pin.io.urdf import load_robot
 from calib_pin.kinematics.chain import Chain
 from calib_pin.measurement_models.position import Position
 from calib_pin.validation.evaluation import prepared
+from calib_pin.viewer import server
 from calib_pin.viewer.controls import STAGES, Controls, scaled
 from calib_pin.viewer.errors import stage_errors
 from calib_pin.viewer.panel import Joints, Player
 from calib_pin.viewer.scene import Plan, Rows, Scene, bodies_of, tip_paths
 from calib_pin.viewer.server import Window
-from calib_pin.viewer.shapes import Shape, Surface
+from calib_pin.viewer.shapes import Shape, Surface, robot_shapes
 from calib_pin.viewer.stage import Stage, lines
 
 SETUP = """base: panda_link0
@@ -46,7 +49,7 @@ class Viewing:
         )
         assert self.process.stdout is not None
         first = self.process.stdout.readline()
-        found = re.search(r"http://localhost:\d+", first)
+        found = re.search(r"http://localhost:\d+/\?token=\S+", first)
         assert found, first + self.process.communicate()[1]
         self.url = found[0]
 
@@ -187,6 +190,111 @@ def test_a_port_that_is_taken(scene: Scene, capsys: pytest.CaptureFixture[str]) 
     assert window.port == port
     window.close()
     assert capsys.readouterr() == ("", "")
+
+
+GOOD = {"Host": "localhost:{port}"}
+SOCKET = {
+    "Connection": "Upgrade",
+    "Upgrade": "websocket",
+    "Origin": "http://localhost:{port}",
+    "Sec-WebSocket-Version": "13",
+    "Sec-WebSocket-Key": "AAAAAAAAAAAAAAAAAAAAAA==",
+    "Sec-WebSocket-Protocol": f"viser-v{viser.__version__}",
+}
+
+
+@pytest.fixture(scope="module")
+def asked() -> Iterator[Callable[..., tuple[int, str]]]:
+    """Status of a request and where it points: `asked(path, headers, ...)`.
+
+    In either, `{port}` and `{token}` stand for those of the window.
+    """
+    robot = load_robot("space6")
+    bodies = tuple(bodies_of(robot, robot.root, None))
+    shapes = robot_shapes(robot).parts
+    window = Window(Scene("arm", shapes, bodies), 0)
+    known = {"port": window.port, "token": window.url.partition("=")[2]}
+
+    def ask(path: str, *headers: Mapping[str, str | None]) -> tuple[int, str]:
+        given: dict[str, str | None] = {}
+        for some in headers:
+            given |= some
+        connection = HTTPConnection("127.0.0.1", window.port, timeout=20)
+        connection.putrequest("GET", path.format(**known), skip_host=True)
+        for name, value in given.items():
+            if value is not None:
+                connection.putheader(name, value.format(**known))
+        connection.endheaders()
+        response = connection.getresponse()
+        connection.close()
+        return response.status, response.headers.get("Location", "")
+
+    yield ask
+    window.close()
+
+
+@pytest.mark.parametrize("host", ["localhost:{port}", "127.0.0.1:{port}"])
+def test_the_address_opens_the_page_and_its_socket(
+    asked: Callable[..., tuple[int, str]], host: str
+) -> None:
+    status, place = asked("/?token={token}", {"Host": host})
+    assert status == 302
+    assert asked(place, {"Host": host}) == (200, "")
+    (target,) = parse_qs(urlsplit(place).query)["websocket"]
+    path = target.removeprefix("ws://")
+    path = path[path.index("/") :]
+    origin = {"Host": host, "Origin": f"http://{host}"}
+    assert asked(path, SOCKET, origin) == (101, "")
+
+
+@pytest.mark.parametrize(
+    ("path", "changes"),
+    [
+        ("/", {}),
+        ("/index.html", {}),
+        ("/?token=", {}),
+        ("/?token=\N{LATIN SMALL LETTER A}{token}", {}),
+        ("/?token=%ff{token}", {}),
+        ("/?other={token}", {}),
+        ("//[?token=", {}),
+        ("/?token={token}", {"Host": None}),
+        ("/?token={token}", {"Host": "localhost"}),
+        ("/?token={token}", {"Host": "localhost:1"}),
+        ("/?token={token}", {"Host": "evil.example:{port}"}),
+        ("/?token={token}", {"Origin": "http://evil.example"}),
+        ("/?token={token}", {"Origin": "null"}),
+        ("/", SOCKET),
+        ("/?token={token}", {**SOCKET, "Origin": None}),
+        ("/?token={token}", {**SOCKET, "Origin": "http://evil.example"}),
+        ("/?token={token}", {**SOCKET, "Origin": "https://localhost:{port}"}),
+        ("/?token={token}", {**SOCKET, "Origin": "http://localhost:1"}),
+        ("/?token={token}", {**SOCKET, "Host": "evil.example:{port}"}),
+    ],
+)
+def test_nobody_else_is_answered(
+    asked: Callable[..., tuple[int, str]],
+    capfd: pytest.CaptureFixture[str],
+    path: str,
+    changes: dict[str, str | None],
+) -> None:
+    assert asked(path, GOOD, changes) == (403, "")
+    assert capfd.readouterr() == ("", "")
+
+
+def test_every_window_has_its_own_token(scene: Scene) -> None:
+    windows = [Window(scene, 0) for _ in range(2)]
+    tokens = {window.url.partition("=")[2] for window in windows}
+    assert len(tokens) == 2 and min(map(len, tokens)) >= 22
+    for window in windows:
+        window.close()
+
+
+def test_a_server_that_cannot_be_guarded_does_not_start(
+    scene: Scene, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(server, "_LocalServer", lambda *words, **options: None)
+    with pytest.raises(RuntimeError, match="this version of viser"):
+        Window(scene, 0)
 
 
 def test_the_plan_is_played(scene: Scene, monkeypatch: pytest.MonkeyPatch) -> None:

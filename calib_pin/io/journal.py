@@ -77,7 +77,7 @@ def locked(folder: Path, *, shared: bool = False) -> Iterator[bool]:
     try:
         import fcntl
 
-        descriptor = os.open(folder, os.O_RDONLY)
+        descriptor = os.open(folder, os.O_RDONLY | os.O_DIRECTORY)
     except (ImportError, OSError, ValueError):
         yield False
         return
@@ -181,7 +181,7 @@ def complete(folder: Path) -> dict[Path, Path]:
         path = folder / name
         source = temporary(path)
         try:
-            data = source.read_bytes()
+            data = _read(source)
         except (FileNotFoundError, NotADirectoryError):
             continue  # It is in place already.
         except OSError:
@@ -204,6 +204,13 @@ def complete(folder: Path) -> dict[Path, Path]:
     return waiting
 
 
+def _read(path: Path) -> bytes:
+    """The bytes of a regular file: nobody waits for a pipe."""
+    if path.exists() and not path.is_file():
+        raise OSError(f"{path} is not a regular file")
+    return path.read_bytes()
+
+
 def _decided(journal: Path) -> tuple[dict[str, str], list[str]]:
     """Files that are to be put in place, with their hashes, and those that go.
 
@@ -214,7 +221,7 @@ def _decided(journal: Path) -> tuple[dict[str, str], list[str]]:
         InputError: If it is no such list.
     """
     try:
-        found = json.loads(journal.read_bytes())
+        found = json.loads(_read(journal))
         files, removed = dict(found["files"]), list(found["remove"])
         if all(inside(n) or Path(n).is_absolute() for n in files) and all(
             map(inside, removed)

@@ -16,7 +16,7 @@ from reprlib import repr
 from typing import Any
 
 from calib_pin.errors import CalibPinError, InputError
-from calib_pin.io.files import read_bytes
+from calib_pin.io.files import DATA, read_bytes
 from calib_pin.io.journal import inside, settled, sha256
 from calib_pin.io.json_text import Json, decode, encode, require_format, typed
 from calib_pin.units import DISPLAY
@@ -24,6 +24,9 @@ from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 
 FORMAT, VERSION = "calib-pin/calibration", 1
 """The format that is read, and its newest version."""
+
+JSON = 1 << 28
+"""Bytes of the largest document: its objects take many times as much memory."""
 
 LARGEST = 1e6
 """Largest number that a value, a position or an offset can be [m, rad, px]."""
@@ -188,7 +191,9 @@ def opened(path: str | Path) -> Iterator[Read]:
     with settled(Path(path).parent) as waiting:
 
         def read(file: str | Path) -> bytes:
-            return read_bytes(waiting.get(Path(file), Path(file)))
+            path = Path(file)
+            largest = JSON if path.suffix == ".json" else DATA
+            return read_bytes(waiting.get(path, path), largest)
 
         yield read
 

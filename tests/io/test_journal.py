@@ -149,3 +149,22 @@ def test_where_there_are_no_locks(tmp_path: Path) -> None:
         with write_files({tmp_path / "a": b"1"}, force=False):
             pass
     assert {p.name for p in tmp_path.iterdir()} == {"a", temporary(Path("b")).name}
+
+
+def test_nobody_waits_for_a_pipe(folder: Path) -> None:
+    os.mkfifo(folder / JOURNAL)
+    with settled(folder) as waiting:
+        assert waiting == {}
+    with write_files({folder / "a.json": b"new a"}, force=True):
+        pass
+    assert (folder / "a.json").read_bytes() == b"new a"
+    (folder / JOURNAL).unlink()
+    os.mkfifo(temporary(folder / "a.json"))
+    journal = {"files": {"a.json": "0" * 64}, "remove": []}
+    (folder / JOURNAL).write_text(json.dumps(journal))
+    with pytest.raises(InputError, match="damaged or unreadable"), settled(folder):
+        pass
+    with settled(folder / JOURNAL) as waiting:  # A file, not a folder.
+        assert waiting == {}
+    with settled(temporary(folder / "a.json")) as waiting:
+        assert waiting == {}

@@ -17,7 +17,6 @@ from typing import Any
 import pytest
 
 from calib_pin.io.journal import JOURNAL
-from calib_pin.viewer.scene import Scene
 
 POSITION = "calibrate arm.urdf rows.csv --setup setup.yaml"
 EVALUATE = "evaluate {}/calibration.json new.csv"
@@ -146,23 +145,6 @@ def test_a_folder_on_its_own(here, run, later, tmp_path, monkeypatch, opened):
     assert len(opened) == 1
     monkeypatch.chdir(away / "done")
     assert run("evaluate calibration.json ../new.csv").status == 0
-
-
-@pytest.fixture
-def opened(monkeypatch: pytest.MonkeyPatch) -> list[Scene]:
-    scenes: list[Scene] = []
-
-    class Window:
-        def __init__(self, scene: Scene, port: int) -> None:
-            scenes.append(scene)
-            self.port = port
-
-        def run(self, once: bool) -> None: ...
-
-        def close(self) -> None: ...
-
-    monkeypatch.setattr("calib_pin.viewer.server.Window", Window)
-    return scenes
 
 
 def test_meshes_that_did_not_travel(here, run, opened, tmp_path, monkeypatch):

@@ -137,6 +137,10 @@ def test_meshes_are_read_once(write: Callable[[str, str], Path], package: str) -
         '<mesh filename="arm.urdf"/>',
         '<box size="1 2"/>',
         '<mesh filename="a.obj" scale="big"/>',
+        '<mesh filename="a.obj" scale="nan 1 1"/>',
+        '<mesh filename="nan.obj"/>',
+        '<sphere radius="nan"/>',
+        '<box size="1 1 inf"/>',
         "<heap/>",
     ],
 )
@@ -145,6 +149,7 @@ def test_solids_stand_in_for_what_is_missing(
 ) -> None:
     write("broken.obj", "v 0 0\nf 1 2 9\n")
     write("a.obj", TETRAHEDRON)
+    write("nan.obj", TETRAHEDRON.replace("v 0 0 0\n", "v 0 0 nan\n"))
     good = visual('<sphere radius="0.1"/>')
     file = write("arm.urdf", arm(good, good + visual(bad), visual(bad)))
     shapes = robot_shapes(load_robot(file))

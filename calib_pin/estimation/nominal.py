@@ -12,6 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import OptionError
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.identifiability import Structure, structure
@@ -37,6 +38,9 @@ LEAST = 50
 
 FEWEST = 12
 """Least number of these of each block, twice what two frames need."""
+
+MOST = 5000
+"""Most parameters that are analyzed, in gigabytes and minutes already."""
 
 UNKNOWN = 0.01
 """Standard deviation of the scale from which it counts as unobservable.
@@ -76,10 +80,20 @@ def analyze_structure(
     Returns:
         The structure of the data alone, and the whitened Jacobian with the rows of the
         priors, shape (M, P).
+
+    Raises:
+        OptionError: If there are too many parameters.
     """
     keys = representative(problem)
     blocks, at = len(keys), []
     parameters = len(problem.parameters) - len(_omitted(problem, keys))
+    if parameters > MOST:
+        raise OptionError(
+            "the chain and its references have too many parameters",
+            file=problem.setup.file or None,
+            value=parameters,
+            allowed=f"at most {MOST}; a shorter chain (--base, --tip)",
+        )
     for key in keys:
         part = problem.parts[key]
         # Each quantity alone may have to show its structure.

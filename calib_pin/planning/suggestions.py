@@ -28,6 +28,10 @@ from calib_pin.validation.result import Identification
 BESIDE = pin.SE3(np.eye(3), np.array([0.05, 0.03, 0.02]))
 """From a tool that may sit on the last axis to one that does not [m]."""
 
+LARGEST = 1000
+"""Most parameters of which suggestions are sought; each takes the time of an analysis,
+which grows with the third power."""
+
 POSES = "measure full poses, positions and orientations"
 
 EVERYTHING = "measure full poses with base and tool known"
@@ -112,7 +116,10 @@ def suggestions(
 
     Returns:
         Those that gain anything; all that a measurement of the tool can tell is last.
+        None for more than `LARGEST` parameters.
     """
+    if found.identifiability.parameters > LARGEST:
+        return ()
     keys = (BlockKey(measured),) if isinstance(measured, str) else tuple(measured)
     known = {p.name for p in found.parameters if p.status == "identifiable"}
     now = found.identifiability.robot_rank

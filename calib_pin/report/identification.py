@@ -5,7 +5,7 @@ from __future__ import annotations
 from collections import Counter
 from collections.abc import Iterator, Sequence
 
-from calib_pin.planning.suggestions import Suggestion
+from calib_pin.planning.suggestions import LARGEST, Suggestion
 from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Names, Table
 from calib_pin.report.tables import (
     ESTIMATE,
@@ -75,6 +75,9 @@ def remedied(
             (Column("", "remark"), Column("identifiable robot parameters")),
             [(Cell(words), Cell(str(count), count)) for words, count in rows],
         )
+    if found.identifiability.parameters > LARGEST:
+        many = f"more than {LARGEST} parameters"
+        yield Line(f"No measurements are suggested for {many}.", "note")
     if any(remedy.complete for remedy in suggestions):
         yield Line(
             "The combinations that remain move the tool point only together: no "

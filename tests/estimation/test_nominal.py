@@ -9,6 +9,7 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.errors import OptionError
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.nominal import jacobian_at, scale_deviation
@@ -186,3 +187,11 @@ def test_other_robots(robot: str) -> None:
             chain, "fixed-point", replace(setup, distances=distances)
         )
         assert found.identifiability.scale_observable == expected
+
+
+def test_too_many_parameters(monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr("calib_pin.estimation.nominal.MOST", 48)
+    calib_pin.identify(ARM, "position")
+    targets = {name: POINTS[name] for name in "abc"}
+    with pytest.raises(OptionError, match=r"too many parameters .*at most 48"):
+        calib_pin.identify(ARM, "position", Setup(targets=targets))

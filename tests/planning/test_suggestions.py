@@ -145,3 +145,14 @@ def test_the_promise_is_kept_by_a_fit(model: str) -> None:
     result = calib_pin.calibrate(CHAIN, rows, setup, validate=False)
     assert result.identifiability.robot_rank == promised
     assert len(result.identifiability.singular_values) == promised
+
+
+def test_nothing_is_tried_for_very_many_parameters(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    found = calib_pin.identify(CHAIN, "position")
+    count = found.identifiability.parameters
+    monkeypatch.setattr("calib_pin.planning.suggestions.LARGEST", count)
+    assert suggestions(CHAIN, "position", Setup(), found)
+    monkeypatch.setattr("calib_pin.planning.suggestions.LARGEST", count - 1)
+    assert suggestions(CHAIN, "position", Setup(), found) == ()

@@ -212,10 +212,11 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     unit, factor = DISPLAY[quantity.unit]
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
+    clear = found.after < FITTED * found.before
     for fault in found.faults:
         yield Finding(
             fault.code,
-            "error",
+            "error" if clear else "warning",
             f"{fault.words}: so read, the {quantity.name} errors {robot} fall from "
             f"{sizes[0]} to {sizes[1]}",
             {

@@ -18,6 +18,7 @@ from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
+from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
@@ -25,7 +26,7 @@ from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-EXPLANATIONS: tuple[Family, ...] = (joint_columns,)
+EXPLANATIONS: tuple[Family, ...] = (joint_columns, line_order)
 """Explanations of errors that no robot explains."""
 
 CONSEQUENCES: tuple[Kind, ...] = (plausibility,)

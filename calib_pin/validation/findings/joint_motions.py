@@ -65,7 +65,7 @@ class Motion(NamedTuple):
         if self.of == "lag":
             whose = f"joint '{name}'" if len(self.joints) == 1 else "all joints"
             return Hypothesis(
-                "joint-lag",
+                "lag",
                 f"errors follow the last motion of {whose}: {100 * part:.2g} % of it",
                 "lag",
                 reading=ReadingSetup(lag={names[j]: part for j in self.joints}),

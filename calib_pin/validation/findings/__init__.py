@@ -17,6 +17,8 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
+from calib_pin.validation.findings.joint_motions import joint_motion
+from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
@@ -24,7 +26,7 @@ from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-EXPLANATIONS: tuple[Family, ...] = (joint_columns,)
+EXPLANATIONS: tuple[Family, ...] = (joint_columns, line_order)
 """Explanations of errors that no robot explains."""
 
 CONSEQUENCES: tuple[Kind, ...] = (plausibility,)
@@ -50,11 +52,12 @@ class Found:
 @serial_blas
 def find(case: Case) -> Found:
     """The faults of measurements and of what was fitted to them."""
-    causes = tuple(move_findings(case))
-    if case.doubtful:
+    explanation = joint_motion(case)
+    causes = () if explanation else tuple(move_findings(case))
+    if explanation is None and case.doubtful:
         explanation = explain(case, EXPLANATIONS)
-        if explanation is not None and explanation.after < _left(causes):
-            causes = tuple(finding(case, explanation))
+    if explanation is not None and explanation.after < _left(causes):
+        causes = tuple(finding(case, explanation))
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     return Found(causes, tuple(found for kind in kinds for found in kind(case)))
 

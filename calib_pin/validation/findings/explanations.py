@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from itertools import product
 
 import numpy as np
 
@@ -41,6 +42,9 @@ MOST = 3
 
 WIDTH = 3
 """Explanations that are kept to be combined with others."""
+
+TOGETHER = 500
+"""Most combinations of faults of a joint that are tried: a few seconds."""
 
 CLEAR = 0.95
 """Part of the errors that another explanation may leave to be worth combining."""
@@ -96,7 +100,7 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
         families: Where explanations come from.
     """
     search = _Search(case, [h for family in families for h in family(case)])
-    return search.combined() or search.fitted()
+    return search.combined() or search.of_one_joint() or search.fitted()
 
 
 class _Search:
@@ -135,6 +139,27 @@ class _Search:
             if best[0] < EXPLAINED * first:
                 break
         return self._decided(best[1], first, best[0], DECISIVE, fitted=False)
+
+    def of_one_joint(self) -> Explanation | None:
+        """All faults of a joint, each of which alone leaves as much as none."""
+        of_joint: dict[str, dict[str, list[Hypothesis]]] = {}
+        for fault in self.known:
+            if fault.joint:
+                own = of_joint.setdefault(fault.joint, {})
+                own.setdefault(fault.of, []).append(fault)
+        trials = [
+            faults
+            for own in of_joint.values()
+            for chosen in product(*([None, *kind] for kind in own.values()))
+            if len(faults := tuple(filter(None, chosen))) > 1
+        ]
+        if len(trials) > TOGETHER:
+            return None
+        found = [(self._nominal(faults), k) for k, faults in enumerate(trials)]
+        left, k = min(found, default=(np.inf, -1))
+        before = self._nominal(())
+        faults = trials[k] if trials else ()
+        return self._decided(faults, before, left, DECISIVE, fitted=False)
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
@@ -212,10 +237,11 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     unit, factor = DISPLAY[quantity.unit]
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
+    clear = found.after < FITTED * found.before
     for fault in found.faults:
         yield Finding(
             fault.code,
-            "error",
+            "error" if clear else "warning",
             f"{fault.words}: so read, the {quantity.name} errors {robot} fall from "
             f"{sizes[0]} to {sizes[1]}",
             {

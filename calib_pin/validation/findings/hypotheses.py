@@ -28,6 +28,8 @@ class Hypothesis:
         stated: Further lines of the setup file.
         advice: What to do instead of stating something; empty where the setup helps.
         figure: Name of a figure that shows it.
+        joint: The joint that it concerns alone: what is wrong with one joint may only
+            show once all of it is read otherwise.
     """
 
     code: str
@@ -39,6 +41,7 @@ class Hypothesis:
     stated: Mapping[str, Any] = field(default_factory=dict)
     advice: str = ""
     figure: str = ""
+    joint: str = ""
 
 
 def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:

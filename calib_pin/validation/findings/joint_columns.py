@@ -1,4 +1,4 @@
-"""Joint columns that mean something else: reversed, offset, coupled, exchanged."""
+"""Joint columns that mean something else: reversed, offset, exchanged, in degrees."""
 
 from __future__ import annotations
 
@@ -7,6 +7,7 @@ from itertools import combinations
 
 import numpy as np
 
+from calib_pin.setup import ConvertedSetup, ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.hypotheses import Hypothesis
 from calib_pin.validation.findings.setup_lines import JointReading
@@ -28,6 +29,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
             "joint-reversed",
             f"joint '{joint}' is reversed",
             f"sign of {joint}",
+            joint=joint,
             joints=JointReading(factors, plain.offsets),
         )
     for j in turning:
@@ -38,18 +40,32 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
                 "joint-offset",
                 f"joint '{joints[j]}' is offset by {turn:g} deg",
                 f"zero of {joints[j]}",
+                joint=joints[j],
                 joints=JointReading(plain.factors, offsets),
             )
-    for first, second in combinations(range(len(joints)), 2):
-        order = np.arange(len(joints))
-        order[[first, second]] = second, first
+    for order in _orders(len(joints)):
+        moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
+        named = f"{', '.join(moved[:-1])} and {moved[-1]}"
         yield Hypothesis(
             "joints-exchanged",
-            f"the columns of joints '{joints[first]}' and '{joints[second]}' are "
-            "exchanged",
+            f"the columns of joints {named} are exchanged",
             "order of the joint columns",
-            joints=JointReading(plain.factors[order], plain.offsets),
+            joints=JointReading(plain.factors[list(order)], plain.offsets),
         )
+    large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 1.0]
+    for some in dict.fromkeys([*((j,) for j in large), tuple(large)]):
+        names = tuple(joints[j] for j in some)
+        if names:
+            yield Hypothesis(
+                "joint-degrees",
+                f"joint '{names[0]}' is in degrees"
+                if len(names) == 1
+                else f"joints '{names[0]}' to '{names[-1]}' are in degrees",
+                "unit of the joints",
+                reading=ReadingSetup(
+                    converted=(ConvertedSetup(np.radians(1.0).item(), joints=names),)
+                ),
+            )
     # Robots couple a joint to those before it.
     for other, j in combinations(turning, 2):
         for factor in (1.0, -1.0):
@@ -59,5 +75,21 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
                 "joint-coupled",
                 f"joint '{joints[j]}' is coupled to '{joints[other]}'",
                 f"coupling of {joints[j]}",
+                joint=joints[j],
                 joints=JointReading(factors, plain.offsets),
             )
+
+
+def _orders(count: int) -> Iterator[tuple[int, ...]]:
+    """Other orders of so many columns: two exchanged, three shifted round."""
+    plain = tuple(range(count))
+    for first, second in combinations(plain, 2):
+        order = list(plain)
+        order[first], order[second] = second, first
+        yield tuple(order)
+    for k in plain[:-2]:
+        a, b, c = plain[k : k + 3]
+        yield (*plain[:k], b, c, a, *plain[k + 3 :])
+        yield (*plain[:k], c, a, b, *plain[k + 3 :])
+    if count > 3:
+        yield plain[::-1]

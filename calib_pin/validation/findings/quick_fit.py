@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 from functools import cached_property
 from typing import Any, Self
@@ -14,6 +15,7 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
+from calib_pin.observations import Observations
 
 REDUNDANCY = 2.0
 """Least number of values, by unknowns, to tell errors of the robot from others."""
@@ -127,15 +129,32 @@ class QuickFit:
 
         By central differences; where a relative measurement starts does not move.
         """
-        data, columns = self.problem.data, []
-        for joint in range(len(data.joints)):
-            step = np.zeros(len(data.joints))
-            step[joint] = 1e-5
+        data = self.problem.data
+        return self._by_positions(lambda h: with_positions(data, data.q + h))
+
+    @cached_property
+    def by_starts(self) -> Floats:
+        """The same by the joint positions where relative measurements start, (M, n)."""
+        data = self.problem.data
+
+        def moved(h: Floats) -> Observations:
+            blocks = (
+                replace(b, start=b.start + h) if b.start.size else b
+                for b in data.blocks
+            )
+            return Observations(tuple(blocks))
+
+        if not any(block.start.size for block in data.blocks):
+            return np.zeros((len(self.problem.layout.row), len(data.joints)))
+        return self._by_positions(moved)
+
+    def _by_positions(self, moved: Callable[[Floats], Observations]) -> Floats:
+        """Whitened residual by what moves by h of shape (n,), shape (M, n)."""
+        columns = []
+        for h in 1e-5 * np.eye(len(self.problem.data.joints)):
             ends = [
-                replace(self.problem, data=with_positions(data, data.q + h)).residual(
-                    self.theta
-                )
-                for h in (step, -step)
+                replace(self.problem, data=moved(step)).residual(self.theta)
+                for step in (h, -h)
             ]
             columns.append((ends[0] - ends[1]) / 2e-5)
         return np.stack(columns, axis=1)[: len(self.problem.layout.row)]
@@ -149,10 +168,12 @@ class QuickFit:
         Q, r = self.unexplained
         X = np.zeros((len(r), columns.shape[1]))
         X[: len(columns)] = columns
+        size = float(np.linalg.norm(X))
         X -= Q @ (Q.T @ X)
         total = float(r @ r)
         U, s, Vt = np.linalg.svd(X, full_matrices=False)
-        kept = s > 1e-8 * max(float(s.max(initial=0.0)), 1e-300)
+        # What the fit can do already leaves rounding.
+        kept = s > max(1e-6 * size, 1e-300)
         U, s, Vt = U[:, kept], s[kept], Vt[kept]
         along = U.T @ r
         gain, dof = float(along @ along), self.left - len(s)

@@ -38,7 +38,6 @@ from calib_pin.validation.summaries import (
     Statistics,
     Validation,
 )
-from calib_pin.validation.tip_drift import tip_drift
 
 
 @serial_blas
@@ -200,7 +199,7 @@ def _result(
             stated_sigma=states_sigmas(training),
             noise=fitted.noise,
             outliers=fitted.robust.outliers,
-            displaced=_displaced(model, seed),
+            displaced=_displaced(judgement),
             gains=held_out.gains,
         ),
         **vars(breakdown(model, errors, accuracies)),
@@ -286,19 +285,10 @@ def _urdf(
     )
 
 
-def _displaced(model: FittedModel, seed: int) -> float | None:
+def _displaced(judgement: Judgement) -> float | None:
     """How far the tool would be off with what was set aside [m]; None without it."""
-    squared = model.fit.robust.squared
-    if squared is None:
-        return None
-    first = CalibratedModel.create(model.fit.problem, model.fit.theta)
-    second = CalibratedModel.create(squared.problem, squared.theta)
-    return max(
-        tip_drift(
-            first.of(name), second.of(name), base=True, tool=True, seed=seed
-        ).position.rms
-        for name in first.measured_chains
-    )
+    found = (finding.evidence.get("displaced") for finding in judgement.findings)
+    return next((float(moved) for moved in found if moved is not None), None)
 
 
 def _measured(

@@ -122,6 +122,18 @@ def located(data: Observations, place: str) -> int:
     return int(np.argmax(found))
 
 
+def place_of(data: Observations, row: int) -> str:
+    """Where a measurement stands, as `located` finds it."""
+    file = data.files[row]
+    if not file:
+        return str(_numbers(data)[row])
+    if len(data.files.distinct) == 1:
+        return str(data.lines[row])
+    ends = [name.rpartition("/")[2] for name in data.files.distinct]
+    own = file.rpartition("/")[2]
+    return f"{own if ends.count(own) == 1 else file}:{data.lines[row]}"
+
+
 def _numbers(data: Observations) -> Indices:
     result = np.empty(len(data), np.int64)
     result[data.in_order] = np.arange(1, len(data) + 1)
@@ -279,6 +291,10 @@ def _left(data: Observations, reading: ReadingSetup) -> Observations:
     return data.rows(kept)
 
 
+def _unstated(data: Observations, reading: ReadingSetup) -> Observations:
+    return Observations(tuple(replace(block, sigma=None) for block in data.blocks))
+
+
 STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
     "inverted": _inverted,
     "exchanged": _exchanged,
@@ -292,5 +308,6 @@ STEPS: dict[str, Callable[[Observations, ReadingSetup], Observations]] = {
     "moved": _renamed("station"),
     "remounted": _renamed("tool"),
     "without": _left,
+    "sigmas": _unstated,
 }
 """The change of each key but `orientation`."""

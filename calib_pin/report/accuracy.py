@@ -19,7 +19,7 @@ from calib_pin.report.tables import (
     ladder_table,
     sizes,
 )
-from calib_pin.report.trust import advised, set_aside
+from calib_pin.report.trust import advised, findings
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
@@ -41,12 +41,12 @@ LISTED_OWNERS = 3
 
 
 def opening(result: CalibrationResult) -> Sequence[Line]:
-    """The verdict and the measurements set aside.
+    """The verdict and the urgent findings.
 
     A reason not to trust the result comes before anything else.
     """
-    lines = [*set_aside(result), verdict(result)]
-    return lines if result.verdict in TRUSTED else lines[::-1]
+    first, said = verdict(result), [*findings(result, urgent=True)]
+    return [*said, first] if result.verdict in TRUSTED else [first, *said]
 
 
 def verdict(result: CalibrationResult) -> Line:

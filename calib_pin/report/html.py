@@ -115,7 +115,7 @@ def html_report(
         title=f"Calibration of {name}",
         subject=subject(result).text,
         opening=opening(result),
-        findings=list(findings(result)),
+        findings=list(findings(result, urgent=False)),
         tiles=list(_tiles(result)),
         sections=list(_sections(result, document, figures, suggestions)),
         style=Markup(_file("style.css")),

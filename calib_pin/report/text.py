@@ -47,7 +47,7 @@ def report(
     """Verdict, accuracy, noise and outliers, then identifiability and parameters."""
     yield from opening(result)
     yield subject(result)
-    yield from findings(result)
+    yield from findings(result, urgent=False)
     yield from accuracy(result)
     yield from parts(result)
     yield from moves(result)

@@ -19,44 +19,20 @@ from calib_pin.validation.result import CalibrationResult
 LISTED = 5
 """Outliers that are listed before the rest is only counted."""
 
-NAMED = 3
-"""Measurements that were set aside, and causes, that the first sentence names."""
-
 TONES = {"error": "bad", "warning": "strong", "info": "note"}
 """How a finding is shown, by its severity."""
 
 
-def set_aside(result: CalibrationResult) -> Iterator[Line]:
-    """The measurements set aside, and how far they would move the tool point."""
-    rows = [outlier for outlier in result.statistics.outliers if outlier.weight == 0.0]
-    if not rows:
-        return
-    were = "measurements was" if len(rows) == 1 else "measurements were"
-    causes = dict.fromkeys(row.cause for row in rows if row.cause)
-    named = "; ".join(
-        _named(words) for words in ([row.place for row in rows], [*causes]) if words
-    )
-    with_them = ""
-    if result.statistics.displaced is not None:
-        them = "it" if len(rows) == 1 else "them"
-        unit, factor = DISPLAY["m"]
-        off = significant(factor * result.statistics.displaced)
-        with_them = f"; with {them} the tool point would move by {off} {unit}"
-    yield Line(
-        f"{len(rows)} of {len(result.fitted)} {were} set aside ({named}){with_them}.",
-        "strong",
-    )
+def findings(result: CalibrationResult, *, urgent: bool) -> Iterator[Line]:
+    """The findings that the reason of the verdict does not name.
 
-
-def _named(words: Sequence[str]) -> str:
-    rest = [f"and {len(words) - NAMED} more"] if len(words) > NAMED else []
-    return ", ".join([*words[:NAMED], *rest])
-
-
-def findings(result: CalibrationResult) -> Iterator[Line]:
-    """The findings that the reason of the verdict does not name."""
+    Args:
+        result: The result.
+        urgent: Whether warnings and errors are asked for, or the others.
+    """
     for finding in result.findings:
-        if finding.message not in result.reason:
+        told = finding.message in result.reason
+        if not told and urgent == (finding.severity != "info"):
             tone = TONES[finding.severity]
             said = f"{finding.severity.capitalize()}: {advised(finding)}."
             yield Line(said, tone)  # type: ignore[arg-type]
@@ -173,10 +149,6 @@ def _doubt(part: VarianceComponent) -> str:
     """Doubts about the given standard deviation, and their likely cause."""
     unit = DISPLAY[part.unit][0]
     parts = []
-    if part.contradicted:
-        by = "stated" if part.stated else "assumed"
-        given = _shown(part.given, part.unit)
-        parts.append(f"the measurements contradict the {by} {given} {unit}")
     if part.unmodeled:
         quiet = part.pure if part.pure is not None else part.given
         sizes = [_shown(size, part.unit) for size in (quiet, part.unmodeled)]
@@ -215,26 +187,18 @@ def statistics(result: CalibrationResult) -> Iterator[Block]:
             f"{number(result.statistics.chi2)} with {result.statistics.dof} dof",
         )
     ]
-    remark = ""
     if result.statistics.dof > 0:
         low, high = chi2_interval(result.statistics.dof)
         where = "inside"
-        if result.statistics.chi2 < low:
-            where, remark = "below", "sigma may be too large."
-        elif result.statistics.chi2 > high:
-            where = "above"
-            remark = "sigma too small, outliers, or unmodeled errors."
+        if not low <= result.statistics.chi2 <= high:
+            where = "below" if result.statistics.chi2 < low else "above"
         interval = f"{number(low)} ... {number(high)}"
         entries.append(("", f"{where} its 95 % interval {interval}"))
-    if result.statistics.dof > 0:
         entries.append(
             ("sigma0", f"{number(result.statistics.sigma0)} times the {sigmas} sigma")
         )
     title = "Statistics of the parameters, before what is learned"
     yield Facts(title if learned else "Statistics", entries)
-    if remark and result.statistics.stated_sigma and not learned:
-        said = f"Chi-square {where} its 95 % interval: {remark}"
-        yield Line(said, indent=True)
 
 
 def correlated(result: CalibrationResult, most: int = LISTED) -> Iterator[Names]:

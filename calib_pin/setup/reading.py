@@ -178,6 +178,7 @@ class ReadingSetup(Section):
         moved: Lines from which on the instrument stood elsewhere.
         remounted: Lines from which on the tool was mounted elsewhere.
         without: Lines that are left out.
+        sigmas: Whether the standard deviations of the files count.
     """
 
     orientation: OrientationSetup | None = None
@@ -204,3 +205,4 @@ class ReadingSetup(Section):
     moved: Places = ()
     remounted: Places = ()
     without: Places = ()
+    sigmas: Flag = True

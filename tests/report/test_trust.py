@@ -85,23 +85,14 @@ def words(result: CalibrationResult, **changes: Any) -> str:
     return " ".join(format_report(changed(result, **changes)).split())
 
 
-def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
-    said = (
-        f"2 of {len(result.fitted)} measurements were set aside (rows.csv:12, "
-        "rows.csv:14; target ball); with them the tool point would move by 2.6 mm."
-    )
+def test_urgent_findings_come_first(result: CalibrationResult) -> None:
+    (found,) = result.findings
+    said = f"Warning: {found.message}; {found.remedy}."
     assert words(result).startswith(f"{said} GOOD: ")
     bad = words(result, verdict="untrusted", reason="it did not converge.")
     assert bad.startswith(f"UNTRUSTED: it did not converge. {said}")
-    one = words(result, outliers=result.statistics.outliers[:1], displaced=None)
-    assert one.startswith("1 of ") and "measurements was set aside" in one
-    assert "set aside" not in words(result, outliers=result.statistics.outliers[2:])
-    many = tuple(
-        replace(result.statistics.outliers[0], place=f"a.csv:{k}") for k in range(7)
-    )
-    assert "(a.csv:0, a.csv:1, a.csv:2, and 4 more; target" in words(
-        result, outliers=many
-    )
+    noted = words(result, findings=(replace(found, severity="info"),))
+    assert noted.startswith("GOOD: ") and f"Info: {found.message}" in noted
 
 
 @pytest.mark.parametrize(
@@ -116,7 +107,7 @@ def test_what_was_set_aside_comes_first(result: CalibrationResult) -> None:
 def test_verdicts(
     result: CalibrationResult, verdict: str, reason: str, expected: str
 ) -> None:
-    text = words(result, outliers=(), verdict=verdict, reason=reason)
+    text = words(result, findings=(), verdict=verdict, reason=reason)
     assert text.startswith(expected)
     assert ("Nothing is corrected" in text) == (verdict == "no-gain")
     assert ("Largest correction" in text) == (verdict != "no-gain")
@@ -176,7 +167,7 @@ def test_noise(result: CalibrationResult) -> None:
     ]
     assert cells[2] == ["orientation", "0.0057", "stated", "-", "-", "-", "-", "deg"]
     assert (
-        "position: the measurements contradict the assumed 0.10 mm; 0.020 mm noise, "
+        "position: 0.020 mm noise, "
         "0.40 mm unmodeled; lack of fit, configurations differ more than their "
         "repetitions (p < 0.001)."
     ) in words(result)

@@ -14,7 +14,7 @@ from calib_pin.estimation.model import ToolPoses
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.robust.studentized import Studentized
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.observations import AT
+from calib_pin.observations import AT, Observations
 
 
 @dataclass(frozen=True)
@@ -190,5 +190,10 @@ def _exchanged(
             fits.append(size < OPTIONS.fits * own[block.rows][a])
         for k in np.flatnonzero(fits[0] & fits[1]).tolist():
             a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
-            yield [a], f"exchanged with {data.source(b)}"
-            yield [b], f"exchanged with {data.source(a)}"
+            yield [a], exchanged_with(data, b)
+            yield [b], exchanged_with(data, a)
+
+
+def exchanged_with(data: Observations, row: int) -> str:
+    """The cause of an outlier whose values stand at another measurement."""
+    return f"exchanged with {data.source(row)}"

@@ -20,7 +20,10 @@ from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
+from calib_pin.validation.findings.noise import noise
+from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
+from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
 Kind = Callable[[Case], Iterable[Finding]]
@@ -29,10 +32,10 @@ Kind = Callable[[Case], Iterable[Finding]]
 EXPLANATIONS: tuple[Family, ...] = (joint_columns, line_order)
 """Explanations of errors that no robot explains."""
 
-CONSEQUENCES: tuple[Kind, ...] = (plausibility,)
+CONSEQUENCES: tuple[Kind, ...] = (plausibility, outliers, noise)
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (unmoved_joints,)
+FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 

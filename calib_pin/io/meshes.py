@@ -18,7 +18,7 @@ from numpy.typing import ArrayLike, NDArray
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_bytes
 from calib_pin.io.journal import sha256
-from calib_pin.io.urdf_bytes import FARTHEST
+from calib_pin.io.urdf_tree import FARTHEST
 from calib_pin.kinematics.spatial import Floats
 
 LARGEST = 1 << 27

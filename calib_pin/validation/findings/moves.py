@@ -57,7 +57,7 @@ class MoveOptions:
     each: float = 0.97
     last: float = 0.5
     configurations: int = 6
-    measurements: int = 1000
+    measurements: int = 500
     moves: int = 10
     tried: int = 3
     rounds: int = 4

@@ -26,6 +26,10 @@ SIZE = 10.0
 STEPS = 2
 """Steps of a quick fit."""
 
+STEP = 1e-7
+"""Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
+known far better than that by which others are told."""
+
 
 @dataclass(frozen=True)
 class Score:
@@ -127,7 +131,7 @@ class QuickFit:
     def by_joints(self) -> Floats:
         """Whitened residual by the position of every joint, shape (M, n).
 
-        By central differences; where a relative measurement starts does not move.
+        By differences; where a relative measurement starts does not move.
         """
         data = self.problem.data
         return self._by_positions(lambda h: with_positions(data, data.q + h))
@@ -150,14 +154,12 @@ class QuickFit:
 
     def _by_positions(self, moved: Callable[[Floats], Observations]) -> Floats:
         """Whitened residual by what moves by h of shape (n,), shape (M, n)."""
-        columns = []
-        for h in 1e-5 * np.eye(len(self.problem.data.joints)):
-            ends = [
-                replace(self.problem, data=moved(step)).residual(self.theta)
-                for step in (h, -h)
-            ]
-            columns.append((ends[0] - ends[1]) / 2e-5)
-        return np.stack(columns, axis=1)[: len(self.problem.layout.row)]
+        here, _ = self.linear
+        ends = [
+            replace(self.problem, data=moved(h)).residual(self.theta)[: len(here)]
+            for h in STEP * np.eye(len(self.problem.data.joints))
+        ]
+        return (np.stack(ends, axis=1) - here[:, None]) / STEP
 
     def score(self, columns: Floats) -> Score:
         """Try further columns of the Jacobian, in units of their own.

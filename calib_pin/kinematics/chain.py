@@ -31,10 +31,6 @@ from calib_pin.kinematics.tree import (
 )
 from calib_pin.setup import Payload
 
-LONGEST = 300
-"""Most moving joints of a chain: Pinocchio takes gigabytes that grow with their third
-power."""
-
 
 @dataclass(frozen=True)
 class Robot:
@@ -93,8 +89,7 @@ class Chain:
 
     Raises:
         RobotError: If a frame is unknown, the tip is ambiguous, there is no moving
-            joint between two links, more than `LONGEST`, or one with several degrees
-            of freedom.
+            joint between two links, or one with several degrees of freedom.
 
     Example:
         >>> import calib_pin
@@ -138,14 +133,6 @@ class Chain:
                     f"{robot.refused[name]}, which a chain cannot contain",
                     file=robot.file,
                 )
-        if len(path) > LONGEST:
-            raise RobotError(
-                f"there are too many moving joints between '{self.base}' and "
-                f"'{self.tip}'",
-                file=robot.file,
-                value=len(path),
-                allowed=f"at most {LONGEST}",
-            )
         locked = sorted({*range(1, full.njoints)}.difference(path))
         self._model = reduced(full, locked)
         self._data = self._model.createData()

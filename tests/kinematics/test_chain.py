@@ -598,23 +598,6 @@ def test_refused_joints(
     assert chain_of(urdf, "e", "b").joints == ("j12", "j1")
 
 
-def test_longest_chain(
-    urdf_of: UrdfOf,
-    chain_of: ChainOf,
-    refused: Callable[..., Any],
-    monkeypatch: pytest.MonkeyPatch,
-) -> None:
-    urdf = urdf_of(
-        {"name": "j1", "parent": "a", "child": "b"},
-        {"name": "j2", "parent": "b", "child": "c"},
-        {"name": "j3", "parent": "c", "child": "d"},
-    )
-    monkeypatch.setattr("calib_pin.kinematics.chain.LONGEST", 2)
-    assert chain_of(urdf, "b", "d").joints == ("j2", "j3")
-    with refused(RobotError, "too many moving joints", value=3, allowed="at most 2"):
-        chain_of(urdf, "a", "d")
-
-
 def test_unknown_frames(
     urdf_of: UrdfOf, chain_of: ChainOf, refused: Callable[..., Any]
 ) -> None:

@@ -18,11 +18,12 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
+from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import registered
+from calib_pin.estimation.solve import refine
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
@@ -57,6 +58,9 @@ FITTED = 0.5
 
 EXPLAINED = 0.02
 """Part of the errors with which nothing more is sought."""
+
+ROUGH = 1e-2
+"""Part of the cost that a step must promise where frames are fitted in a trial."""
 
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
@@ -274,8 +278,8 @@ def _located(problem: Problem) -> Problem:
     zero = np.zeros(len(problem.parameters))
     if any(p.measurement.declaration.external for p in problem.parts.values()):
         return registered(problem, zero)
-    problem, result = register(problem, zero)
-    return problem.rebased(result.x)[0]
+    problem, basis = registered(problem, zero), nuisance_basis(problem.parameters)
+    return problem.rebased(refine(problem, zero, basis, ROUGH).x)[0]
 
 
 def _trimmed(problem: Problem) -> float:

@@ -205,13 +205,8 @@ def _mesh(
             hint = "a path from the folder of the URDF"
         reason = f"the collision mesh '{written}' does not exist"
         raise InputError(reason, allowed=hint)
-    scale = mesh.get("scale", "1 1 1")
-    try:
-        x, y, z = map(float, scale.split())
-    except ValueError:
-        reason = f"the scale '{scale}' of the collision mesh '{written}' cannot be read"
-        raise InputError(reason, allowed="three numbers") from None
-    return _surface(meshes, path, (x, y, z), f"the collision mesh '{written}'")
+    scale = [float(factor) for factor in mesh.get("scale", "1 1 1").split()]
+    return _surface(meshes, path, scale, f"the collision mesh '{written}'")
 
 
 def _surface(

@@ -225,8 +225,6 @@ class _Reader:
         if geometry.tag == "mesh":
             return self._mesh(geometry.get("filename", ""), geometry.get("scale"))
         radius, length = (float(geometry.get(k, "0")) for k in ("radius", "length"))
-        if not math.isfinite(radius + length):
-            raise ValueError("a size is not finite")
         if geometry.tag == "box":
             return creased(box(_vector(geometry.get("size"))))
         if geometry.tag == "sphere":
@@ -282,8 +280,6 @@ def _origin(element: Element) -> Floats:
 def _vector(text: str | None) -> Floats:
     """Three numbers; zeros where there are none."""
     x, y, z = map(float, (text or "0 0 0").split())
-    if not math.isfinite(x + y + z):
-        raise ValueError("a number is not finite")
     return np.array([x, y, z])
 
 

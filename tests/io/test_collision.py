@@ -298,17 +298,16 @@ def test_numbers_of_meshes(
     file_of: Callable[..., Path],
     refused: Callable[..., Any],
 ) -> None:
-    """What Pinocchio takes for a number, and what no solid can be built of."""
+    """Of which no solid can be built."""
     file_of("ws/src/arm/urdf/a.obj")
-    for scale, parts in (
-        ("1 1", ("the scale '1 1'", "'a.obj' cannot be read")),
-        ("1 x 1", ("the scale '1 x 1'", "'a.obj' cannot be read")),
-        ("nan 1 1", ("'a.obj' has the vertex (nan 0 0)",)),
-        ("1e308 1 1", ("'a.obj' has the vertex (2e+307 0 0)",)),
+    file_of("ws/src/arm/urdf/nan.obj", TETRAHEDRON.replace("0.2", "nan"))
+    for name, scale, reason in (
+        ("a.obj", "1e308 1 1", "'a.obj' has the vertex (2e+307 0 0)"),
+        ("nan.obj", "1 1 1", "'nan.obj' has the vertex (nan nan nan)"),
     ):
-        shape = f'<mesh filename="a.obj" scale="{scale}"/>'
+        shape = f'<mesh filename="{name}" scale="{scale}"/>'
         chain = chain_in(urdf(sphere(0.1), shape))
-        with refused(RobotError, file=chain.robot.file, line=3, reason=parts):
+        with refused(RobotError, file=chain.robot.file, line=3, reason=reason):
             load_collisions(chain)
 
 

@@ -56,9 +56,8 @@ def numbers_of(quaternions: Floats, columns: str, *, turns: bool = False) -> Flo
     angles = np.stack([roll, pitch, yaw], axis=1)
     # The same rotation with the pitch beyond a quarter turn.
     over = np.stack([_opposite(roll), _opposite(-pitch), _opposite(yaw)], axis=1)
-    whole = (
-        2.0 * np.pi * np.array(list(product([0, 1, -1] if turns else [0], repeat=3)))
-    )
+    of_each = [0, 1, -1] if turns else [0]
+    whole = 2.0 * np.pi * np.array(list(product(of_each, repeat=3)))
     return np.concatenate([a + whole[:, None] for a in (angles, over)])
 
 

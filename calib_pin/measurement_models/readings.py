@@ -61,7 +61,7 @@ def with_values(
         change: Values of a block, given it and which of its columns are lengths.
     """
     return Observations(
-        tuple(replace(b, values=change(b, _lengths(b))) for b in data.blocks)
+        tuple(replace(b, values=change(b, measured_lengths(b))) for b in data.blocks)
     )
 
 
@@ -140,7 +140,7 @@ def _numbers(data: Observations) -> Indices:
     return result
 
 
-def _lengths(block: Measurements) -> Booleans:
+def measured_lengths(block: Measurements) -> Booleans:
     """Which columns of the values of a block are lengths."""
     units = [*declared(block.model).columns.values()]
     units += [""] * (block.values.shape[1] - len(units))

@@ -14,28 +14,43 @@ from dataclasses import dataclass
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding
+from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
+from calib_pin.validation.findings.orientations import orientations
 from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.repetitions import repetitions
+from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
 
-EXPLANATIONS: tuple[Family, ...] = (joint_columns, line_order)
+EXPLANATIONS: tuple[Family, ...] = (
+    joint_columns,
+    line_order,
+    axes,
+    units,
+    orientations,
+)
 """Explanations of errors that no robot explains."""
 
-CONSEQUENCES: tuple[Kind, ...] = (plausibility, outliers, noise)
+CONSEQUENCES: tuple[Kind, ...] = (
+    units_of_some,
+    plausibility,
+    outliers,
+    noise,
+)
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints)
+FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, coarse_values)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 

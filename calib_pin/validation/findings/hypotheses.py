@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
@@ -24,6 +24,8 @@ class Hypothesis:
         of: Its subject; two explanations of one subject do not combine.
         reading: How the measurements are to be read.
         joints: How the joint positions are to be read; None for as they are.
+        change: What the reader of files would do first, of which they alone know the
+            numbers; None for nothing.
         chains: The chains that were measured, where they are others.
         stated: Further lines of the setup file.
         advice: What to do instead of stating something; empty where the setup helps.
@@ -37,6 +39,7 @@ class Hypothesis:
     of: str
     reading: ReadingSetup = field(default_factory=ReadingSetup)
     joints: JointReading | None = None
+    change: Callable[[Observations], Observations] | None = None
     chains: Chains | None = None
     stated: Mapping[str, Any] = field(default_factory=dict)
     advice: str = ""
@@ -47,6 +50,8 @@ class Hypothesis:
 def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
     """Measurements as they are to be read if they have some faults."""
     faults = tuple(faults)
+    for fault in faults:
+        data = data if fault.change is None else fault.change(data)
     joints = joint_reading(faults)
     if joints is not None:
         data = Observations(

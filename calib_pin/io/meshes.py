@@ -203,5 +203,7 @@ def _check(mesh: Mesh, path: Path) -> None:
     if not 1 <= len(triangles) <= TRIANGLES:
         reason = f"has {len(triangles)} triangles, not 1 to {TRIANGLES}"
         raise InputError(reason, file=path)
+    if len(vertices) < 3:  # Of a single one, the library gives numbers of no meaning.
+        raise InputError("has less than 3 different vertices", file=path)
     if triangles.min() < 0 or triangles.max() >= len(vertices):
         raise InputError("has a face with a vertex that is not there", file=path)

@@ -153,6 +153,7 @@ def test_binary_stl_is_what_pinocchio_reads() -> None:
             binary_stl(((0, 0, 0), (1, 0, 0), (0, 2e6, 0))),
             "has the vertex (0 2e+06 0), not within 1e+06 m",
         ),
+        ("a.stl", binary_stl(((0, 0, 1),) * 3), "has less than 3 different vertices"),
         ("a.stl", binary_stl(), "has 0 triangles, not 1 to 1000000"),
         ("a.stl", "no mesh", "cannot be read"),
         ("a.stl", "", "cannot be read"),

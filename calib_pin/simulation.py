@@ -353,4 +353,5 @@ def _require_seen(
     if not strict:
         which = f"none of {len(seen)} configurations can"
     why = problem.parts[key].measurement.declaration.unmeasurable
-    raise InputError(f"{which} be measured ({key}): {why}")
+    reason = f"{which} be measured ({key}): {why}"
+    raise InputError(reason, file=problem.setup.file or None)

@@ -144,7 +144,8 @@ def observable_configurations(
         raise InputError(
             f"only {count - len(left)} of {count} configurations that can be {what} "
             f"were found among {drawn} random ones within the joint limits "
-            f"({key.model})"
+            f"({key.model})",
+            file=problem.setup.file or None,
         )
     return asked(problem, key, q_found, target, loads)
 

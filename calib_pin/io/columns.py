@@ -212,5 +212,8 @@ def closest(name: str, candidates: Collection[str]) -> str:
 
 def split_header(cell: str) -> tuple[str, str | None]:
     """Split a header cell into name and unit; None where no unit is stated."""
-    match = re.fullmatch(r"(.*?)\s*\[\s*([^\[\]]*?)\s*\]", cell.strip())
-    return (match[1], match[2]) if match else (cell.strip(), None)
+    text = cell.strip()
+    name, mark, unit = text.removesuffix("]").rpartition("[")
+    if not (mark and text.endswith("]")) or "]" in unit:
+        return text, None
+    return name.rstrip(), unit.strip()

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -10,6 +9,9 @@ from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
 from calib_pin.setup import WORLD, Setup
+
+LARGEST_ERROR = 1e5
+"""Largest value of a parameter, whatever its unit: that of a camera's focal length."""
 
 
 def read_true_errors(
@@ -43,12 +45,12 @@ def read_true_errors(
     for name, value in tree.data.items():
         if known is not None and name not in known:
             raise tree.error(f"no parameter '{name}'{nearest(name, known)}", (name,))
-        if not isinstance(value, float) or not math.isfinite(value):
+        if not isinstance(value, float) or not abs(value) <= LARGEST_ERROR:
             raise tree.error(
                 f"'{name}' cannot have this value",
                 (name,),
                 tree.written((name,)),
-                "a finite number [m, rad]",
+                f"a number of at most {LARGEST_ERROR:g} [m, rad]",
             )
     return dict(tree.data)
 

@@ -287,7 +287,7 @@ def _check_separator(first: Stretch) -> None:
         for mark, name in ((";", "semicolons"), ("\t", "tabs"))
         if header.count(mark) > header.count(",")
     ]
-    names = re.sub(r"\[[^\]]*\]", "", header).split()
+    names = re.sub(r"\[[^\[\]]*\]", "", header).split()
     if not found and "," not in header and len(names) > 1:
         # A single column may have a space in its name, but not in its numbers.
         found = ["spaces"] * (len(first.lines[-1].split()) == len(names))

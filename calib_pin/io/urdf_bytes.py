@@ -206,8 +206,8 @@ def _decode(body: bytes, codec: str, file: str | None) -> str:
     reason, line = f"is not written in its encoding, {codec}", None
     try:
         text = body.decode(codec)
-        # A wider encoding, read as a narrower one, is full of NUL characters.
-        if text.encode(codec) == body and "\0" not in text:
+        # UTF-32, read as UTF-16, is full of NUL characters.
+        if text.encode(codec) == body and "\0" not in text[:2]:
             return text
     except UnicodeDecodeError as error:
         line = body.count(b"\n", 0, error.start) + 1

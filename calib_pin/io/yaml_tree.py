@@ -9,6 +9,7 @@ PyYAML is slow to import; import this module where a file is read.
 
 from __future__ import annotations
 
+import re
 import textwrap
 from collections.abc import Sequence
 from dataclasses import dataclass
@@ -22,6 +23,7 @@ from calib_pin.io.files import read_bytes
 from calib_pin.units import as_number
 
 _DEEPEST = 20
+_HALVES = re.compile("[\ud800-\udfff]")
 _LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as many.
 _GLOB = '"*.placement.z"'
 
@@ -143,6 +145,9 @@ def _compose(text: str, file: str) -> yaml.Node | None:
             refused = f"an anchor, '&{event.anchor}',"
         elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
             refused = None if event.tag is None else f"a tag, '{event.tag}',"
+        # An escape can write half of a character.
+        if isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
+            refused = "half of a character, in an escape,"
         depth += isinstance(event, yaml.CollectionStartEvent)
         depth -= isinstance(event, yaml.CollectionEndEvent)
         if depth > _DEEPEST:

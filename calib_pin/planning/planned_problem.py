@@ -84,7 +84,8 @@ def planned_problem(
         problem = make_problem(chains, measured, setup)
         found, result = register(problem, np.zeros(len(problem.parameters)))
         if reason := registration_reason(found, result):
-            raise InputError(f"the measurements to add to are too few: {reason}")
+            reason = f"the measurements to add to are too few: {reason}"
+            raise InputError(reason, file=measured.files[0] or None)
         # Rows may reach farther than the window that the setup states.
         reach = setup.ranger.range[1]
         return found.with_parts(

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import argparse
+import io
 import os
 import sys
 import tempfile
 import time
 from collections import Counter
 from collections.abc import Iterator, Mapping
+from contextlib import redirect_stdout
 from itertools import count
 
 os.environ["NUMBA_NUM_THREADS"] = "1"  # Threads do not survive a fork.
@@ -19,7 +21,7 @@ from tests.fuzz.reduction import reduced
 
 
 def main() -> int:
-    """Run cases, tell those that fail, and the smallest file of each kind of failure."""
+    """Run cases; tell those that fail, and the smallest file of each kind."""
     parser = argparse.ArgumentParser(prog="fuzz", description=__doc__)
     parser.add_argument("--minutes", type=float, help="end after this time")
     parser.add_argument("--cases", type=int, help="end after so many cases")
@@ -32,10 +34,8 @@ def main() -> int:
         parser.error("--minutes or --cases is needed")
     with tempfile.TemporaryDirectory() as folder:
         os.chdir(folder)
-        with open(os.devnull, "w") as nowhere:
-            shown, sys.stdout = sys.stdout, nowhere
+        with redirect_stdout(io.StringIO()):
             corpus = written()
-            sys.stdout = shown
         status = run(options, corpus)
         os.chdir("/")
     return status

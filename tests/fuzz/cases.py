@@ -37,7 +37,7 @@ LONGEST = 300
 """Longest line on standard error, in characters."""
 
 CASES_OF_A_WORKER = 400
-"""Cases after which a process is replaced, so that what it remembers does not add up."""
+"""Cases after which a process is replaced, so that its memories do not add up."""
 
 
 @dataclass(frozen=True)
@@ -148,7 +148,7 @@ class Pool:
                     worker = busy.pop(pipe)  # type: ignore[call-overload]
                     yield worker.case, worker.outcome()
                     idle.append(worker.fresh())
-                for pipe, worker in list(busy.items()):
+                for worker in busy.values():
                     if time.monotonic() > worker.deadline:
                         worker.process.kill()
         finally:
@@ -233,6 +233,7 @@ def _stop(*_: object) -> None:
 
 
 def _outcome(case: Case, work: Path) -> Outcome:
+    work.mkdir()
     for name, data in case.files.items():
         path = work / name
         path.parent.mkdir(parents=True, exist_ok=True)

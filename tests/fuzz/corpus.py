@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import re
+import struct
 from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
@@ -67,6 +68,57 @@ ARM = """<?xml version="1.0"?>
   </joint>
 </robot>
 """
+
+SHAPES = {
+    '<box size="0.2 0.2 0.1"/>': '<mesh filename="block.stl" scale="0.1 0.1 0.1"/>',
+    '<cylinder radius="0.04" length="0.4"/>': '<mesh filename="block.obj"/>',
+    '<sphere radius="0.05"/></geometry></collision>': (
+        '<mesh filename="block.ply"/></geometry></collision><collision><geometry>'
+        '<mesh filename="block.dae" scale="0.5 0.5 0.5"/></geometry></collision>'
+    ),
+}
+"""Shapes of the arm, and the meshes in their places in another."""
+
+CORNERS = ((0.0, 0.0, 0.0), (0.05, 0.0, 0.0), (0.0, 0.05, 0.0), (0.0, 0.0, 0.05))
+FACES = ((0, 2, 1), (0, 1, 3), (1, 2, 3), (0, 3, 2))
+"""A tetrahedron [m]."""
+
+
+def meshes() -> dict[str, bytes]:
+    """The tetrahedron in every format."""
+    points = [" ".join(map(str, corner)) for corner in CORNERS]
+    faces = [" ".join(map(str, face)) for face in FACES]
+    stl = bytes(80) + struct.pack("<I", len(FACES))
+    for face in FACES:
+        stl += struct.pack("<12fH", 0, 0, 0, *sum((CORNERS[k] for k in face), ()), 0)
+    obj = [f"v {point}" for point in points]
+    obj += ["f " + " ".join(str(k + 1) for k in face) for face in FACES]
+    ply = [
+        *("ply", "format ascii 1.0", f"element vertex {len(points)}"),
+        *(f"property float {axis}" for axis in "xyz"),
+        *(f"element face {len(faces)}", "property list uchar int vertex_indices"),
+        *("end_header", *points, *(f"3 {face}" for face in faces), ""),
+    ]
+    dae = f"""<?xml version="1.0"?>
+<COLLADA xmlns="http://www.collada.org/2005/11/COLLADASchema" version="1.4.1">
+<asset><unit name="meter" meter="1"/><up_axis>Z_UP</up_axis></asset>
+<library_geometries><geometry id="g" name="g"><mesh>
+<source id="s"><float_array id="a" count="12">{" ".join(points)}</float_array>
+<technique_common><accessor source="#a" count="4" stride="3"><param name="X"
+ type="float"/><param name="Y" type="float"/><param name="Z" type="float"/></accessor>
+</technique_common></source>
+<vertices id="v"><input semantic="POSITION" source="#s"/></vertices>
+<triangles count="4"><input semantic="VERTEX" source="#v" offset="0"/>
+<p>{" ".join(faces)}</p></triangles></mesh></geometry></library_geometries>
+<library_visual_scenes><visual_scene id="w"><node id="n">
+<instance_geometry url="#g"/></node></visual_scene></library_visual_scenes>
+<scene><instance_visual_scene url="#w"/></scene>
+</COLLADA>
+"""
+    texts = {"block.obj": "\n".join([*obj, ""]), "block.ply": "\n".join(ply)}
+    texts["block.dae"] = dae
+    return {"block.stl": stl, **{name: text.encode() for name, text in texts.items()}}
+
 
 HEAD = "tip: tool\nparameters: [joint-offset]\n"
 TEXTS = {
@@ -201,17 +253,23 @@ JOBS = (
     Job("evaluate arm.urdf steps.csv --setup steps.yaml", "steps.csv steps.yaml", 3),
     Job("evaluate arm.urdf sockets.csv --setup socket.yaml", "sockets.csv", 2),
     Job("evaluate arm.urdf sockets.csv --setup socket.yaml", "socket.yaml", 2),
-    Job("evaluate arm.urdf touches.csv --setup touch.yaml", "touches.csv touch.yaml", 3),
+    Job(
+        "evaluate arm.urdf touches.csv --setup touch.yaml", "touches.csv touch.yaml", 3
+    ),
     Job("evaluate arm.urdf spheres.csv --setup sphere.yaml", "spheres.csv", 2),
     Job("evaluate arm.urdf spheres.csv --setup sphere.yaml", "sphere.yaml", 2),
-    Job("evaluate arm.urdf images.csv --setup camera.yaml", "images.csv camera.yaml", 4),
+    Job(
+        "evaluate arm.urdf images.csv --setup camera.yaml", "images.csv camera.yaml", 4
+    ),
     Job("evaluate done/calibration.json new.csv", "done/calibration.json new.csv", 6),
     Job("evaluate done/calibration.json new.csv --register", "done/nominal.urdf"),
     Job("calibrate arm.urdf rows.csv --setup position.yaml", "rows.csv position.yaml"),
     Job("calibrate arm.urdf rows.csv --tip tool -o out", "arm.urdf rows.csv"),
     Job(f"calibrate arm.urdf wires.csv --setup wire.yaml {FIT} out", "wire.yaml"),
     Job("simulate arm.urdf --setup position.yaml --count 4 -o out", "position.yaml", 3),
-    Job(f"{SIMULATE} out --model pose --count 4 --errors errors.yaml", "errors.yaml", 3),
+    Job(
+        f"{SIMULATE} out --model pose --count 4 --errors errors.yaml", "errors.yaml", 3
+    ),
     Job(f"{SIMULATE} out --model pose --configurations plan.csv", "plan.csv", 3),
     Job("simulate arm.urdf --setup camera.yaml --count 2 -o out", "camera.yaml", 2),
     Job(
@@ -221,6 +279,11 @@ JOBS = (
         2,
     ),
     Job(
+        "plan solid.urdf --tip tool --parameters joint-offset --model pose --count 4 "
+        "--candidates 20 --method greedy -o out",
+        "solid.urdf block.stl block.obj block.ply block.dae",
+    ),
+    Job(
         "plan arm.urdf --tip tool --parameters joint-offset --to poses.csv --add 2 "
         "--candidates 30 --method greedy -o out",
         "arm.urdf poses.csv",
@@ -228,7 +291,9 @@ JOBS = (
     Job("compensate done/calibration.json targets.csv -o out", "targets.csv", 4),
     Job("compensate done/calibration.json motion.csv -o out", "motion.csv", 3),
     Job("compensate done/calibration.json targets.csv -o out", "done/calibration.json"),
-    Job("compare done/calibration.json later/calibration.json", "done/calibration.json"),
+    Job(
+        "compare done/calibration.json later/calibration.json", "done/calibration.json"
+    ),
     Job("report done -o out", "done/calibration.json done/measurements.csv"),
 )
 
@@ -240,10 +305,15 @@ def written() -> dict[str, bytes]:
     """
     for name, text in TEXTS.items():
         Path(name).write_text(text)
+    solid = ARM
+    for shape, mesh in SHAPES.items():
+        solid = solid.replace(shape, mesh)
+    for name, data in {"solid.urdf": solid.encode(), **meshes()}.items():
+        Path(name).write_bytes(data)
     for name, options in MADE.items():
         _run(f"{SIMULATE} {name} {options}")
     for name, (source, columns) in ADDED.items():
-        comment, head, *rows = Path(source).read_text().splitlines()
+        head, *rows = Path(source).read_text().splitlines()[1:]
         cells = [
             ",".join(words[k % len(words)] for words in columns.values())
             for k in range(len(rows))
@@ -256,7 +326,7 @@ def written() -> dict[str, bytes]:
     found = {str(path): path.read_bytes() for path in Path().rglob("*.*")}
     # Times would make other files of every run.
     return {
-        name: re.sub(rb'("seconds": |T)[0-9:.]+', rb"\g<1>00:00:00", data)
+        name: re.sub(rb'("seconds": |T..:..:)[0-9.e-]+', rb"\g<1>10", data)
         for name, data in found.items()
         if not name.endswith(".html")
     }
@@ -269,4 +339,6 @@ def _run(words: str) -> None:
 def needed(words: str, corpus: Mapping[str, bytes]) -> dict[str, bytes]:
     """The files that a command line names, and all of the folders that it names."""
     named = {word.split("/")[0] for word in words.split()}
+    if "solid.urdf" in named:
+        named |= {name for name in corpus if name.startswith("block")}
     return {name: data for name, data in corpus.items() if name.split("/")[0] in named}

@@ -23,17 +23,67 @@ ATTRIBUTE = re.compile(r'(\w+)="([^"]*)"')
 
 NUMBERS = (
     *("nan", "inf", "-inf", "NaN", "Infinity", "1e308", "-1e308", "1e-320", "1e400"),
-    *("1_000", "１", "٣", "4 kg", "1,5", "0x10", "1e", ".", "-", "", "--1", "1/3", "1 2"),
+    *(
+        "1_000",
+        "\uff11",
+        "\u0663",
+        "4 kg",
+        "1,5",
+        "0x10",
+        "1e",
+        ".",
+        "-",
+        "",
+        "--1",
+        "1/3",
+        "1 2",
+    ),
     *("0", "-0", "-1", "1", "2", "1e5", "1e6", "1e12", "1e30", "-1e-9", "1e-12", "3.2"),
     *("9" * 30, "0." + "1" * 400, "true", "null", "1.0.0", "+5", "5.", ".5", "1e+5"),
 )
 TEXTS = (
-    *("", " ", "a" * 5000, "\x1b[31mred", "\x07", "\x00", "\x7f", "\u202eevil", "\u2066"),
-    *("\u200b", "\u2028", "\ufeff", "é", "e\u0301", "日本", "\U0001f916", "\udcff\udcfe"),
+    *(
+        "",
+        " ",
+        "a" * 5000,
+        "\x1b[31mred",
+        "\x07",
+        "\x00",
+        "\x7f",
+        "\u202eevil",
+        "\u2066",
+    ),
+    *(
+        "\u200b",
+        "\u2028",
+        "\ufeff",
+        "é",
+        "e\u0301",
+        "日本",
+        "\U0001f916",
+        "\udcff\udcfe",
+    ),
     *("'", '"', "'" * 70, "%s", "{}", "{0}", "${x}", "$(find x)", "../../x", "/", "\\"),
     *("None", "nan", "*", "[", "]", "**", "a/b", "a@b", "a.b", "joint:base", "base"),
-    *("tool", "universe", "&amp;", "&#0;", "&x;", "<!--", "]]>", "a\nb", "a\tb", "#", ":"),
-    *(", ".join(f"name{k}" for k in range(200)), "x" * 300, "word " * 80, "=cmd|' /C'!A0"),
+    *(
+        "tool",
+        "universe",
+        "&amp;",
+        "&#0;",
+        "&x;",
+        "<!--",
+        "]]>",
+        "a\nb",
+        "a\tb",
+        "#",
+        ":",
+    ),
+    *(
+        ", ".join(f"name{k}" for k in range(200)),
+        "x" * 300,
+        "word " * 80,
+        "=cmd|' /C'!A0",
+    ),
 )
 
 
@@ -42,7 +92,9 @@ def replaced(found: re.Match[str], new: str) -> str:
     return found.string[: found.start()] + new + found.string[found.end() :]
 
 
-def pick(rng: random.Random, pattern: re.Pattern[str], text: str) -> re.Match[str] | None:
+def pick(
+    rng: random.Random, pattern: re.Pattern[str], text: str
+) -> re.Match[str] | None:
     """A random match of a pattern."""
     found = list(pattern.finditer(text))
     return rng.choice(found) if found else None
@@ -287,6 +339,7 @@ OF_KIND: dict[str, tuple[Mutator, ...]] = {
     "csv": (columns,) * 4,
     "urdf": (elements,) * 5,
     "srdf": (elements,) * 5,
+    "dae": (elements,) * 5,
     "json": (nodes,) * 8,
     "yaml": (nodes,) * 5,
 }

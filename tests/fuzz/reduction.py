@@ -1,4 +1,4 @@
-"""The smallest file that fails in the same way: delta debugging on lines, then bytes."""
+"""The smallest file that fails in the same way: delta debugging, lines then bytes."""
 
 from __future__ import annotations
 

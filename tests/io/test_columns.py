@@ -1,4 +1,4 @@
-"""Numbers in cells: to the last bit those of Python's `float`."""
+"""Numbers in cells, to the last bit those of Python's `float`, and headers."""
 
 from __future__ import annotations
 
@@ -7,7 +7,7 @@ from decimal import Decimal, localcontext
 import numpy as np
 import pytest
 
-from calib_pin.io.columns import read_numbers, what_is_wrong
+from calib_pin.io.columns import read_numbers, split_header, what_is_wrong
 
 
 def halfway(values: np.ndarray) -> list[str]:
@@ -83,3 +83,20 @@ def test_cells_that_add_up_are_not_shifted():
 )
 def test_what_is_wrong(cell, value, reason):
     assert what_is_wrong(cell, value) == reason
+
+
+@pytest.mark.parametrize(
+    ("cell", "expected"),
+    [
+        (" x [mm] ", ("x", "mm")),
+        ("x[ mm ]", ("x", "mm")),
+        ("[mm]", ("", "mm")),
+        ("a [b] [c]", ("a [b]", "c")),
+        ("x []", ("x", "")),
+        *((cell, (cell, None)) for cell in ("x", "x [mm", "x mm]", "x [a]]", "[a] b")),
+        # Once this took minutes.
+        (f"{'[' * 50_000}{' ' * 50_000}x", (f"{'[' * 50_000}{' ' * 50_000}x", None)),
+    ],
+)
+def test_headers(cell, expected):
+    assert split_header(cell) == expected

@@ -820,6 +820,20 @@ ALLOWED_TYPES = "revolute, continuous, prismatic, fixed, floating, planar"
             'lower=" -1"',
             dict(line=11, value=" -1", allowed="a finite number"),
         ),
+        *(
+            (
+                'xyz="0 0 1"/>',
+                f'xyz="0 0 1"/>\n<{tag} {key}="{text}"/>',
+                dict(
+                    line=11, value=text, reason=f"{key} in the <{tag}> of joint 'j' can"
+                ),
+            )
+            for tag, key, text in (
+                ("mimic", "multiplier", "1_000"),
+                ("mimic", "offset", "\uff11"),
+                ("dynamics", "damping", "0.1 Nm"),
+            )
+        ),
         (
             'velocity="1"',
             "",
@@ -1059,3 +1073,42 @@ def test_read_bytes(tmp_path: Path, refused: Callable[..., Any]) -> None:
         read_bytes(tmp_path / "dat.csv")
     with refused(InputError, file=str(tmp_path), reason="is a directory"):
         read_bytes(tmp_path)
+
+
+INERTIAL = """<inertial>
+<origin xyz="0 0 0.1" rpy="0 0 0"/>
+<mass value="4"/>
+<inertia ixx="1" ixy="0" ixz="0" iyy="1" iyz="0" izz="1"/>
+</inertial>
+<collision>
+<geometry><box size="1 1 1"/></geometry>
+</collision>"""
+
+
+@pytest.mark.parametrize(
+    ("old", "new", "line", "value"),
+    [
+        ('value="4"', 'value="4 kg"', 3, "4 kg"),
+        ('value="4"', 'value=" 4"', 3, " 4"),
+        ('value="4"', 'value="\uff14"', 3, "\uff14"),
+        ('value="4"', 'value="-4"', 3, "-4"),
+        ('value="4"', 'value="1e9"', 3, "1e9"),
+        ('value="4"', "", 1, None),
+        ('<mass value="4"/>', "", 1, None),
+        ('ixx="1"', 'ixx="1,0"', 4, "1,0"),
+        ('xyz="0 0 0.1"', 'xyz="0 0"', 2, "0 0"),
+        ('xyz="0 0 0.1"', 'xyz="0 0 1e9"', 2, "0 0 1e9"),
+        ('rpy="0 0 0"', 'rpy="0 0 nan"', 2, "0 0 nan"),
+        ('size="1 1 1"', 'size="1 1 \u0661"', 7, "1 1 \u0661"),
+    ],
+)
+def test_numbers_of_links_that_would_be_dropped(old, new, line, value, bad, urdf_of):
+    """Pinocchio took such a link for one without a mass, or left its shape out."""
+    assert old in INERTIAL
+    text = INERTIAL.replace(old, new)
+    source = f'<robot name="r"><link name="a">{text}</link></robot>'.encode()
+    bad(source, line=line, value=value, reason="of link 'a'")
+
+
+def test_wide_text_is_no_xml(bad):
+    bad('<robot name="r"><link name="a"/></robot>'.encode("utf-32"), reason="utf-16-le")

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Collection, Mapping, Sequence
 
 import numpy as np
 from numpy.typing import NDArray
@@ -66,6 +66,12 @@ def orientation_columns(table: Table) -> str:
     return stated[0]
 
 
+def stated_way(columns: Collection[str]) -> str:
+    """The way in which columns state an orientation; empty for none."""
+    ways = (way for way, names in STATED.items() if set(names) <= set(columns))
+    return next(ways, "")
+
+
 def read_quaternions(
     table: Table, way: str, reading: OrientationSetup | None = None
 ) -> Floats:
@@ -74,7 +80,7 @@ def read_quaternions(
     Args:
         table: The file.
         way: How it states orientations, one of `STATED`.
-        reading: What these columns hold instead of what they say.
+        reading: How they are to be read.
     """
     given = quaternions(read_kinds(table, ORIENTATIONS[way]), way, reading)
     with np.errstate(over="ignore"):
@@ -155,7 +161,7 @@ def read_values(
         table: The file.
         model: Name of the model.
         spare: Columns that are no joints, for a hint at a missing one.
-        orientation: What columns of an orientation hold instead of what they say.
+        orientation: How columns of an orientation are to be read.
 
     Returns:
         The columns that were used, and the values in the layout of

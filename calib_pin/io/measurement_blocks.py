@@ -25,6 +25,7 @@ from calib_pin.io.measured_columns import (
     read_values,
     reserved,
     sigmas,
+    stated_way,
 )
 from calib_pin.io.table import Table
 from calib_pin.kinematics.chains import Chains
@@ -65,7 +66,7 @@ def read_blocks(
         table: The file.
         chains: The chains that it may name.
         joints: How file columns become joints; others are taken by their own name.
-        orientation: What columns of an orientation hold instead of what they say.
+        orientation: How columns of an orientation are to be read.
         asked: Measurement models of a file without a column `model`.
         station: Station of all measurements; None takes the column `station`.
         unnamed: Chain of measurements that name none.
@@ -237,6 +238,7 @@ def _read_block(
         validate=_read_set(table, texts["set"]),
         lines=table.lines,
         files=Labels.all(table.file, len(q)),
+        orientation=stated_way(value_columns),
         **key._asdict(),
     )
     return part, {*value_columns, *sigma_columns.values()}

@@ -16,9 +16,9 @@ def quaternions(
     """Quaternions qx qy qz qw, of the length that was stated, shape (N, 4).
 
     Args:
-        numbers: What the columns hold, shape (N, 3) [rad] or (N, 4).
-        columns: What their names say, one of `STATED`.
-        reading: What they hold instead, where it is about these columns.
+        numbers: Numbers in the columns, shape (N, 3) [rad] or (N, 4).
+        columns: The way that their names say, one of `STATED`.
+        reading: The way in which they are to be read, where it is about these columns.
     """
     if reading is None or reading.columns not in (None, columns):
         return _quaternions(numbers, columns)
@@ -33,13 +33,13 @@ def inverse(quaternions: Floats) -> Floats:
 
 
 def numbers_of(quaternions: Floats, columns: str, *, turns: bool = False) -> Floats:
-    """What columns may have held that were read as unit quaternions, shape (A, N, k).
+    """Numbers that may have been read as unit quaternions, shape (A, N, k).
 
     Angles of a file may be larger than those that a rotation has.
 
     Args:
         quaternions: Shape (N, 4).
-        columns: What their names say, one of `STATED`.
+        columns: The way that their names say, one of `STATED`.
         turns: Whether they may be larger by a whole turn.
     """
     if columns == "quaternion":

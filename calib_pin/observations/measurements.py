@@ -120,6 +120,8 @@ class Measurements(SourcedRows):
         chain: Name of the chain; empty for the only one.
         station: Name of the place where the instrument stood; empty for the only one.
         tool: Name of what was mounted; empty for the only one.
+        orientation: How the file states orientations, such as `quaternion`; empty where
+            there is no file, or files state them in several ways.
 
     Raises:
         InputError: If the shapes disagree or a number is not finite.
@@ -140,6 +142,7 @@ class Measurements(SourcedRows):
     chain: str = ""
     station: str = ""
     tool: str = ""
+    orientation: str = ""
 
     def __post_init__(self) -> None:
         """Fill the optional columns and check shapes and values."""
@@ -230,7 +233,9 @@ class Measurements(SourcedRows):
         for name in WORDS:
             joined[name] = Labels.concatenate([getattr(part, name) for part in parts])
         sigma = np.concatenate(sigmas) if sigmas else None
-        return replace(first, **joined, sigma=sigma)
+        ways = {part.orientation for part in parts}
+        way = first.orientation if len(ways) == 1 else ""
+        return replace(first, **joined, sigma=sigma, orientation=way)
 
     def sample(self, count: int) -> Measurements:
         """About `count` rows, spread evenly over the rows of every target.

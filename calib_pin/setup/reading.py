@@ -42,7 +42,7 @@ HELD = (
     *(f"{kind}-{order}" for kind in ("extrinsic", "intrinsic") for order in ORDERS),
     *(f"rpy-{order}" for order in ("xzy", "yxz", "yzx", "zxy")),
 )
-"""What the columns of an orientation may hold instead."""
+"""Orientations that such columns may hold instead."""
 
 
 def _axes(value: object) -> tuple[str, ...]:
@@ -128,12 +128,12 @@ def _held(value: object) -> str:
 
 @dataclass(frozen=True)
 class OrientationSetup(Section):
-    """What the columns of an orientation hold, where their names say something else.
+    """How the columns of an orientation are to be read, where their names are wrong.
 
     Attributes:
         columns: The columns that it is about, by what their names say; files with
             others are read as they are. Left out for all.
-        hold: What their numbers are: `wxyz` a quaternion in this order,
+        hold: Their numbers: `wxyz` a quaternion in this order,
             `rotation-vector`, `intrinsic-zyx` or `extrinsic-zyx` angles in the order
             of these rotations about turned or fixed axes, `rpy-yxz` angles about x, y
             and z that are applied about fixed axes in the order y, x, z.
@@ -162,7 +162,7 @@ class ReadingSetup(Section):
     All keys together are applied in the order in which they stand here.
 
     Attributes:
-        orientation: What the columns of an orientation hold.
+        orientation: How the columns of an orientation are to be read.
         inverted: Whether poses are those of the measurement frame in the tool.
         exchanged: Pairs of lines whose joint positions are exchanged.
         converted: Measurements in another unit.

@@ -36,9 +36,9 @@ Kind = Callable[[Case], Iterable[Finding]]
 EXPLANATIONS: tuple[Family, ...] = (
     joint_columns,
     line_order,
+    orientations,
     axes,
     units,
-    orientations,
 )
 """Explanations of errors that no robot explains."""
 

@@ -136,7 +136,8 @@ class _Search:
                     misfit = size(trial)
                     if misfit < CLEAR * left:
                         found[key] = misfit, trial
-            beam = sorted(found.values(), key=lambda pair: pair[0])[:WIDTH]
+            # Of those that leave the same, the likelier kind comes first.
+            beam = sorted(found.values(), key=lambda pair: _rounded(pair[0]))[:WIDTH]
             if not beam:
                 break
             best = min(best, beam[0], key=lambda pair: pair[0])
@@ -260,6 +261,10 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
             {} if fault.advice else lines,
             fault.figure,
         )
+
+
+def _rounded(misfit: float) -> float:
+    return round(float(np.log(max(misfit, 1e-300))), 2)
 
 
 def _picked(data: Observations) -> Observations:

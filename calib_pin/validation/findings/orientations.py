@@ -9,7 +9,7 @@ nearest to the others is taken.
 
 from __future__ import annotations
 
-from collections.abc import Iterator, Mapping, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, replace
 from functools import partial
 
@@ -65,8 +65,9 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
         with_tools = {k: replace(located[k], tool=found[k][1]) for k in found}
         return max(left for left, _ in found.values()), with_tools
 
+    ways = {block.orientation or "quaternion" for block in blocks}
     now, _ = tried(OrientationSetup())
-    trials = [(reading, *tried(reading)) for reading in _readings()]
+    trials = [(reading, *tried(reading)) for reading in _readings(ways)]
     for reading, left, found in sorted(trials, key=lambda trial: trial[1])[:MOST]:
         if left < LIKELY * now:
             yield Hypothesis(
@@ -78,10 +79,10 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
             )
 
 
-def _readings() -> Iterator[OrientationSetup]:
-    """All that the columns of an orientation may hold."""
+def _readings(ways: Iterable[str]) -> Iterator[OrientationSetup]:
+    """All that the columns of an orientation may hold, by the ways of the files."""
     yield OrientationSetup(inverse=True)
-    for columns in STATED:
+    for columns in ways:
         for hold in (None, *HELD):
             angles = columns != "quaternion"
             if hold == columns or (hold is not None and (hold != "wxyz") != angles):
@@ -123,7 +124,7 @@ class _Located:
     tool: Floats | None = None
 
     def tools(self, reading: OrientationSetup, block: Measurements) -> Floats:
-        """What each orientation may say of the tool, quaternions (A, N, 4)."""
+        """The tool as each orientation may have it, quaternions (A, N, 4)."""
         error = self.part.error
         tip = error.chain.poses(block.q[:, self.part.columns])[:, :3, :3]
         to_tip = np.swapaxes(error.base.rotation @ tip, 1, 2)
@@ -166,7 +167,7 @@ def _located(case: Case, blocks: Sequence[Measurements]) -> dict[BlockKey, _Loca
 
 def _possible(reading: OrientationSetup, block: Measurements) -> Floats:
     """Quaternions that the orientations of a block may be, shape (A, N, 4)."""
-    columns = reading.columns or "quaternion"
+    columns = block.orientation or "quaternion"
     stated = numbers_of(block.values[:, 3:], columns, turns=reading.factor != 1.0)
     return np.stack([quaternions(numbers, columns, reading) for numbers in stated])
 

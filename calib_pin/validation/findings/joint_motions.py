@@ -14,13 +14,13 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import last_motions
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import UNLIKELY, Explanation
+from calib_pin.validation.findings.explanations import Explanation
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
@@ -30,6 +30,9 @@ LEFT = 0.5
 
 Gears that err by what no parameter describes, on a path, have left 0.55 of it.
 """
+
+CHANCE = 1e-4
+"""Probability that one of them explains as much by chance, from which it is told."""
 
 CONTRARY = 0.1
 """Part of what they explain that some stretches of the files may contradict."""
@@ -143,11 +146,11 @@ class _Columns:
         gains = np.where(told, along**2 / np.where(told, norms, 1.0), 0.0)
         left = 1.0 - gains / max(float(r @ r), 1e-300)
         best, second = np.argsort(left)[:2]
-        ratio = -0.5 * fit.left * np.log(max(left[best], 1e-12))
+        F = (fit.left - 1) * (1.0 / max(left[best], 1e-12) - 1.0)
         if (
             left[best] > LEFT
             or left[second] < SECOND * left[best]
-            or ratio < UNLIKELY + np.log(len(left))
+            or f_tail(F, 1, fit.left - 1) * len(left) > CHANCE
         ):
             return None
         stretch = self.case.rank[fit.problem.layout.row] * STRETCHES
@@ -160,7 +163,7 @@ class _Columns:
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion of a joint that errors follow; None where none stands out."""
     fit = case.fit
-    if not fit.redundant or fit.left <= 0:
+    if not fit.redundant or fit.left <= 1:
         return None
     columns = _Columns(case)
     best = columns.likeliest()
@@ -178,8 +181,8 @@ def joint_motion(case: Case) -> Explanation | None:
         return None
     return Explanation(
         (motion.hypothesis(case, part),),
-        _errors(case.fit),
-        _errors(fit),
+        case.fit.errors,
+        fit.errors,
         fit.left * float(np.log(case.fit.rms / fit.rms)),
         len(columns.motions),
         fitted=True,
@@ -193,11 +196,3 @@ def _refitted(fit: QuickFit, data: Observations) -> QuickFit:
     theta, free = fit.theta.copy(), parameters.free
     theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
     return replace(fit, theta=theta)
-
-
-def _errors(fit: QuickFit) -> float:
-    """Remaining errors of the first quantity, rms [its unit]."""
-    problem = fit.problem
-    table = error_table(problem, fit.theta)[problem.data.weight > 0.0]
-    errors = problem.layout.quantities[0].errors(table)
-    return float(np.sqrt(np.mean(errors**2)))

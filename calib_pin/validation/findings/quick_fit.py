@@ -11,7 +11,7 @@ import numpy as np
 
 from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
@@ -126,6 +126,17 @@ class QuickFit:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
         return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @property
+    def errors(self) -> float:
+        """Errors left of the first quantity, rms [its unit].
+
+        What was set aside does not count.
+        """
+        table = error_table(self.problem, self.theta)
+        table = table[self.problem.data.weight > 0.0]
+        errors = self.problem.layout.quantities[0].errors(table)
+        return float(np.sqrt(np.mean(errors**2)))
 
     @cached_property
     def by_joints(self) -> Floats:

@@ -25,23 +25,27 @@ from calib_pin.validation.findings.hypotheses import Hypothesis, read_so
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
 
-LEFT = 0.5
+LEFT = 0.65
 """Part of the sum of squares that a part of a motion leaves at most.
 
-Gears that err by what no parameter describes, on a path, have left 0.55 of it.
+Gears that err by what no parameter describes, on a path, have left 0.44 of it, but
+with contradiction.
 """
 
 CHANCE = 1e-4
 """Probability that one of them explains as much by chance, from which it is told."""
 
-CONTRARY = 0.1
-"""Part of what they explain that some stretches of the files may contradict."""
+CONTRARY = 0.04
+"""Part of what it explains that some stretches of the files may contradict.
+
+Of true gears and lags it is below 0.013, also where these cost less than noise.
+"""
 
 STRETCHES = 20
 """Number of these stretches."""
 
-SECOND = 1.3
-"""By what factor the next best leaves more."""
+CLEAR = 5.0
+"""Logarithm of the likelihood ratio to the next best."""
 
 LARGEST = 0.3
 """Largest part; more is another fault, such as a joint that is reversed."""
@@ -87,9 +91,10 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class _Columns:
-    """What is tried in a case."""
+    """Motions that are tried in a case, with the fit that they explain."""
 
     case: Case
+    fit: QuickFit
 
     @cached_property
     def index(self) -> Indices:
@@ -115,7 +120,7 @@ class _Columns:
     @cached_property
     def by_parts(self) -> Floats:
         """Whitened residual by the part of each motion, shape (M, K)."""
-        fit = self.case.fit
+        fit = self.fit
         data, row = fit.problem.data, fit.problem.layout.row
         moved = last_motions(self.case.data)[self.index][row]
         start = np.concatenate(
@@ -134,7 +139,7 @@ class _Columns:
 
     def likeliest(self) -> int | None:
         """The motion that explains most, where it does so alone and everywhere."""
-        fit, rows = self.case.fit, len(self.by_parts)
+        fit, rows = self.fit, len(self.by_parts)
         Q, r = fit.unexplained
         X = np.zeros((len(r), len(self.motions)))
         X[:rows] = self.by_parts
@@ -149,7 +154,7 @@ class _Columns:
         F = (fit.left - 1) * (1.0 / max(left[best], 1e-12) - 1.0)
         if (
             left[best] > LEFT
-            or left[second] < SECOND * left[best]
+            or 0.5 * fit.left * np.log(left[second] / left[best]) < CLEAR
             or f_tail(F, 1, fit.left - 1) * len(left) > CHANCE
         ):
             return None
@@ -162,10 +167,10 @@ class _Columns:
 
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion of a joint that errors follow; None where none stands out."""
-    fit = case.fit
-    if not fit.redundant or fit.left <= 1:
+    fit = first = case.fit if case.fit.redundant else replace(case.fit, whole=True)
+    if fit.left <= 1:
         return None
-    columns = _Columns(case)
+    columns = _Columns(case, fit)
     best = columns.likeliest()
     if best is None:
         return None
@@ -177,13 +182,13 @@ def joint_motion(case: Case) -> Explanation | None:
             return None
         data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
         fit = _refitted(fit, data)
-    if not fit.rms**2 < LEFT * case.fit.rms**2:
+    if not fit.rms**2 < LEFT * first.rms**2:
         return None
     return Explanation(
         (motion.hypothesis(case, part),),
-        case.fit.errors,
+        first.errors,
         fit.errors,
-        fit.left * float(np.log(case.fit.rms / fit.rms)),
+        fit.left * float(np.log(first.rms / fit.rms)),
         len(columns.motions),
         fitted=True,
     )
@@ -191,7 +196,7 @@ def joint_motion(case: Case) -> Explanation | None:
 
 def _refitted(fit: QuickFit, data: Observations) -> QuickFit:
     """A fit to the same measurements, read otherwise: one more step."""
-    fit = QuickFit(replace(fit.problem, data=data), fit.theta)
+    fit = replace(fit, problem=replace(fit.problem, data=data))
     parameters, (A, b) = fit.problem.parameters, fit.system
     theta, free = fit.theta.copy(), parameters.free
     theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -55,10 +55,12 @@ class QuickFit:
     Attributes:
         problem: The problem about its registered references.
         theta: Parameter values, shape (P,).
+        whole: Whether the robot's errors count however few measurements there are.
     """
 
     problem: Problem
     theta: Floats
+    whole: bool = field(default=False, kw_only=True)
 
     @classmethod
     def of(cls, problem: Problem, **more: Any) -> Self:
@@ -99,7 +101,7 @@ class QuickFit:
         """Columns of what is free, and residuals, with expected sizes below them."""
         r, J = self.linear
         parameters = self.problem.parameters
-        free = parameters.free & (parameters.nuisance | self.redundant)
+        free = parameters.free & (parameters.nuisance | self.redundant | self.whole)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         A = np.concatenate([J, prior])

@@ -20,6 +20,7 @@ from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
+from calib_pin.validation.findings.joint_offsets import joint_offset
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
@@ -70,14 +71,25 @@ class Found:
 @serial_blas
 def find(case: Case) -> Found:
     """The faults of measurements and of what was fitted to them."""
-    explanation = joint_motion(case)
-    causes = () if explanation else tuple(move_findings(case))
-    if explanation is None and case.doubtful:
-        explanation = explain(case, EXPLANATIONS)
-    if explanation is not None and explanation.after < _left(causes):
-        causes = tuple(finding(case, explanation))
+    sure = joint_motion(case) or joint_offset(case)
+    named = () if sure is None else tuple(finding(case, sure))
+    harmless = sure is not None and sure.harmless
+    causes = named if named and not harmless else _sought(case)
     kinds = FACTS if causes else CONSEQUENCES + FACTS
-    return Found(causes, tuple(found for kind in kinds for found in kind(case)))
+    others = [found for kind in kinds for found in kind(case)]
+    if harmless and not causes:
+        others = [*named, *(f for f in others if f.code != "large-correction")]
+    return Found(causes, tuple(others))
+
+
+def _sought(case: Case) -> tuple[Finding, ...]:
+    """Faults that are sought where something looks like them."""
+    causes = tuple(move_findings(case))
+    if case.doubtful:
+        explanation = explain(case, EXPLANATIONS)
+        if explanation is not None and explanation.after < _left(causes):
+            causes = tuple(finding(case, explanation))
+    return causes
 
 
 def _left(causes: Iterable[Finding]) -> float:

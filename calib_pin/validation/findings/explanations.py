@@ -85,6 +85,7 @@ class Explanation:
         ratio: Logarithm of the likelihood ratio.
         tried: Number of explanations that were tried.
         fitted: Whether both are errors of a fit, or of the nominal robot.
+        harmless: Whether a fit finds the same errors of the robot without it.
     """
 
     faults: tuple[Hypothesis, ...]
@@ -93,6 +94,7 @@ class Explanation:
     ratio: float
     tried: int
     fitted: bool
+    harmless: bool = False
 
 
 @serial_blas
@@ -244,7 +246,7 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     unit, factor = DISPLAY[quantity.unit]
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
-    clear = found.after < FITTED * found.before
+    clear = found.after < FITTED * found.before and not found.harmless
     for fault in found.faults:
         yield Finding(
             fault.code,

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from itertools import combinations
 
 import numpy as np
@@ -34,15 +34,7 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
         )
     for j in turning:
         for turn in TURNS:
-            offsets = plain.offsets.copy()
-            offsets[j] = np.radians(turn)
-            yield Hypothesis(
-                "joint-offset",
-                f"joint '{joints[j]}' is offset by {turn:g} deg",
-                f"zero of {joints[j]}",
-                joint=joints[j],
-                joints=JointReading(plain.factors, offsets),
-            )
+            yield offset_by(joints, j, turn)
     for order in _orders(len(joints)):
         moved = [f"'{joints[k]}'" for k, other in enumerate(order) if k != other]
         named = f"{', '.join(moved[:-1])} and {moved[-1]}"
@@ -78,6 +70,19 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
                 joint=joints[j],
                 joints=JointReading(factors, plain.offsets),
             )
+
+
+def offset_by(joints: Sequence[str], joint: int, degrees: float) -> Hypothesis:
+    """A joint whose zero is elsewhere, by its position among all [deg]."""
+    plain = JointReading.plain(len(joints))
+    plain.offsets[joint] = np.radians(degrees)
+    return Hypothesis(
+        "joint-offset",
+        f"joint '{joints[joint]}' is offset by {degrees:.4g} deg",
+        f"zero of {joints[joint]}",
+        joints=plain,
+        joint=joints[joint],
+    )
 
 
 def _orders(count: int) -> Iterator[tuple[int, ...]]:

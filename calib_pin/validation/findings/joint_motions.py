@@ -14,31 +14,38 @@ from typing import NamedTuple
 
 import numpy as np
 
-from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import last_motions
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import UNLIKELY, Explanation
+from calib_pin.validation.findings.explanations import Explanation
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
 
-LEFT = 0.5
+LEFT = 0.65
 """Part of the sum of squares that a part of a motion leaves at most.
 
-Gears that err by what no parameter describes, on a path, have left 0.55 of it.
+Gears that err by what no parameter describes, on a path, have left 0.44 of it, but
+with contradiction.
 """
 
-CONTRARY = 0.1
-"""Part of what they explain that some stretches of the files may contradict."""
+CHANCE = 1e-4
+"""Probability that one of them explains as much by chance, from which it is told."""
+
+CONTRARY = 0.04
+"""Part of what it explains that some stretches of the files may contradict.
+
+Of true gears and lags it is below 0.013, also where these cost less than noise.
+"""
 
 STRETCHES = 20
 """Number of these stretches."""
 
-SECOND = 1.3
-"""By what factor the next best leaves more."""
+CLEAR = 5.0
+"""Logarithm of the likelihood ratio to the next best."""
 
 LARGEST = 0.3
 """Largest part; more is another fault, such as a joint that is reversed."""
@@ -84,9 +91,10 @@ class Motion(NamedTuple):
 
 @dataclass(frozen=True)
 class _Columns:
-    """What is tried in a case."""
+    """Motions that are tried in a case, with the fit that they explain."""
 
     case: Case
+    fit: QuickFit
 
     @cached_property
     def index(self) -> Indices:
@@ -112,7 +120,7 @@ class _Columns:
     @cached_property
     def by_parts(self) -> Floats:
         """Whitened residual by the part of each motion, shape (M, K)."""
-        fit = self.case.fit
+        fit = self.fit
         data, row = fit.problem.data, fit.problem.layout.row
         moved = last_motions(self.case.data)[self.index][row]
         start = np.concatenate(
@@ -131,7 +139,7 @@ class _Columns:
 
     def likeliest(self) -> int | None:
         """The motion that explains most, where it does so alone and everywhere."""
-        fit, rows = self.case.fit, len(self.by_parts)
+        fit, rows = self.fit, len(self.by_parts)
         Q, r = fit.unexplained
         X = np.zeros((len(r), len(self.motions)))
         X[:rows] = self.by_parts
@@ -143,11 +151,11 @@ class _Columns:
         gains = np.where(told, along**2 / np.where(told, norms, 1.0), 0.0)
         left = 1.0 - gains / max(float(r @ r), 1e-300)
         best, second = np.argsort(left)[:2]
-        ratio = -0.5 * fit.left * np.log(max(left[best], 1e-12))
+        F = (fit.left - 1) * (1.0 / max(left[best], 1e-12) - 1.0)
         if (
             left[best] > LEFT
-            or left[second] < SECOND * left[best]
-            or ratio < UNLIKELY + np.log(len(left))
+            or 0.5 * fit.left * np.log(left[second] / left[best]) < CLEAR
+            or f_tail(F, 1, fit.left - 1) * len(left) > CHANCE
         ):
             return None
         stretch = self.case.rank[fit.problem.layout.row] * STRETCHES
@@ -159,10 +167,10 @@ class _Columns:
 
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion of a joint that errors follow; None where none stands out."""
-    fit = case.fit
-    if not fit.redundant or fit.left <= 0:
+    fit = first = case.fit if case.fit.redundant else replace(case.fit, whole=True)
+    if fit.left <= 1:
         return None
-    columns = _Columns(case)
+    columns = _Columns(case, fit)
     best = columns.likeliest()
     if best is None:
         return None
@@ -174,13 +182,13 @@ def joint_motion(case: Case) -> Explanation | None:
             return None
         data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
         fit = _refitted(fit, data)
-    if not fit.rms**2 < LEFT * case.fit.rms**2:
+    if not fit.rms**2 < LEFT * first.rms**2:
         return None
     return Explanation(
         (motion.hypothesis(case, part),),
-        _errors(case.fit),
-        _errors(fit),
-        fit.left * float(np.log(case.fit.rms / fit.rms)),
+        first.errors,
+        fit.errors,
+        fit.left * float(np.log(first.rms / fit.rms)),
         len(columns.motions),
         fitted=True,
     )
@@ -188,16 +196,8 @@ def joint_motion(case: Case) -> Explanation | None:
 
 def _refitted(fit: QuickFit, data: Observations) -> QuickFit:
     """A fit to the same measurements, read otherwise: one more step."""
-    fit = QuickFit(replace(fit.problem, data=data), fit.theta)
+    fit = replace(fit, problem=replace(fit.problem, data=data))
     parameters, (A, b) = fit.problem.parameters, fit.system
     theta, free = fit.theta.copy(), parameters.free
     theta[free] -= parameters.scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
     return replace(fit, theta=theta)
-
-
-def _errors(fit: QuickFit) -> float:
-    """Remaining errors of the first quantity, rms [its unit]."""
-    problem = fit.problem
-    table = error_table(problem, fit.theta)[problem.data.weight > 0.0]
-    errors = problem.layout.quantities[0].errors(table)
-    return float(np.sqrt(np.mean(errors**2)))

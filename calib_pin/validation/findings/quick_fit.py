@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from functools import cached_property
 from typing import Any, Self
 
@@ -11,7 +11,7 @@ import numpy as np
 
 from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.nominal import register
-from calib_pin.estimation.problem import Problem
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
@@ -55,10 +55,12 @@ class QuickFit:
     Attributes:
         problem: The problem about its registered references.
         theta: Parameter values, shape (P,).
+        whole: Whether the robot's errors count however few measurements there are.
     """
 
     problem: Problem
     theta: Floats
+    whole: bool = field(default=False, kw_only=True)
 
     @classmethod
     def of(cls, problem: Problem, **more: Any) -> Self:
@@ -99,7 +101,7 @@ class QuickFit:
         """Columns of what is free, and residuals, with expected sizes below them."""
         r, J = self.linear
         parameters = self.problem.parameters
-        free = parameters.free & (parameters.nuisance | self.redundant)
+        free = parameters.free & (parameters.nuisance | self.redundant | self.whole)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
         A = np.concatenate([J, prior])
@@ -126,6 +128,17 @@ class QuickFit:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
         return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @property
+    def errors(self) -> float:
+        """Errors left of the first quantity, rms [its unit].
+
+        What was set aside does not count.
+        """
+        table = error_table(self.problem, self.theta)
+        table = table[self.problem.data.weight > 0.0]
+        errors = self.problem.layout.quantities[0].errors(table)
+        return float(np.sqrt(np.mean(errors**2)))
 
     @cached_property
     def by_joints(self) -> Floats:

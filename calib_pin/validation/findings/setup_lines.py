@@ -61,30 +61,39 @@ class JointReading:
             for name, added in given.coupled.items():
                 parts[name] = parts.get(name, 0.0) + factor * added
             read.append((parts, given.offset))
-        result = {}
-        for j, joint in enumerate(joints):
-            parts, offset = {}, float(self.offsets[j])
-            for k in np.flatnonzero(self.factors[j]).tolist():
-                factor = float(self.factors[j, k])
+        found: list[tuple[dict[str, float], float]] = []
+        for factors, offset in zip(self.factors, self.offsets.tolist(), strict=True):
+            parts = {}
+            for k in np.flatnonzero(factors).tolist():
+                factor = float(factors[k])
                 offset += factor * read[k][1]
                 for name, part in read[k][0].items():
                     parts[name] = parts.get(name, 0.0) + factor * part
-            # Its own column is the one that it keeps, or else the largest.
-            own = max(parts, key=lambda name: (abs(parts[name]), name == columns[j]))
-            if parts.get(columns[j]):
-                own = columns[j]
+            found.append(({n: p for n, p in parts.items() if p}, offset))
+        # Every joint has a column that no other one has, its own where it can.
+        from scipy.optimize import linear_sum_assignment  # Slow to import.
+
+        has = np.array([[c in parts for c in columns] for parts, _ in found])
+        chosen = linear_sum_assignment(
+            has * (len(has) + np.eye(len(has))), maximize=True
+        )[1]
+        result = {}
+        for joint, k, (terms, offset) in zip(
+            joints, chosen.tolist(), found, strict=True
+        ):
+            column = columns[k]
             entry: dict[str, Any] = {"joint": joint}
-            factor = parts.pop(own)
+            factor = terms.pop(column)
             if factor < 0.0:
                 entry["sign"] = -1
             if abs(factor) != 1.0:
                 entry["gear"] = abs(factor)
             if offset:
                 entry["offset"] = offset
-            if parts:
-                entry["coupled"] = {n: part / factor for n, part in parts.items()}
-            if entry != {"joint": joint} or own != joint:
-                result[own] = entry
+            if terms:
+                entry["coupled"] = {n: part / factor for n, part in terms.items()}
+            if entry != {"joint": column} or column in stated:
+                result[column] = entry
         return result
 
 

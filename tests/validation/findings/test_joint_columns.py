@@ -1,4 +1,4 @@
-"""What is wrong with joint readings: reversed, offset, coupled, or nothing."""
+"""What is wrong with joint columns is found by trial, together with other faults."""
 
 from __future__ import annotations
 
@@ -10,17 +10,17 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
-from calib_pin.validation.findings.joint_columns import (
-    Reading,
-    Suggestion,
-    suggest_conventions,
-)
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.explanations import Explanation, explain, finding
+from calib_pin.validation.findings.hypotheses import read_so, setup_lines
+from calib_pin.validation.findings.joint_columns import joint_columns
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)
 TOOL = FrameSetup((0.05, 0.08, 0.12))
@@ -67,6 +67,23 @@ def misread(rows: Observations, change: Callable[[Floats], None]) -> Observation
     return Observations.of(replace(rows.only, q=q))
 
 
+def case_of(
+    arm: Chains,
+    rows: Observations,
+    setup: Setup,
+    progress: Callable[[float], None] | None = None,
+) -> Case:
+    return Case.of(fit_model(arm, rows, setup, 0).fit, arm, progress=progress)
+
+
+def explained(case: Case) -> Explanation | None:
+    return explain(case, (joint_columns,))
+
+
+def said(found: Explanation | None) -> list[str]:
+    return sorted(fault.words for fault in found.faults) if found else []
+
+
 def reverse(q: Floats) -> None:
     q[:, 1] *= -1.0
 
@@ -87,120 +104,132 @@ def couple_and_reverse(q: Floats) -> None:
     q[:, 2] = -(q[:, 2] + q[:, 1])
 
 
+def couple_reverse_and_offset(q: Floats) -> None:
+    q[:, 2] = -q[:, 2] + q[:, 1] + np.pi / 2.0
+
+
 def couple_one_and_reverse_another(q: Floats) -> None:
     q[:, 2] -= q[:, 1]
     q[:, 0] *= -1.0
 
 
+def exchange(q: Floats) -> None:
+    q[:, [1, 2]] = q[:, [2, 1]]
+
+
+def pass_round(q: Floats) -> None:
+    q[:, :3] = q[:, [2, 0, 1]]
+
+
+def degrees(q: Floats) -> None:
+    q[:, 1] = np.degrees(q[:, 1])
+
+
+COUPLED = "joint 'j2' is coupled to 'j1'"
+
+
 @pytest.mark.parametrize(
-    ("change", "readings"),
+    ("change", "words"),
     [
-        (reverse, (Reading(1, sign=-1),)),
-        (slide, (Reading(3, sign=-1),)),
-        (offset, (Reading(2, offset=-np.pi / 2.0),)),
-        (couple, (Reading(2, coupled=1),)),
-        (couple_and_reverse, (Reading(2, sign=-1, coupled=1),)),
+        (reverse, ["joint 'j1' is reversed"]),
+        (slide, ["joint 'j3' is reversed"]),
+        (offset, ["joint 'j2' is offset by -90 deg"]),
+        (couple, [COUPLED]),
+        (couple_and_reverse, [COUPLED, "joint 'j2' is reversed"]),
         (
-            couple_one_and_reverse_another,
-            (Reading(0, sign=-1), Reading(2, coupled=1)),
+            couple_reverse_and_offset,
+            [COUPLED, "joint 'j2' is offset by 90 deg", "joint 'j2' is reversed"],
         ),
+        (couple_one_and_reverse_another, ["joint 'j0' is reversed", COUPLED]),
+        (exchange, ["the columns of joints 'j1' and 'j2' are exchanged"]),
+        (pass_round, ["the columns of joints 'j0', 'j1' and 'j2' are exchanged"]),
+        (degrees, ["joint 'j1' is in degrees"]),
     ],
 )
 def test_what_is_wrong_is_found(
     change: Callable[[Floats], None],
-    readings: tuple[Reading, ...],
+    words: list[str],
     arm: Chains,
     rows: Observations,
 ) -> None:
     wrong = misread(rows, change)
-    found = suggest_conventions(arm, wrong, SETUP)
-    assert found is not None
-    assert found.readings == readings
-    assert found.after < 0.05 * found.before and found.before > 1e3
-    for reading in found.readings:
-        np.testing.assert_allclose(
-            reading.position(wrong.q), rows.q[:, reading.joint], atol=1e-12
-        )
+    found = explained(case_of(arm, wrong, SETUP))
+    assert found is not None and said(found) == words
+    assert found.after < 0.05 * found.before and found.before > 0.03
+    np.testing.assert_allclose(read_so(wrong, found.faults).q, rows.q, atol=1e-12)
 
 
 def test_an_unknown_base_as_well(arm: Chains, rows: Observations) -> None:
-    found = suggest_conventions(arm, misread(rows, couple), Setup())
-    assert found is not None
-    assert found.readings == (Reading(2, coupled=1),)
+    assert said(explained(case_of(arm, misread(rows, couple), Setup()))) == [COUPLED]
 
 
-def test_readings_that_are_right(arm: Chains, rows: Observations) -> None:
-    assert suggest_conventions(arm, rows, SETUP) is None
+def test_positions_that_are_right(arm: Chains, rows: Observations) -> None:
+    assert explained(case_of(arm, rows, SETUP)) is None
 
 
-def test_rows_of_something_else(arm: Chains, rows: Observations) -> None:
+def test_measurements_of_something_else(arm: Chains, rows: Observations) -> None:
     """Nothing helps decisively: better no advice than a wrong one."""
     order = np.random.default_rng(0).permutation(len(rows))
     mixed = Observations.of(replace(rows.only, q=rows.q[order]))
-    assert suggest_conventions(arm, mixed, SETUP) is None
+    assert explained(case_of(arm, mixed, SETUP)) is None
 
 
-def test_without_a_measuring_frame(arm: Chains) -> None:
+def test_without_a_measurement_frame(arm: Chains) -> None:
     """Closed forms are poor there; the registration is fitted."""
     wire = {"w": AnchorSetup((1.5, 0.2, 0.4), estimate=False)}
-    setup = Setup(anchors=wire, tool_frame=TOOL)
+    setup = Setup(anchors=wire, tool_frame=TOOL, parameters=("joint-offset",))
     problem = nominal_problem(arm, "point-distance", setup)
     rng = np.random.default_rng(7)
     zero = np.zeros(len(problem.parameters))
     exact = calib_pin.simulate(problem, zero, rng, count=40, noise=5e-5)
-    wrong = misread(exact, reverse)
-    found = suggest_conventions(arm, wrong, replace(setup, tool_frame=FrameSetup()))
-    assert found is not None
-    np.testing.assert_allclose(
-        found.readings[0].position(wrong.q), exact.q[:, found.readings[0].joint]
+    case = case_of(
+        arm, misread(exact, reverse), replace(setup, tool_frame=FrameSetup())
     )
+    assert said(explained(case)) == ["joint 'j1' is reversed"]
 
 
-def test_starts_are_read_like_the_rows(arm: Chains) -> None:
+def test_starts_are_read_like_the_measurements(arm: Chains) -> None:
     problem = nominal_problem(arm, "relative-distance", Setup(tool_frame=TOOL))
     rng = np.random.default_rng(7)
     zero = np.zeros(len(problem.parameters))
-    rows = calib_pin.simulate(problem, zero, rng, count=40, noise=5e-5)
+    rows = calib_pin.simulate(problem, zero, rng, count=25, noise=5e-5)
     q, start = rows.q.copy(), rows.only.start.copy()
     couple(q), couple(start)
     wrong = Observations.of(replace(rows.only, q=q, start=start))
-    known = Setup(tool_frame=replace(TOOL, estimate=False))
-    found = suggest_conventions(arm, wrong, known)
-    assert found is not None and found.after < 10.0
-    assert found.readings == (Reading(2, coupled=1),)
+    known = replace(SETUP, base_frame=FrameSetup(), tool_frame=TOOL)
+    found = explained(case_of(arm, wrong, known))
+    assert said(found) == [COUPLED]
+    read = read_so(wrong, found.faults)
+    np.testing.assert_allclose(read.only.start, rows.only.start, atol=1e-12)
 
 
 def test_progress(arm: Chains, rows: Observations) -> None:
     told: list[float] = []
-    suggest_conventions(arm, misread(rows, reverse), SETUP, told.append)
+    explained(case_of(arm, misread(rows, reverse), SETUP, told.append))
     assert told and told == sorted(told) and min(told) >= 0.0 and told[-1] < 1.0
 
 
 # What is said of it.
 
 
-def test_a_position_by_hand() -> None:
-    q = np.array([[1.0, 0.25]])
-    assert Reading(0).position(q) == [1.0]
-    assert Reading(1, sign=-1, offset=0.5).position(q) == [0.25]
-    assert Reading(1, sign=-1, coupled=0, factor=-1).position(q) == [0.75]
-
-
-def test_the_message_is_a_setup_file() -> None:
-    joints = ("base", "elbow")
-    found = Suggestion(
-        (Reading(0, offset=np.pi / 2.0), Reading(1, sign=-1, coupled=0)), 2000.0, 10.0
+def test_the_remedy_is_a_setup_file(arm: Chains, rows: Observations) -> None:
+    case = case_of(arm, misread(rows, couple_and_reverse), SETUP)
+    found = explained(case)
+    assert found is not None
+    for one in finding(case, found):
+        assert one.severity == "error"
+        assert one.remedy == (
+            "state in the setup file: "
+            "joints: {j2: {joint: j2, sign: -1, coupled: {j1: 1}}}"
+        )
+        assert one.message.startswith("joint 'j2' is ") and " mm to " in one.message
+        assert one.setup == {
+            "joints": {"j2": {"joint": "j2", "sign": -1, "coupled": {"j1": 1.0}}}
+        }
+    # Under the names of the columns, and with what is mapped already.
+    maps = {"A1": JointMap("j1"), "A2": JointMap("j2", sign=-1)}
+    fit = replace(
+        case.fit, problem=replace(case.fit.problem, setup=replace(SETUP, joints=maps))
     )
-    assert found.text(joints, {}) == (
-        "they fall to 0.5 % before any fit if joint 'base' is offset by 90 deg and "
-        "joint 'elbow' is coupled to 'base' and reversed; state it in the setup file, "
-        "joints: {base: {joint: base, offset: 1.57079633}, "
-        "elbow: {joint: elbow, coupled: {base: 1}, sign: -1}}"
-    )
-    # Under the names of the columns.
-    maps = {"A1": JointMap("base"), "A2": JointMap("elbow")}
-    assert "A2: {joint: elbow, coupled: {A1: 1}, sign: -1}" in found.text(joints, maps)
-    # What is mapped already would change the entries.
-    maps["A2"] = JointMap("elbow", sign=-1)
-    text = found.text(joints, maps)
-    assert text.endswith("reversed; state it under 'joints' in the setup file")
+    lines = setup_lines(replace(case, fit=fit), found.faults)
+    assert lines["joints"]["A2"] == {"joint": "j2", "coupled": {"A1": -1.0}}

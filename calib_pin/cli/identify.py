@@ -13,6 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
+    other_chains,
     require_distinct,
     stated_blocks,
     tell_limits,
@@ -73,7 +74,17 @@ def identify(
                 station_per_file=station_per_file,
                 bar=bar,
             )
-            result = run(chains, rows, stated, validate=False, seed=seed, progress=bar)
+            result = run(
+                chains,
+                rows,
+                stated,
+                validate=False,
+                seed=seed,
+                progress=bar,
+                others=other_chains(
+                    measurements, chains, stated, station_per_file=station_per_file
+                ),
+            )
         stated, keys = calibrated_setup(result.model), rows.keys
         found, verdict, reason = result, result.verdict, result.reason
     else:

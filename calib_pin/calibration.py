@@ -23,6 +23,7 @@ from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -52,6 +53,7 @@ def calibrate(
     ladder: bool = False,
     seed: int = 0,
     progress: Stages | None = None,
+    others: Others = tuple,
 ) -> CalibrationResult:
     """Calibrate a robot.
 
@@ -69,6 +71,8 @@ def calibrate(
             `model_selection.select_model`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
+        others: Other robots and links, asked where no error explains the measurements;
+            see `io.others`.
 
     Returns:
         The result. Look at `verdict` before using it.
@@ -124,7 +128,7 @@ def calibrate(
     )
     fitted = fitted_errors(model, training)
     tell = named(progress, "joint readings")
-    judgement = judge(chains, model, fitted, held_out, seed, tell)
+    judgement = judge(chains, model, fitted, held_out, seed, tell, others)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
     return _result(
         model,

@@ -13,6 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
+    other_chains,
     require_distinct,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
@@ -189,6 +190,9 @@ def calibrate(
             ladder=model_ladder,
             seed=seed,
             progress=bar,
+            others=other_chains(
+                measurements, chains, stated, station_per_file=station_per_file
+            ),
         )
         fitted = Run(("calib-pin", *context.obj), time.perf_counter() - start)
         stood = calibrated_setup(result.model)

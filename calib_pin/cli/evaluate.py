@@ -13,6 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
+    other_chains,
     require_distinct,
     require_file,
 )
@@ -82,7 +83,10 @@ def evaluate(
         if not robot.endswith(".json"):
             subject = measured
         stage(bar, "evaluate")
-        evaluation = run(subject, rows, stated, registration=register)
+        others = other_chains(
+            measurements, chains, stated, chain=chain, station_per_file=station_per_file
+        )
+        evaluation = run(subject, rows, stated, registration=register, others=others)
     if doubts:
         evaluation = replace(evaluation, verdict="untrusted", reason=doubts[0])
     if json:

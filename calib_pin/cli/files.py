@@ -20,6 +20,7 @@ if TYPE_CHECKING:
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
+    from calib_pin.validation.findings.case import Others
 
 
 def open_setup(
@@ -246,6 +247,38 @@ def open_measurements(
         blocks = (block for block in rows.blocks if block.chain == chain)
         rows = Observations(tuple(blocks))
     return chains.named(names), rows
+
+
+def other_chains(
+    files: Sequence[Path],
+    chains: Chains,
+    setup: Setup,
+    *,
+    chain: str | None = None,
+    station_per_file: bool = False,
+) -> Others:
+    """Other robots and links that the files may be of, read only if they are asked for.
+
+    Args:
+        files: The measurement files.
+        chains: The chains that were taken to be measured.
+        setup: The setup.
+        chain: As for `open_measurements`.
+        station_per_file: As for `open_measurements`.
+    """
+    from calib_pin.io.others import others
+
+    def read(other: Chains) -> Observations:
+        return open_measurements(
+            files,
+            other,
+            setup,
+            chain=chain,
+            station_per_file=station_per_file,
+            quiet=True,
+        )[1]
+
+    return lambda: others(files, chains, setup, read)
 
 
 def require_folders(folders: Sequence[Path]) -> None:

@@ -13,6 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
+    other_chains,
     require_distinct,
     stated_blocks,
     tell_limits,
@@ -55,6 +56,7 @@ def identify(
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
+    from calib_pin.report.trust import findings
     from calib_pin.validation.assessment import identify as structural
     from calib_pin.validation.result import Identification
 
@@ -73,21 +75,31 @@ def identify(
                 station_per_file=station_per_file,
                 bar=bar,
             )
-            result = run(chains, rows, stated, validate=False, seed=seed, progress=bar)
+            result = run(
+                chains,
+                rows,
+                stated,
+                validate=False,
+                seed=seed,
+                progress=bar,
+                others=other_chains(
+                    measurements, chains, stated, station_per_file=station_per_file
+                ),
+            )
         stated, keys = calibrated_setup(result.model), rows.keys
         found, verdict, reason = result, result.verdict, result.reason
     else:
         keys = stated_blocks(stated)
         chains = open_chains(robot, stated, keys)
         found = structural(chains, keys, stated, seed=seed)
-        verdict, reason = "good", ""
+        verdict, reason, faults = "good", "", ()
     tell_limits(chains)
     better = suggestions(chains, keys, stated, found, seed=seed)
     if json:
-        document = identification_document(found, better, verdict, reason)
+        document = identification_document(found, better, verdict, reason, faults)
         typer.echo(encode(document).decode(), nl=False)
     else:
         doubts = [] if verdict in TRUSTED else [judged(reason, verdict)]
-        fitted = bool(measurements)
-        show([*doubts, *identified(found, fitted=fitted, suggestions=better)])
+        told = identified(found, fitted=bool(measurements), suggestions=better)
+        show([*doubts, *findings(faults, reason), *told])
     return 0 if verdict in TRUSTED else 2

@@ -8,6 +8,7 @@ from pathlib import Path
 import numpy as np
 
 from calib_pin.control.compensation import Compensation
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.system import System
 from calib_pin.io.json_text import Json, plain
 from calib_pin.io.targets import Targets
@@ -73,6 +74,7 @@ def _record(record: CalibrationResult) -> Json:
         "file": record.provenance.file,
         "created": record.provenance.created,
         "verdict": {"status": record.verdict, "reason": record.reason},
+        "findings": plain(record.findings),
         "model": model_name(record.model),
         "parameters": list(record.model.setup.parameters),
         "residual_model": record.model.setup.learned,
@@ -164,7 +166,11 @@ def identification_parts(
 
 
 def identification_document(
-    found: Identification, suggestions: Sequence[Suggestion], verdict: str, reason: str
+    found: Identification,
+    suggestions: Sequence[Suggestion],
+    verdict: str,
+    reason: str,
+    findings: Sequence[Finding] = (),
 ) -> Json:
     """The identifiability of a robot.
 
@@ -173,11 +179,13 @@ def identification_document(
         suggestions: Suggested measurements.
         verdict: Verdict of the fit that it is of; `good` without one.
         reason: Why; empty where there is nothing to say.
+        findings: Defects of the measurements.
     """
     return {
         **stated("identification"),
         **identification_parts(found, suggestions),
         "verdict": {"status": verdict, "reason": reason},
+        "findings": plain(findings),
     }
 
 
@@ -190,6 +198,7 @@ def evaluation_document(found: Evaluation) -> Json:
         "outside_trained_region": found.outside,
         "placed": list(found.located),
         "verdict": {"status": found.verdict, "reason": found.reason},
+        "findings": plain(found.findings),
         "errors": {
             name: {"unit": unit, **plain(accuracy)}
             for name, unit, accuracy in found.errors

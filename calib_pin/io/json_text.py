@@ -127,6 +127,8 @@ def typed(kind: type[_T], value: Any) -> _T:
 
 def _typed(kind: Any, value: Any) -> Any:
     origin, of = get_origin(kind), get_args(kind)
+    if kind is Any:
+        return value
     if origin in (Union, types.UnionType):
         if value is None and type(None) in of:
             return None

@@ -8,6 +8,7 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any
 
 from calib_pin.errors import InputError, nearest
+from calib_pin.io.json_text import plain
 from calib_pin.setup import WORLD, Setup
 
 LARGEST_ERROR = 1e5
@@ -147,6 +148,23 @@ def setup_document(setup: Setup) -> dict[str, Any]:
         for key, value in _plain(asdict(file)).items()
         if getattr(file, key) != getattr(empty, key) or key in required
     }
+
+
+def yaml_text(lines: Mapping[str, Any]) -> str:
+    """Lines of a setup file, given as plain data.
+
+    Example:
+        >>> print(yaml_text({"tip": "tool0", "reading": {"axes": ["y", "x", "z"]}}))
+        tip: tool0
+        reading:
+          axes: [y, x, z]
+    """
+    import yaml
+
+    text = yaml.safe_dump(
+        plain(lines), sort_keys=False, default_flow_style=None, width=math.inf
+    )
+    return str(text).rstrip("\n")
 
 
 def setup_of(document: Mapping[str, Any]) -> Setup:

@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import importlib.metadata
 import os
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from pathlib import Path
 
@@ -66,6 +67,24 @@ def bundled_robots() -> dict[str, Path]:
     if not folder.is_dir():  # A source checkout keeps them beside the package.
         folder = package.parent / "robots"
     return {path.parent.name: path for path in sorted(folder.glob("*/robot.urdf"))}
+
+
+def known_robots() -> dict[str, Path]:
+    """The bundled robots, and those of example-robot-data, by the names of both.
+
+    Example:
+        >>> "pa10" in known_robots()
+        True
+    """
+    files = _examples()
+    stems = Counter(path.stem for path in files)
+    examples = {
+        # Of several robots of one name a longer one tells which.
+        _EXAMPLE + "/".join(path.with_suffix("").parts[-1 if unique else -3 :]): path
+        for path in files
+        for unique in [stems[path.stem] == 1]
+    }
+    return {**bundled_robots(), **examples}
 
 
 def robot_file(robot: str, name: str) -> Path:
@@ -238,15 +257,19 @@ def locate_robot(name: str) -> Path:
     return path
 
 
-def _example(name: str) -> Path:
-    """Path of a robot of example-robot-data, by the end of its path."""
+def _examples() -> Sequence[Path]:
+    """Paths of the URDFs of example-robot-data; none where it is not installed."""
     data = "cmeel.prefix/share/example-robot-data"
-    files: Sequence[Path] = ()
     try:
         distribution = importlib.metadata.distribution("example-robot-data")
-        files = sorted(Path(str(distribution.locate_file(data))).rglob("*.urdf"))
     except importlib.metadata.PackageNotFoundError:
-        pass
+        return ()
+    return sorted(Path(str(distribution.locate_file(data))).rglob("*.urdf"))
+
+
+def _example(name: str) -> Path:
+    """Path of a robot of example-robot-data, by the end of its path."""
+    files = _examples()
     if not files:
         raise RobotError(
             "example robots need a package: pip install 'example-robot-data>=4.4'",

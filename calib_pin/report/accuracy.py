@@ -40,13 +40,19 @@ LISTED_OWNERS = 3
 """Members of one kind, such as sockets, up to which each is named."""
 
 
-def opening(result: CalibrationResult) -> Sequence[Line]:
-    """The verdict and the urgent findings.
+def opening(
+    result: CalibrationResult,
+) -> tuple[Sequence[Block], Line, Sequence[Block]]:
+    """The verdict, and the findings before and behind it.
 
-    A reason not to trust the result comes before anything else.
+    A reason not to trust the result comes before anything else, else what ails it.
     """
-    first, said = verdict(result), [*findings(result, urgent=True)]
-    return [*said, first] if result.verdict in TRUSTED else [first, *said]
+    urgent = [f for f in result.findings if f.severity != "info"]
+    others = [f for f in result.findings if f.severity == "info"]
+    if result.verdict not in TRUSTED:
+        others, urgent = [*urgent, *others], []
+    before, behind = ([*findings(f, result.reason)] for f in (urgent, others))
+    return before, verdict(result), behind
 
 
 def verdict(result: CalibrationResult) -> Line:
@@ -213,6 +219,7 @@ def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     """Accuracy on measurements that were not fitted."""
     if evaluation.verdict != "good":
         yield judged(evaluation.reason)
+    yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [
         (Cell(name), Cell(str(count), count), *sizes(accuracy, unit))

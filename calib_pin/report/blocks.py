@@ -10,6 +10,8 @@ from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
+Tone = Literal["plain", "good", "bad", "strong", "note"]
+
 
 @dataclass(frozen=True)
 class Line:
@@ -19,11 +21,26 @@ class Line:
         text: The words.
         tone: A verdict, a heading, or a remark on what stands above.
         indent: Whether it belongs to the block above.
+        figure: Name of the figure that shows it; empty for none.
     """
 
     text: str
-    tone: Literal["plain", "good", "bad", "strong", "note"] = "plain"
+    tone: Tone = "plain"
     indent: bool = False
+    figure: str = ""
+
+
+@dataclass(frozen=True)
+class Code:
+    """Lines to be copied into a file.
+
+    Attributes:
+        title: Heading, which names the file.
+        text: The lines.
+    """
+
+    title: str
+    text: str
 
 
 @dataclass(frozen=True)
@@ -104,7 +121,7 @@ class Table:
         return any(column.title for column in self.columns)
 
 
-Block = Line | Facts | Names | Table
+Block = Line | Code | Facts | Names | Table
 
 
 def columns(

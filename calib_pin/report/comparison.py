@@ -19,6 +19,7 @@ from calib_pin.report.tables import (
     sizes,
     uncertain,
 )
+from calib_pin.report.trust import findings
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.comparison import (
@@ -41,6 +42,8 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
             said = f"{label} ({record.provenance.file}): {record.reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
+    for label, record in pair:
+        yield from findings(record.findings, record.reason, label)
     yield from (Line(doubt, "note") for doubt in _doubts(found))
     yield Facts(
         chain_words(found.first.model),

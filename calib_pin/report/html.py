@@ -37,7 +37,6 @@ from calib_pin.report.tables import (
 from calib_pin.report.trust import (
     correlated,
     expected,
-    findings,
     noise,
     percent,
     statistics,
@@ -110,12 +109,20 @@ def html_report(
     The document is its `calibration.json`, which knows the files and their hashes.
     """
     name = result.model.chains.robot.name
+    before, verdict, behind = opening(result)
+    drawn = {"", *(figure.name for figure in figures)}
+
+    def shown(block: Block) -> bool:
+        """Whether there is the figure that a line leads to."""
+        return getattr(block, "figure", "") in drawn
+
     page = _pages().get_template("report.html")
     return page.render(
         title=f"Calibration of {name}",
         subject=subject(result).text,
-        opening=opening(result),
-        findings=list(findings(result, urgent=False)),
+        before=[block for block in before if shown(block)],
+        verdict=verdict,
+        behind=[block for block in behind if shown(block)],
         tiles=list(_tiles(result)),
         sections=list(_sections(result, document, figures, suggestions)),
         style=Markup(_file("style.css")),

@@ -11,7 +11,7 @@ from rich.padding import Padding
 from rich.text import Text
 
 from calib_pin.errors import printable
-from calib_pin.report.blocks import Block, Line, Names, Table
+from calib_pin.report.blocks import Block, Code, Line, Names, Table
 
 WIDTH = 80
 """Columns of the report where it is not printed to a terminal."""
@@ -64,6 +64,9 @@ def _rendered(block: Block) -> Iterator[RenderableType]:
         yield _text(block.title, style="bold")
     if isinstance(block, Table):
         yield _table(block)
+    elif isinstance(block, Code):
+        # A line that is broken could not be copied.
+        yield Padding(Text(printable(block.text), no_wrap=True), INDENT)
     elif isinstance(block, Names):
         yield from (Padding(_text(entry), INDENT) for entry in block.entries)
     else:

@@ -15,7 +15,6 @@ from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import (
     correlated,
     expected,
-    findings,
     noise,
     outliers,
     statistics,
@@ -45,9 +44,9 @@ def report(
     result: CalibrationResult, suggestions: Sequence[Suggestion] = ()
 ) -> Iterator[Block]:
     """Verdict, accuracy, noise and outliers, then identifiability and parameters."""
-    yield from opening(result)
+    before, said, behind = opening(result)
+    yield from (*before, said, *behind)
     yield subject(result)
-    yield from findings(result, urgent=False)
     yield from accuracy(result)
     yield from parts(result)
     yield from moves(result)

@@ -3,14 +3,27 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from itertools import groupby
 
 from calib_pin.estimation.evidence import (
     ExpectedAccuracy,
     Finding,
+    Severity,
     VarianceComponent,
 )
-from calib_pin.report.blocks import Block, Cell, Facts, Line, Names, Table, columns
+from calib_pin.io.setup import yaml_text
+from calib_pin.report.blocks import (
+    Block,
+    Cell,
+    Code,
+    Facts,
+    Line,
+    Names,
+    Table,
+    Tone,
+    columns,
+)
 from calib_pin.report.tables import number, outlier_cells, significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
@@ -19,23 +32,30 @@ from calib_pin.validation.result import CalibrationResult
 LISTED = 5
 """Outliers that are listed before the rest is only counted."""
 
-TONES = {"error": "bad", "warning": "strong", "info": "note"}
-"""How a finding is shown, by its severity."""
+TONES: Mapping[Severity, Tone] = {"error": "bad", "warning": "strong", "info": "note"}
+"""How a finding is shown, by its severity, the worst first."""
 
 
-def findings(result: CalibrationResult, *, urgent: bool) -> Iterator[Line]:
-    """The findings that the reason of the verdict does not name.
+def findings(found: Iterable[Finding], reason: str, of: str = "") -> Iterator[Block]:
+    """Findings, errors first, each with its remedy and its lines for the setup file.
 
     Args:
-        result: The result.
-        urgent: Whether warnings and errors are asked for, or the others.
+        found: The findings.
+        reason: The reason of the verdict; a message that it holds is not repeated.
+        of: The subject, where there are several.
     """
-    for finding in result.findings:
-        told = finding.message in result.reason
-        if not told and urgent == (finding.severity != "info"):
-            tone = TONES[finding.severity]
-            said = f"{finding.severity.capitalize()}: {advised(finding)}."
-            yield Line(said, tone)  # type: ignore[arg-type]
+    ordered = sorted(found, key=lambda finding: [*TONES].index(finding.severity))
+    # Findings with the same lines follow from one explanation.
+    for setup, group in groupby(ordered, key=lambda finding: finding.setup):
+        together = list(group)
+        for finding in together:
+            if finding.message not in reason:
+                name = f"{finding.severity.capitalize()}{of and f', {of}'}"
+                yield Line(f"{name}: {advised(finding)}.", TONES[finding.severity])
+        if setup:
+            yield Code("Lines for the setup file", yaml_text(setup))
+        for figure in dict.fromkeys(filter(None, (f.figure for f in together))):
+            yield Line(f"Shown by the figure '{figure}'.", "note", figure=figure)
 
 
 def advised(finding: Finding) -> str:

@@ -2,12 +2,14 @@
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError
+from calib_pin.errors import CalibPinError, InputError
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.nominal import register
 from calib_pin.estimation.problem import Problem, error_table
@@ -16,12 +18,23 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
+from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
+from calib_pin.validation.findings import find
+from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
+from calib_pin.validation.verdict import CHECK, told, too_large
+
+MOVED = 0.5
+"""Part of the errors that a registration may leave to be worth a word."""
+
+LARGE = 5.0
+"""Errors, in expected sizes of an error, that are not those of a calibration."""
 
 
 @serial_blas
@@ -31,6 +44,7 @@ def evaluate(
     setup: Setup | None = None,
     *,
     registration: bool = False,
+    others: Others = tuple,
 ) -> Evaluation:
     """Accuracy of a robot on measurements, all of them counted.
 
@@ -42,6 +56,8 @@ def evaluate(
         measurements: The measurements.
         setup: Known quantities of frames and instrument, for a chain.
         registration: Register a calibrated model on these measurements.
+        others: Other robots and links that may have been measured, asked where nothing
+            else explains the errors; see `io.others`.
 
     Raises:
         InputError: If the measurements do not fit the model.
@@ -60,15 +76,73 @@ def evaluate(
         if len(sizes):  # There may be no measurements of that model.
             errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
             counts.append(len(sizes))
+    findings = (
+        *_findings(robot, rows, setup, others),
+        *_unregistered(robot, rows, ready),
+    )
+    reason = ready.reason or told([f for f in findings if f.severity == "error"])
+    unexplained = [said for error in errors if (said := too_large(*error))]
+    if unexplained and not reason:
+        reason = f"{unexplained[0]}; {CHECK}"
     return Evaluation(
         errors=tuple(errors),
         rows=len(rows),
         counts=tuple(counts),
         registered=ready.registered,
-        verdict="untrusted" if ready.reason else "good",
-        reason=ready.reason,
+        verdict="untrusted" if reason else "good",
+        reason=reason,
         outside=outside,
         located=ready.located,
+        findings=findings,
+    )
+
+
+def _findings(
+    robot: Chain | Chains | CalibratedModel,
+    rows: Observations,
+    setup: Setup | None,
+    others: Others,
+) -> tuple[Finding, ...]:
+    """The faults that measurements show with the nominal robot and errors of it.
+
+    A calibration would be wrong about measurements that are read wrongly, too.
+    """
+    chains = robot.chains if isinstance(robot, CalibratedModel) else Chains.of(robot)
+    if isinstance(robot, CalibratedModel):
+        setup = robot.setup
+    try:
+        case = Case.of_robot(chains, rows, setup or Setup(), others)
+    except CalibPinError:
+        return ()  # They are too few, or name what only the calibration knows.
+    found = find(case)
+    return (*found.causes, *found.others)
+
+
+def _unregistered(
+    robot: Chain | Chains | CalibratedModel, rows: Observations, ready: Prepared
+) -> Iterator[Finding]:
+    """Frames or an instrument that are not where a calibration has seen them."""
+    if ready.registered:
+        return
+    again = prepared(robot, rows, registration=True)
+    if again.reason:
+        return
+    quantity = ready.problem.layout.quantities[0]
+    before, after = (
+        float(np.sqrt(np.mean(quantity.errors(error_table(p.problem, p.theta)) ** 2)))
+        for p in (ready, again)
+    )
+    if not after < MOVED * before:
+        return
+    unit, factor = DISPLAY[quantity.unit]
+    yield Finding(
+        "frames-moved",
+        "error" if before > LARGE * expected_size(quantity.unit) else "warning",
+        "base, tool or instrument stand elsewhere than at the calibration: registered "
+        f"on these measurements, the {quantity.name} errors fall from "
+        f"{factor * before:.3g} to {factor * after:.3g} {unit} rms",
+        {"rms_before": before, "rms_after": after},
+        "evaluate with --register",
     )
 
 

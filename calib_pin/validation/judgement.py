@@ -23,7 +23,7 @@ from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.summaries import ToolAccuracy
@@ -54,6 +54,7 @@ def judge(
     held_out: HeldOut,
     seed: int,
     progress: Progress | None = None,
+    others: Others = tuple,
 ) -> Judgement:
     """Judge a fitted model.
 
@@ -63,7 +64,8 @@ def judge(
         fitted_errors: Errors of the measurements that were fitted.
         held_out: Its check on held-out measurements.
         seed: Seed of configurations.
-        progress: Told how far the search for other joint conventions is.
+        progress: Told how far the search for explanations is.
+        others: Other robots and links, of which only files know.
     """
     fitted, data = model.fit, model.fit.problem.data
     chains = Chains.of(chains)
@@ -74,7 +76,7 @@ def judge(
         ModelErrors.joined(parts) if parts else None,
     )
     validation = held_out.measurements if held_out.apart else None
-    case = Case.of(fitted, chains, validation, progress)
+    case = Case.of(fitted, chains, validation, progress, others)
     found = find(case)
     findings = (*found.causes, *held_out.findings, *found.others)
     counting = data.weight > 0.0

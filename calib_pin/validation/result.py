@@ -322,6 +322,7 @@ class Evaluation:
         outside: Number of them outside the region of a learned correction.
         located: Names of references, such as sockets, that were not there before and
             stand where the measurements put them.
+        findings: Defects of the measurements.
     """
 
     errors: tuple[tuple[str, str, Accuracy], ...]
@@ -332,3 +333,4 @@ class Evaluation:
     outside: int = 0
     located: tuple[str, ...] = ()
     counts: tuple[int, ...] = ()
+    findings: tuple[Finding, ...] = ()

@@ -20,7 +20,7 @@ from calib_pin.estimation.problem import distinct_values
 from calib_pin.estimation.statistics.distributions import chi_square_quantile, f_tail
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.units import DISPLAY
-from calib_pin.validation.accuracy import QuantityErrors
+from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.gains import PRESS
 
 SCALE = (
@@ -162,25 +162,28 @@ def unexplained(fitted: Fit, errors: Sequence[QuantityErrors]) -> str:
         return "the errors are so large that no robot parameter is observable"
     for quantity in errors:
         for accuracy in (quantity.after, quantity.validation_after):
-            if accuracy and accuracy.rms > OPTIONS.unexplained * expected_size(
-                quantity.unit
+            if accuracy and (
+                reason := too_large(quantity.name, quantity.unit, accuracy)
             ):
-                size = _shown(accuracy.rms, quantity.unit)
-                return (
-                    f"{quantity.name} errors of {size} rms remain, far more than a "
-                    "robot's geometry explains"
-                )
+                return reason
     return ""
+
+
+def too_large(name: str, unit: str, found: Accuracy) -> str:
+    """Why errors of a quantity are more than a robot has; empty where they are not."""
+    if not found.rms > OPTIONS.unexplained * expected_size(unit):
+        return ""
+    size = _shown(found.rms, unit)
+    return (
+        f"{name} errors of {size} rms remain, far more than a robot's geometry explains"
+    )
 
 
 def _distrust(grounds: Grounds) -> str:
     """The reason to distrust a fit whatever a check says."""
     fitted = grounds.fitted
     if causes := grounds.causes:
-        told = [finding.message for finding in causes[:NAMED]]
-        if len(causes) > NAMED:
-            told.append(f"and {len(causes) - NAMED} more")
-        return "; ".join([*told, *dict.fromkeys(finding.remedy for finding in causes)])
+        return told(causes)
     if not fitted.structure.scaled:
         stated = bool(fitted.problem.setup.distances)
         return f"{SCALE}; {STATED if stated else MISSING}"
@@ -198,6 +201,15 @@ def _distrust(grounds: Grounds) -> str:
         if finding.severity == "error":
             return "; ".join(filter(None, (finding.message, finding.remedy)))
     return ""
+
+
+def told(findings: Sequence[Finding]) -> str:
+    """The first of some findings as one sentence, with what corrects them."""
+    said = [finding.message for finding in findings[:NAMED]]
+    if len(findings) > NAMED:
+        said.append(f"and {len(findings) - NAMED} more")
+    remedies = dict.fromkeys(finding.remedy for finding in findings)
+    return "; ".join(filter(None, (*said, *remedies)))
 
 
 def _unchecked(grounds: Grounds) -> str:

@@ -2,12 +2,15 @@
 
 from __future__ import annotations
 
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass, field, replace
 from functools import cached_property
+from typing import Any
 
 import numpy as np
 
 from calib_pin.estimation.fitted import Fit
+from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
@@ -27,6 +30,35 @@ A calibrated robot leaves less, unless its gears and links bend.
 """
 
 
+FOREIGN = 20.0
+"""Errors of a nominal robot, in the same sizes, that hardly any robot has."""
+
+
+@dataclass(frozen=True)
+class Other:
+    """Other chains that may have been measured.
+
+    Attributes:
+        code: Code of the finding that says so.
+        words: What was measured, the beginning of a sentence.
+        chains: The chains.
+        data: The measurements as they are read for them.
+        stated: Lines of a setup file that state them.
+        advice: What to do instead of stating something; empty where the setup helps.
+    """
+
+    code: str
+    words: str
+    chains: Chains
+    data: Observations
+    stated: Mapping[str, Any] = field(default_factory=dict)
+    advice: str = ""
+
+
+Others = Callable[[], Iterable[Other]]
+"""Other chains worth a trial; asked only where no robot explains the errors."""
+
+
 @dataclass(frozen=True)
 class Case:
     """Measurements, and a robot that was fitted to them.
@@ -41,6 +73,7 @@ class Case:
         fitted: The whole fit; None where measurements are only compared with a robot.
         held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
+        others: Other robots and links, of which only files know.
     """
 
     chains: Chains
@@ -52,6 +85,7 @@ class Case:
     fitted: Fit | None = None
     held_out: Observations | None = None
     progress: Progress | None = None
+    others: Others = tuple
 
     @staticmethod
     def of(
@@ -59,6 +93,7 @@ class Case:
         chains: Chains,
         held_out: Observations | None = None,
         progress: Progress | None = None,
+        others: Others = tuple,
     ) -> Case:
         """The case of a whole fit."""
         data = fitted.problem.data
@@ -74,7 +109,23 @@ class Case:
             fitted,
             held_out,
             progress,
+            others,
         )
+
+    @staticmethod
+    def of_robot(
+        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+    ) -> Case:
+        """The case of measurements that are only compared with a robot.
+
+        Raises:
+            CalibPinError: If a part of the measurements cannot be registered.
+        """
+        some, rank = _some(data)
+        fit = QuickFit.of(make_problem(chains, some, replace(setup, learned=None)))
+        robot = ~fit.problem.parameters.nuisance
+        nominal = np.where(robot, 0.0, fit.theta)
+        return Case(chains, data, fit, rank, nominal, others=others)
 
     @property
     def setup(self) -> Setup:
@@ -83,8 +134,13 @@ class Case:
 
     @cached_property
     def doubtful(self) -> bool:
-        """Whether errors are left that ask for an explanation."""
-        return not self.converged or self.errors_left > DOUBTFUL
+        """Whether errors are left that ask for an explanation.
+
+        Without a whole fit nobody judges corrections that are as large as a robot.
+        """
+        if not self.converged or self.errors_left > DOUBTFUL:
+            return True
+        return self.fitted is None and self._errors(self.nominal) > FOREIGN
 
     @cached_property
     def errors_left(self) -> float:
@@ -92,8 +148,11 @@ class Case:
 
         What was set aside does not count.
         """
+        return self._errors(self.fit.theta)
+
+    def _errors(self, theta: Floats) -> float:
         problem = self.fit.problem
-        table = error_table(problem, self.fit.theta)[problem.data.weight > 0.0]
+        table = error_table(problem, theta)[problem.data.weight > 0.0]
         sizes = [
             float(np.sqrt(np.mean(quantity.errors(table) ** 2)))
             / expected_size(quantity.unit)

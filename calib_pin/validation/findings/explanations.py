@@ -209,7 +209,7 @@ class _Search:
     def _problem(self, faults: Sequence[Hypothesis], setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
-        stated = {k: v for h in faults for k, v in h.stated.items()}
+        stated = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **stated) if stated else setup
         return make_problem(chains, self._some(faults), setup)
 

@@ -6,6 +6,7 @@ from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+from calib_pin.errors import InputError
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
@@ -27,6 +28,7 @@ class Hypothesis:
         change: What the reader of files would do first, of which they alone know the
             numbers; None for nothing.
         chains: The chains that were measured, where they are others.
+        setup: What the setup states otherwise, by the names of its attributes.
         stated: Further lines of the setup file.
         advice: What to do instead of stating something; empty where the setup helps.
         figure: Name of a figure that shows it.
@@ -41,6 +43,7 @@ class Hypothesis:
     joints: JointReading | None = None
     change: Callable[[Observations], Observations] | None = None
     chains: Chains | None = None
+    setup: Mapping[str, Any] = field(default_factory=dict)
     stated: Mapping[str, Any] = field(default_factory=dict)
     advice: str = ""
     figure: str = ""
@@ -48,12 +51,18 @@ class Hypothesis:
 
 
 def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
-    """Measurements as they are to be read if they have some faults."""
+    """Measurements as they are to be read if they have some faults.
+
+    Raises:
+        InputError: If faults of joint columns are those of other chains.
+    """
     faults = tuple(faults)
     for fault in faults:
         data = data if fault.change is None else fault.change(data)
     joints = joint_reading(faults)
     if joints is not None:
+        if len(data.joints) != len(joints.offsets):
+            raise InputError("these joints are those of another chain")
         data = Observations(
             tuple(
                 replace(
@@ -64,7 +73,26 @@ def read_so(data: Observations, faults: Iterable[Hypothesis]) -> Observations:
                 for b in data.blocks
             )
         )
+    for fault in faults:
+        if fault.chains is not None:
+            data = _with_joints(data, fault.chains.joints)
     return read_otherwise(data, merged(fault.reading for fault in faults))
+
+
+def _with_joints(data: Observations, joints: Sequence[str]) -> Observations:
+    """Measurements with some of their joints."""
+    columns = [data.joints.index(joint) for joint in joints]
+    return Observations(
+        tuple(
+            replace(
+                b,
+                joints=tuple(joints),
+                q=b.q[:, columns],
+                start=b.start[:, columns] if b.start.size else b.start,
+            )
+            for b in data.blocks
+        )
+    )
 
 
 def joint_reading(faults: Iterable[Hypothesis]) -> JointReading | None:

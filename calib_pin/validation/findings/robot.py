@@ -1,0 +1,84 @@
+"""Another robot, other links at the ends of its chain, or another tool."""
+
+from __future__ import annotations
+
+from collections.abc import Hashable, Iterator
+from dataclasses import replace
+from functools import partial
+
+from calib_pin.errors import RobotError
+from calib_pin.kinematics.chain import Chain
+from calib_pin.kinematics.chains import Chains
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.hypotheses import Hypothesis
+
+OF = "the chain"
+"""The subject of these explanations, of which only one can be true."""
+
+
+def robots(case: Case) -> Iterator[Hypothesis]:
+    """Explanations by what was measured: the robot, its links, the tool."""
+    yield from _frames(case)
+    if case.chains.names == ("",):
+        yield from _ends(case.chains[""], case)
+    for other in case.others():
+        yield Hypothesis(
+            other.code,
+            other.words,
+            OF,
+            change=lambda _, data=other.data: data,  # type: ignore[misc]
+            chains=other.chains,
+            stated=other.stated,
+            advice=other.advice,
+        )
+
+
+def _frames(case: Case) -> Iterator[Hypothesis]:
+    """Frames that are stated, and that are others if they are estimated."""
+    for end, words in (("tool", "the tool"), ("base", "the base")):
+        frame = getattr(case.setup, f"{end}_frame")
+        if frame.estimate is False:
+            yield Hypothesis(
+                f"{end}-frame",
+                f"the frame of {words} is not the stated one",
+                f"frame of {words}",
+                setup={f"{end}_frame": replace(frame, estimate=True)},
+                stated={"frames": {end: {"estimate": True}}},
+            )
+
+
+def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
+    """Other links of the chain as its tip or its base."""
+    names = case.fit.problem.parameters.names
+    links = {"base": chain.base, "tip": chain.tip}
+    for k, end in enumerate(links):
+        # A frame that is estimated absorbs where on its body a link is.
+        frame = "base.frame.x" if end == "base" else "tool.frame.x"
+        body = _joints if frame in names else partial(_placed, k)
+        seen = [body(chain)]
+        for link in chain.robot.links:
+            try:
+                other = Chain(chain.robot, **{**links, end: link})
+            except RobotError:
+                continue
+            if body(other) in seen or not {*other.joints} <= {*case.data.joints}:
+                continue
+            seen.append(body(other))
+            yield Hypothesis(
+                f"{end}-link",
+                f"the {end} link is '{link}', not '{links[end]}'",
+                OF,
+                chains=Chains.of(other),
+                stated={end: link},
+            )
+
+
+def _joints(chain: Chain) -> Hashable:
+    """All that matters of a chain between frames that are estimated."""
+    return chain.joints
+
+
+def _placed(end: int, chain: Chain) -> Hashable:
+    """The same where one end is known."""
+    place = chain.ends[end].homogeneous.round(9) + 0.0
+    return chain.joints, place.tobytes()

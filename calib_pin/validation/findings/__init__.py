@@ -14,9 +14,11 @@ from dataclasses import dataclass
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import DOUBTFUL, Case
 from calib_pin.validation.findings.coarse_values import coarse_values
+from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
@@ -71,13 +73,21 @@ class Found:
 def find(case: Case) -> Found:
     """The faults of measurements and of what was fitted to them."""
     explanation = joint_motion(case)
-    causes = () if explanation else tuple(move_findings(case))
-    if explanation is None and case.doubtful:
+    in_time = () if explanation else tuple(move_findings(case)) or tuple(drift(case))
+    causes = tuple(found for found in in_time if found.severity == "error")
+    if explanation is None and case.doubtful and not _explained(case, causes):
         explanation = explain(case, EXPLANATIONS)
     if explanation is not None and explanation.after < _left(causes):
         causes = tuple(finding(case, explanation))
+    others = () if causes else in_time
     kinds = FACTS if causes else CONSEQUENCES + FACTS
-    return Found(causes, tuple(found for kind in kinds for found in kind(case)))
+    return Found(causes, (*others, *(found for kind in kinds for found in kind(case))))
+
+
+def _explained(case: Case, causes: Iterable[Finding]) -> bool:
+    """Whether as little is left if these are corrected as a calibration leaves."""
+    unit = case.fit.problem.layout.quantities[0].unit
+    return _left(causes) < DOUBTFUL * expected_size(unit)
 
 
 def _left(causes: Iterable[Finding]) -> float:

@@ -256,8 +256,9 @@ def _steadied(data: Observations, reading: ReadingSetup) -> Observations:
 
     def change(block: Measurements, lengths: Booleans) -> Floats:
         values, own = block.values.copy(), part[next(of_block)]
-        if tuple(declared(block.model).columns)[:3] == AXES:
-            values[:, :3] -= own * np.array(reading.drift)
+        columns = tuple(declared(block.model).columns)
+        count = 3 if columns[:3] == AXES else int(columns[:1] == ("distance",))
+        values[:, :count] -= own * np.array(reading.drift[:count])
         return values
 
     return with_values(data, change)

@@ -173,8 +173,8 @@ class ReadingSetup(Section):
         axes: What stands in the columns x, y and z of a position: `[y, x, z]` says
             that the first two are exchanged, `-z` that an axis is negated.
         scale: Factor of all measured lengths.
-        drift: Displacement of measured positions from the first to the last line of
-            all files, which is taken out [m].
+        drift: Displacement of measured positions, or of distances, from the first to
+            the last line of all files, which is taken out [m].
         moved: Lines from which on the instrument stood elsewhere.
         remounted: Lines from which on the tool was mounted elsewhere.
         without: Lines that are left out.
@@ -197,9 +197,10 @@ class ReadingSetup(Section):
         Triple,
         Vector(
             3,
-            "three finite numbers in m, such as [0, 0, 0.001]",
+            "three finite numbers in m, such as [0, 0, 0.001], or one of a distance",
             "m",
             limit=LARGEST_LENGTH,
+            shorter=(1,),
         ),
     ] = (0.0, 0.0, 0.0)
     moved: Places = ()

@@ -14,9 +14,11 @@ from dataclasses import dataclass
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.estimation.evidence import Finding
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import DOUBTFUL, Case
 from calib_pin.validation.findings.coarse_values import coarse_values
+from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
@@ -73,25 +75,36 @@ class Found:
 @serial_blas
 def find(case: Case) -> Found:
     """The faults of measurements and of what was fitted to them."""
-    sure = joint_motion(case) or joint_offset(case)
-    named = () if sure is None else tuple(finding(case, sure))
-    harmless = sure is not None and sure.harmless
-    causes = named if named and not harmless else _sought(case)
+    sought = _sought(case)
+    causes = tuple(found for found in sought if found.severity == "error")
     kinds = FACTS if causes else CONSEQUENCES + FACTS
-    others = [found for kind in kinds for found in kind(case)]
-    if harmless and not causes:
-        others = [*named, *(f for f in others if f.code != "large-correction")]
+    others = [] if causes else [*sought]
+    others += [found for kind in kinds for found in kind(case)]
+    if any(found.code == "joint-offset" for found in others):
+        # The origin has taken it over.
+        others = [found for found in others if found.code != "large-correction"]
     return Found(causes, tuple(others))
 
 
 def _sought(case: Case) -> tuple[Finding, ...]:
-    """Faults that are sought where something looks like them."""
-    causes = tuple(move_findings(case))
-    if case.doubtful:
+    """Faults that change how measurements are read, the likeliest explanation alone."""
+    sure = joint_motion(case) or joint_offset(case)
+    found = () if sure is None else tuple(finding(case, sure))
+    if sure is not None and not sure.harmless:
+        return found
+    in_time = tuple(move_findings(case)) or (() if found else tuple(drift(case)))
+    causes = tuple(found for found in in_time if found.severity == "error")
+    if case.doubtful and not _explained(case, causes):
         explanation = explain(case, EXPLANATIONS)
         if explanation is not None and explanation.after < _left(causes):
-            causes = tuple(finding(case, explanation))
-    return causes
+            return tuple(finding(case, explanation))
+    return causes or (*found, *in_time)
+
+
+def _explained(case: Case, causes: Iterable[Finding]) -> bool:
+    """Whether as little is left if these are corrected as a calibration leaves."""
+    unit = case.fit.problem.layout.quantities[0].unit
+    return _left(causes) < DOUBTFUL * expected_size(unit)
 
 
 def _left(causes: Iterable[Finding]) -> float:

@@ -3,18 +3,28 @@
 from __future__ import annotations
 
 from collections.abc import Iterator
+from dataclasses import replace
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import error_table
+from calib_pin.measurement_models.readings import place_of
 from calib_pin.observations import BlockKey, Observations
+from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.file_order import Job, Kind
 from calib_pin.validation.findings.moves import Trial, moved
+from calib_pin.validation.findings.setup_lines import lines_of, written
 
 CODES: dict[Kind, str] = {"station": "instrument-moved", "tool": "tool-remounted"}
+
+KEYS: dict[Kind, str] = {"station": "moved", "tool": "remounted"}
+"""Keys of the section `reading` of a setup."""
+
+TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
+"""A new frame in the old one: position and rotation vector."""
 
 REMEDIES: dict[Kind, str] = {
     "station": "give the two parts different stations (a column 'station', or "
@@ -40,6 +50,8 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
         for t in (first, last)
     ]
     settled, _ = last.problem.rebased(last.theta)
+    reading = ReadingSetup()
+    found = []
     for k in sorted(range(len(last.moves)), key=lambda k: last.moves[k].rank):
         kind, _, at = last.moves[k]
         one, other = (settled.parts[key] for key in _sides(last, k))
@@ -50,14 +62,15 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
             A, B = one.error.tool, other.error.tool
         # Of a single point nobody knows how it is turned.
         turns = kind == "station" or len(one.measurement.quantities) > 1
-        distance = float(np.linalg.norm(B.translation - A.translation))
-        turn = float(np.linalg.norm(pin.log3(A.rotation.T @ B.rotation)))
-        angle = turn if turns else None
+        apart = A.inverse() * B
+        vector = [*apart.translation, *(pin.log3(apart.rotation) if turns else ())]
+        distance = float(np.linalg.norm(vector[:3]))
+        angle = float(np.linalg.norm(vector[3:])) if turns else None
         if len(every.data) > len(last.job.data):
             step = len(every.data) // len(last.job.data)
             at = last.place(k, every.rows(np.abs(every.rank - at) < AROUND + step))
         own = last.concerned(k, every)
-        key = every.data.blocks[every.data.block_of[own[0]]].key
+        block = every.data.blocks[every.data.block_of[own[0]]].key
         row, next_row = own[np.searchsorted(every.rank[own], at) + np.array([-1, 0])]
         file, line = data.files[row], int(data.lines[row]) or int(every.rank[row]) + 1
         place = f"after {'line' if file else 'measurement'} {line}"
@@ -65,20 +78,30 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
             place += f" of {file}"
         if data.files[next_row] != file:
             place = f"between {file} and {data.files[next_row]}"
-        yield Finding(
-            CODES[kind],
-            "error",
-            f"{_subject(kind, key)} {place} ({_size(distance, angle)})",
-            {
-                "file": file,
-                "line": line,
-                "distance": distance,
-                **({} if angle is None else {"angle": angle}),
-                "rms_before": errors[0],
-                "rms_after": errors[1],
-            },
-            REMEDIES[kind],
+        key = KEYS[kind]
+        places = (*getattr(reading, key), place_of(data, next_row))
+        reading = replace(reading, **{key: places})
+        found.append(
+            Finding(
+                CODES[kind],
+                "error",
+                f"{_subject(kind, block)} {place} ({_size(distance, angle)})",
+                {
+                    "file": file,
+                    "line": line,
+                    "distance": distance,
+                    **({} if angle is None else {"angle": angle}),
+                    **dict(zip(TRANSFORM, map(float, vector), strict=False)),
+                    "rms_before": errors[0],
+                    "rms_after": errors[1],
+                },
+                REMEDIES[kind],
+            )
         )
+    lines = {"reading": lines_of(reading)}
+    for finding in found:
+        remedy = f"{finding.remedy}, or state in the setup file: {written(lines)}"
+        yield replace(finding, remedy=remedy, setup=lines)
 
 
 def _sides(trial: Trial, k: int) -> tuple[BlockKey, BlockKey]:

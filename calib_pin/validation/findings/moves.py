@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -20,6 +21,7 @@ from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import EXACT, Problem, error_table
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.system import FRAME, Part
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Indices
@@ -42,7 +44,10 @@ class MoveOptions:
             instrument, which is no move, leaves one half with one frame more.
         each: Part that each of them leaves at most, while there may be more: of two
             tools in turn most moves explain little before the last of them is found.
-        last: Part that the last of them leaves at most.
+        last: Part that the last of them leaves at most, if it does not stand out.
+        further: Times the squares of a further move that one explains that stands out.
+        bent: Part of what a drift in a bent curve leaves that it leaves at most.
+        chance: Probability that noise explains as much.
         configurations: Least number of configurations on each side.
         measurements: Measurements that are looked at; the line is found among all.
         moves: Most moves that are sought.
@@ -56,6 +61,9 @@ class MoveOptions:
     left: float = 1.0 / 3.0
     each: float = 0.97
     last: float = 0.5
+    further: float = 4.0
+    bent: float = 0.9
+    chance: float = 1e-6
     configurations: int = 6
     measurements: int = 500
     moves: int = 10
@@ -150,6 +158,31 @@ class Trial(QuickFit):
         inverse = np.linalg.pinv(G, rcond=1e-8, hermitian=True)
         return np.asarray(np.einsum("ni,nij,nj->n", g, inverse, g))
 
+    def plain(self, before: Trial) -> bool:
+        """Whether the last move stands out from all else that errors do in time.
+
+        It explains more than a drift in a bent curve, and far more than a further move
+        would: of unmodeled errors along a path one explains about as much as another.
+
+        Args:
+            before: The trial without this move.
+        """
+        squares, left = before.rms**2 * before.left, self.rms**2 * self.left
+        gain, further = squares - left, left * (1.0 - self.candidates()[0][0])
+        own = next(
+            own for _, keys, own in before._frames() if keys == self.moves[-1].keys
+        )
+        time = before.rank[before.problem.layout.row] / len(before.rank)
+        columns = before.linear[1][:, own]
+        bent = np.hstack([columns * time[:, None] ** k for k in (1, 2)])
+        return (
+            self.left > 0
+            and gain > OPTIONS.further * further
+            and left < OPTIONS.bent * squares * before.score(bent).left
+            and f_tail((gain / FRAME) / (left / self.left), FRAME, self.left)
+            < OPTIONS.chance / len(before.rank)
+        )
+
     def concerned(self, k: int, job: Job) -> Indices:
         """Those of some measurements that have the frame of a move, in their order."""
         own, index = job.divided(self.moves[:k])
@@ -217,10 +250,15 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
         trials.append(best)
     if not trials:
         return None
-    while len(trials) > 1 and trials[-1].rms > OPTIONS.last * trials[-2].rms:
+    while len(trials) > 1 and not (
+        trials[-1].rms <= OPTIONS.last * trials[-2].rms or trials[-1].plain(trials[-2])
+    ):
         trials.pop()
     first, last = trials[0], trials[-1]
-    return (first, last) if last.rms <= OPTIONS.left * first.rms else None
+    if last.rms <= OPTIONS.left * first.rms:
+        return first, last
+    small = len(trials) > 1 and all(b.plain(a) for a, b in pairwise(trials))
+    return (first, last) if small else None
 
 
 def _suspicious(trial: Trial, nominal: Floats) -> bool:

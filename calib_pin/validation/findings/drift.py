@@ -1,0 +1,183 @@
+"""Errors that grow in the course of the measurements: a drift of instrument or robot.
+
+The further columns are those of a displacement in proportion to the place in the files.
+What no parameter describes is smooth along a path, and so is a drift; it must explain
+more than other curves of about the same smoothness do, cosines of two half waves and
+more over the files.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Iterator
+
+import numpy as np
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.problem import EXACT, error_table
+from calib_pin.estimation.statistics.distributions import f_tail
+from calib_pin.estimation.system import FRAME
+from calib_pin.kinematics.spatial import Floats
+from calib_pin.measurement_models import declared
+from calib_pin.parameterizations.base import LENGTH_SCALE
+from calib_pin.setup import AXES
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.quick_fit import Score
+from calib_pin.validation.findings.setup_lines import written
+
+CHANCE = 1e-5
+"""Probability by chance below which a drift is looked at closely."""
+
+AMONG = 1e-3
+"""Probability that a smooth curve explains so much more than others do."""
+
+WAVES, CURVES = 4, 20
+"""Least number of cosines, and of all columns, that it is compared with."""
+
+SIMPLER = 20.0
+"""What a drift of more parts must gain on a simpler one, in terms of likelihood."""
+
+LEAST = 2.0
+"""Least displacement that is told, by the noise."""
+
+LARGE = 0.2
+"""Part of the squares that it leaves from which one without a size takes the trust."""
+
+NORMAL = 1.96
+"""Half of the 95 % interval, in standard deviations."""
+
+PARTS = (
+    "measure the job in parts, each with an entry of its own in a column 'station', or "
+    "when everything is warm"
+)
+
+
+def drift(case: Case) -> Iterator[Finding]:
+    """A drift of the instrument or of the joints, whichever explains more."""
+    if not case.fit.rms > EXACT:
+        return
+    found = []
+    for k, (tell, columns) in enumerate(_drifts(case)):
+        score = _stands_out(case, columns)
+        if score is not None:
+            cost = case.fit.left * np.log(max(score.left, 1e-300)) + k * SIMPLER
+            found.append((cost, tell, score))
+    if found:
+        _, tell, score = min(found, key=lambda one: one[0])
+        yield from tell(case, score)
+
+
+Told = Callable[[Case, Score], Iterator[Finding]]
+
+
+def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
+    """What may drift: its finding, and the columns of its displacement."""
+    fit, problem = case.fit, case.fit.problem
+    parts = [*problem.parts.values()]
+    own, first = parts[0].index[:FRAME], _first_columns(case)
+    if len({part.scope.station for part in parts}) == 1:
+        if problem.parameters.free[own].all():
+            if first == {AXES}:
+                J = fit.linear[1][:, own[:3]] / problem.parameters.scales[own[:3]]
+                yield _of_values, J @ parts[0].error.base.rotation.T
+            yield _of_instrument, fit.linear[1][:, own]
+        elif first == {("distance",)}:
+            yield _of_values, 1.0 / problem.sigma[:, None]
+    yield _of_joints, fit.by_joints
+
+
+def _first_columns(case: Case) -> set[tuple[str, ...]]:
+    """The columns of what drifts, of all models."""
+    return {tuple(declared(model).columns)[:3] for model in case.data.models}
+
+
+def _stands_out(case: Case, columns: Floats) -> Score | None:
+    """What a drift explains that some columns describe; None where it may be chance."""
+    time = case.rank[case.fit.problem.layout.row] / max(int(case.rank.max()), 1)
+    linear, count = columns * time[:, None], columns.shape[1]
+    found = case.fit.score(linear)
+    if found.chance > CHANCE:
+        return None
+    waves = np.arange(2, 2 + max(WAVES, CURVES // count))
+    curves = [columns * np.cos(np.pi * k * time)[:, None] for k in waves]
+    dof = min(len(waves) * count, case.fit.left - count - 1)
+    others = found.left - case.fit.score(np.hstack([linear, *curves])).left
+    ratio = (1.0 - found.left) / count / max(others / dof, 1e-300)
+    return found if f_tail(ratio, count, dof) < AMONG else None
+
+
+def _of_values(case: Case, score: Score) -> Iterator[Finding]:
+    """A displacement of what is measured, which can be taken out."""
+    problem = case.fit.problem
+    noise = case.fit.rms * float(
+        np.median(problem.sigma[problem.layout.component == 0])
+    )
+    size = float(np.linalg.norm(score.values))
+    along = float(np.linalg.norm(score.values / size * score.deviations))
+    if size < LEAST * case.fit.rms * sigma:
+        return
+    unit, factor = DISPLAY["m"]
+    shown = (size, size - NORMAL * along, size + NORMAL * along)
+    drift, low, high = (f"{factor * x:.2g} {unit}" for x in shown)
+    names = AXES if len(score.values) == len(AXES) else ("distance",)
+    lines = {"reading": {"drift": [float(f"{v:.3g}") for v in score.values]}}
+    yield Finding(
+        "instrument-drift",
+        "error" if size > LENGTH_SCALE else "warning",
+        f"the measured values drift by {drift} (95 %: {low} to {high}) from the first "
+        "measurement to the last",
+        {
+            **dict(zip(names, score.values.tolist(), strict=True)),
+            "drift": size,
+            "sigma": along,
+            **_errors(case, score),
+        },
+        f"{PARTS}; or state in the setup file: {written(lines)}",
+        lines,
+    )
+
+
+def _of_instrument(case: Case, score: Score) -> Iterator[Finding]:
+    """A drift of an instrument that also turns, or sees more than positions."""
+    before, after = _errors(case, score).values()
+    yield Finding(
+        "instrument-drift",
+        "error" if score.left < LARGE else "warning",
+        "the instrument drifts against the robot from the first measurement to the "
+        f"last: without it {100 * after / before:.0f} % of the errors are left",
+        _errors(case, score),
+        PARTS,
+    )
+
+
+def _of_joints(case: Case, score: Score) -> Iterator[Finding]:
+    """Joint positions that drift, as those of a robot that grows warm."""
+    worst = int(np.argmax(np.abs(score.values) / score.deviations))
+    value, deviation = float(score.values[worst]), float(score.deviations[worst])
+    joint = case.data.joints[worst]
+    before, after = _errors(case, score).values()
+    turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
+    unit, factor = DISPLAY["rad" if turning.get(joint, True) else "m"]
+    yield Finding(
+        "robot-drift",
+        "warning",
+        "the joint positions drift from the first measurement to the last, most of all "
+        f"'{joint}' by {factor * value:.2g} +- {factor * deviation:.1g} {unit}: "
+        f"without it {100 * after / before:.0f} % of the errors are left",
+        {
+            "joint": joint,
+            "drift": value,
+            "sigma": deviation,
+            **_errors(case, score),
+        },
+        "let the robot warm up before it is measured",
+    )
+
+
+def _errors(case: Case, score: Score) -> dict[str, float]:
+    """Errors now, and without a drift, rms in the unit of the first quantity."""
+    problem = case.fit.problem
+    quantity = problem.layout.quantities[0]
+    sizes = quantity.errors(error_table(problem, case.fit.theta))
+    before = float(np.sqrt(np.mean(sizes**2)))
+    return {"rms_before": before, "rms_after": before * float(np.sqrt(score.left))}

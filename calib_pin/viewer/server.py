@@ -120,7 +120,7 @@ def _guarded(token: str) -> Iterator[None]:
 def _answer(
     connection: ServerConnection, request: Request, token: str
 ) -> Response | None:
-    """What is answered without a look at the content; None for a good request."""
+    """The answer that needs no look at the content; None for a good request."""
     port = connection.local_address[1]
     own = [f"{name}:{port}" for name in ("localhost", HOST)]
     host, origin = map(request.headers.get_all, ("Host", "Origin"))

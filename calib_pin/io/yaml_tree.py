@@ -99,7 +99,9 @@ def read_tree(path: str | Path) -> Tree:
     content = read_bytes(path, _LARGEST)
     try:
         text = content.decode("utf-8-sig")
-        root = _compose(text, file)
+        composer = _Composer(text)
+        composer.file = file
+        root = composer.get_single_node()
         places: Places = {}
         data = None if root is None else _build(root, file, (), _line(root), places)
         return Tree(file, data, places, text)
@@ -121,34 +123,37 @@ def read_tree(path: str | Path) -> Tree:
         raise InputError("not a text file", file=file) from None
 
 
-def _compose(text: str, file: str) -> yaml.Node | None:
-    """The node tree of a text, without anchors, aliases and tags.
+class _Composer(yaml.SafeLoader):
+    """Nodes without anchors, aliases and tags, and not nested too deeply.
 
-    The events come first: they are read one by one, while the tree is built by
-    recursion, to any depth.
+    Each is refused before it is composed: recursion goes to any depth.
     """
+
+    file = ""
     depth = 0
-    for event in yaml.parse(text, yaml.SafeLoader):
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         refused = None
         if isinstance(event, yaml.AliasEvent):
             refused = (
                 f"an alias, '*{event.anchor}', (a glob needs quotes, as in {_GLOB})"
             )
-        elif isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+        elif event.anchor is not None:
             refused = f"an anchor, '&{event.anchor}',"
-        elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
-            refused = None if event.tag is None else f"a tag, '{event.tag}',"
-        # An escape can write half of a character.
-        if isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
-            refused = "half of a character, in an escape,"
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
+        elif event.tag is not None:
+            refused = f"a tag, '{event.tag}',"
+        elif self.depth > _DEEPEST:
             refused = "so deep a nesting"
         if refused is not None:
             line = _line(event)
-            raise InputError(f"{refused} is not allowed here", file=file, line=line)
-    return yaml.compose(text, yaml.SafeLoader)
+            raise InputError(
+                f"{refused} is not allowed here", file=self.file, line=line
+            )
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
 
 def _build(node: yaml.Node, file: str, path: Keys, line: int, places: Places) -> Any:

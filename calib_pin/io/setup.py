@@ -268,22 +268,25 @@ def _check_names(tree: Tree, setup: Setup) -> None:
 
 def _check_tools(tree: Tree, setup: Setup) -> None:
     for name, tool in setup.tools.items():
-        path, others = ("tools", name, "on"), [k for k in setup.tools if k != name]
-        if tool.on is not None and tool.on not in others:
+        if tool.on is not None and (tool.on == name or tool.on not in setup.tools):
+            others = [other for other in setup.tools if other != name]
             raise tree.error(
                 f"'tools.{name}.on' is no other tool{nearest(tool.on, others)}",
-                path,
+                ("tools", name, "on"),
                 tool.on,
                 ", ".join(others) or None,
             )
-    for name, tool in setup.tools.items():
-        on, below = tool.on, {name}
-        while on is not None and on not in below:
+    checked: set[str] = set()
+    for name in setup.tools:
+        on: str | None = name
+        below: set[str] = set()
+        while on is not None and on not in below and on not in checked:
             below.add(on)
             on = setup.tools[on].on
-        if on == name:
-            path = ("tools", name, "on")
-            raise tree.error(f"'tools.{name}' carries itself", path, tool.on)
+        if on is not None and on in below:
+            path = ("tools", on, "on")
+            raise tree.error(f"'tools.{on}' carries itself", path, setup.tools[on].on)
+        checked |= below
 
 
 def _check_distances(tree: Tree, setup: Setup) -> None:

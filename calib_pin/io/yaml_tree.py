@@ -27,6 +27,10 @@ _HALVES = re.compile("[\ud800-\udfff]")
 _LARGEST = 1 << 20  # Bytes; some seconds, and a tree of hundreds of times as many.
 _GLOB = '"*.placement.z"'
 
+Keys = tuple[str | int, ...]
+Places = dict[Keys, tuple[int, yaml.Node]]
+"""Line and value node of every key and list item, by its path."""
+
 
 @dataclass(frozen=True)
 class Tree:
@@ -39,7 +43,7 @@ class Tree:
 
     file: str
     data: Any
-    _root: yaml.Node | None
+    _places: Places
     _text: str
 
     def line(self, path: Sequence[str | int]) -> int:
@@ -69,21 +73,8 @@ class Tree:
 
     def _find(self, path: Sequence[str | int]) -> tuple[int, yaml.Node]:
         """Line and value node of the last part of a path that exists."""
-        assert self._root is not None
-        node, line = self._root, _line(self._root)
-        for step in path:
-            if isinstance(node, yaml.MappingNode):
-                pairs = {key.value: (key, value) for key, value in node.value}
-                if step not in pairs:
-                    break
-                key, node = pairs[step]
-                line = _line(key)
-            elif isinstance(node, yaml.SequenceNode) and isinstance(step, int):
-                node = node.value[step]
-                line = _line(node)
-            else:
-                break
-        return line, node
+        ends = (tuple(path[:count]) for count in range(len(path), -1, -1))
+        return next(self._places[end] for end in ends if end in self._places)
 
 
 def read_tree(path: str | Path) -> Tree:
@@ -105,13 +96,17 @@ def read_tree(path: str | Path) -> Tree:
         {'elbow_joint.placement.x': 1e-05}
     """
     file = str(path)
-    data = read_bytes(path, _LARGEST)
+    content = read_bytes(path, _LARGEST)
     try:
-        text = data.decode("utf-8-sig")
-        root = _compose(text, file)
-        return Tree(file, None if root is None else _build(root, file), root, text)
+        text = content.decode("utf-8-sig")
+        composer = _Composer(text)
+        composer.file = file
+        root = composer.get_single_node()
+        places: Places = {}
+        data = None if root is None else _build(root, file, (), _line(root), places)
+        return Tree(file, data, places, text)
     except UnicodeDecodeError as error:
-        line = data[: error.start].count(b"\n") + 1
+        line = content[: error.start].count(b"\n") + 1
         raise InputError("not UTF-8 text", file=file, line=line) from None
     except yaml.MarkedYAMLError as error:
         mark = error.problem_mark or error.context_mark
@@ -128,40 +123,47 @@ def read_tree(path: str | Path) -> Tree:
         raise InputError("not a text file", file=file) from None
 
 
-def _compose(text: str, file: str) -> yaml.Node | None:
-    """The node tree of a text, without anchors, aliases and tags.
+class _Composer(yaml.SafeLoader):
+    """Nodes without anchors, aliases and tags, and not nested too deeply.
 
-    The events come first: they are read one by one, while the tree is built by
-    recursion, to any depth.
+    Each is refused before it is composed: recursion goes to any depth.
     """
+
+    file = ""
     depth = 0
-    for event in yaml.parse(text, yaml.SafeLoader):
+
+    def compose_node(self, parent: yaml.Node | None, index: Any) -> yaml.Node | None:
+        event = self.peek_event()  # type: ignore[no-untyped-call]
         refused = None
         if isinstance(event, yaml.AliasEvent):
             refused = (
                 f"an alias, '*{event.anchor}', (a glob needs quotes, as in {_GLOB})"
             )
-        elif isinstance(event, yaml.NodeEvent) and event.anchor is not None:
+        elif event.anchor is not None:
             refused = f"an anchor, '&{event.anchor}',"
-        elif isinstance(event, yaml.ScalarEvent | yaml.CollectionStartEvent):
-            refused = None if event.tag is None else f"a tag, '{event.tag}',"
-        # An escape can write half of a character.
-        if isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
-            refused = "half of a character, in an escape,"
-        depth += isinstance(event, yaml.CollectionStartEvent)
-        depth -= isinstance(event, yaml.CollectionEndEvent)
-        if depth > _DEEPEST:
+        elif event.tag is not None:
+            refused = f"a tag, '{event.tag}',"
+        elif self.depth > _DEEPEST:
             refused = "so deep a nesting"
         if refused is not None:
             line = _line(event)
-            raise InputError(f"{refused} is not allowed here", file=file, line=line)
-    return yaml.compose(text, yaml.SafeLoader)
+            raise InputError(
+                f"{refused} is not allowed here", file=self.file, line=line
+            )
+        self.depth += 1
+        node = super().compose_node(parent, index)
+        self.depth -= 1
+        return node
 
 
-def _build(node: yaml.Node, file: str) -> Any:
-    """The data of a node."""
+def _build(node: yaml.Node, file: str, path: Keys, line: int, places: Places) -> Any:
+    """The data of a node, whose place and those of all below it are noted."""
+    places[path] = line, node
     if isinstance(node, yaml.SequenceNode):
-        return [_build(item, file) for item in node.value]
+        return [
+            _build(item, file, (*path, k), _line(item), places)
+            for k, item in enumerate(node.value)
+        ]
     if isinstance(node, yaml.ScalarNode):
         return _scalar(node)
     result: dict[str, Any] = {}
@@ -172,7 +174,8 @@ def _build(node: yaml.Node, file: str) -> Any:
             raise InputError(
                 f"the key '{key.value}' occurs twice", file=file, line=_line(key)
             )
-        result[key.value] = _build(value, file)
+        below = (*path, key.value)
+        result[key.value] = _build(value, file, below, _line(key), places)
     return result
 
 

@@ -145,6 +145,8 @@ class _Composer(yaml.SafeLoader):
             refused = f"a tag, '{event.tag}',"
         elif self.depth > _DEEPEST:
             refused = "so deep a nesting"
+        elif isinstance(event, yaml.ScalarEvent) and _HALVES.search(event.value):
+            refused = "half of a character, in an escape,"
         if refused is not None:
             line = _line(event)
             raise InputError(

@@ -366,9 +366,18 @@ def test_what_is_not_a_number(bad, written):
 
 KEYS = (
     "base, tip, chains, model, parameters, learned, frames, stations, tools, planes, "
-    "targets, sockets, spheres, anchors, camera, board, distances, joints, gravity, "
-    "payloads, gear_ratios, fixed, bounds, prior"
+    "targets, sockets, spheres, anchors, camera, board, distances, joints, reading, "
+    "gravity, payloads, gear_ratios, fixed, bounds, prior"
 )
+
+
+def test_halves_of_characters(tmp_path, refused):
+    """An escape can write what no encoding can."""
+    for text in ('"\\uDCFF": 1', 'fixed: ["\\uD800"]'):
+        file = tmp_path / "setup.yaml"
+        file.write_text(f"tip: tool\n{text}\n")
+        with refused(InputError, file=str(file), line=2, reason="half of a character"):
+            read_setup(file)
 
 
 @pytest.mark.parametrize(

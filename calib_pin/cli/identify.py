@@ -88,6 +88,7 @@ def identify(
             )
         stated, keys = calibrated_setup(result.model), rows.keys
         found, verdict, reason = result, result.verdict, result.reason
+        faults = result.findings
     else:
         keys = stated_blocks(stated)
         chains = open_chains(robot, stated, keys)

@@ -165,7 +165,9 @@ class _Worker:
     def __init__(self) -> None:
         context = multiprocessing.get_context("fork")
         self.pipe, theirs = context.Pipe()
-        self.process = context.Process(target=_serve, args=(theirs,), daemon=True)
+        self.process = context.Process(
+            target=_serve, args=(self.pipe, theirs), daemon=True
+        )
         self.process.start()
         theirs.close()
         self.deadline = 0.0
@@ -203,8 +205,9 @@ class _TooLong(BaseException):
     """A case takes longer than it may."""
 
 
-def _serve(pipe: Connection) -> None:
-    """Run the cases that come through a pipe."""
+def _serve(ours: Connection, pipe: Connection) -> None:
+    """Run the cases that come through a pipe, until nobody holds its other end."""
+    ours.close()
     _limit_memory()
     # Figures take a hundred times longer than reading what they show.
     calib_pin.cli.calibrate.draw_calibration = lambda *about: []  # type: ignore

@@ -144,13 +144,16 @@ def coarse_step(values: Floats, unit: str) -> float:
         unit: SI unit of the values.
     """
     some = values[:: max(1, len(values) // 50)]
-    for factor in STEPS[unit]:
-        for power in range(0, -7, -1):
-            for digit in (5.0, 2.0, 1.0):
-                step = digit * 10.0**power * factor
-                if _on_grid(some, step) and _on_grid(values, step):
-                    distinct = len(np.unique(np.round(values / step)))
-                    return step if distinct >= OPTIONS.values else 0.0
+    steps = [
+        digit * 10.0**power * factor
+        for factor in STEPS[unit]
+        for power in range(0, -7, -1)
+        for digit in (5.0, 2.0, 1.0)
+    ]
+    for step in sorted(steps, reverse=True):
+        if _on_grid(some, step) and _on_grid(values, step):
+            distinct = len(np.unique(np.round(values / step)))
+            return step if distinct >= OPTIONS.values else 0.0
     return 0.0
 
 

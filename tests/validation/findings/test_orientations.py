@@ -16,7 +16,6 @@ from calib_pin.io.measurements import encode_table
 from calib_pin.io.setup import read_setup
 from calib_pin.observations import Observations
 from calib_pin.setup import STATED
-from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.explanations import explain, finding
 from calib_pin.validation.findings.orientations import orientations
 from calib_pin.validation.findings.setup_lines import written
@@ -31,7 +30,7 @@ def found(quick_case: Job) -> Job:
 
     def find(job: Any, data: Observations) -> list[Finding]:
         case = quick_case(job.chain, data)
-        explanation = explain(case, (orientations, axes))
+        explanation = explain(case, (orientations,))
         return [] if explanation is None else list(finding(case, explanation))
 
     return find
@@ -126,4 +125,4 @@ def test_right_orientations_have_no_other_convention(
     job = moved_job((), (), 30, model="pose")
     case = quick_case(job.chain, job.plain)
     assert [fault.code for fault in orientations(case)] == ["pose-inverted"]
-    assert explain(case, (orientations, axes)) is None
+    assert explain(case, (orientations,)) is None

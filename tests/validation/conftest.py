@@ -10,13 +10,15 @@ import numpy as np
 import pytest
 
 import calib_pin
-from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.estimation.formulation import make_problem, nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.setup import FrameSetup, Setup, ToolSetup
 from calib_pin.simulation import draw_errors, simulate
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.quick_fit import QuickFit
 
 NOISE = 5e-5
 
@@ -102,5 +104,17 @@ def moved_job() -> Callable[..., MovedJob]:
         plain = [replace(block, station="", tool="") for block in blocks]
         named, every = Observations.of(*blocks), Observations.of(*plain)
         return MovedJob(chain, named, every, problem, theta, truth)
+
+    return make
+
+
+@pytest.fixture(scope="session")
+def quick_case() -> Callable[..., Case]:
+    """Measurements to which a robot was fitted in a few steps, whatever they are."""
+
+    def make(chain: Chain, data: Observations, setup: Setup | None = None) -> Case:
+        problem = make_problem(chain, data, setup or Setup())
+        fit = QuickFit.of(problem)
+        return Case(problem.chains, data, fit, np.arange(len(data)), fit.theta)
 
     return make

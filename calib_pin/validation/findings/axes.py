@@ -51,4 +51,4 @@ LEFT_HANDED = (
 
 
 def _hypothesis(held: tuple[str, ...], told: tuple[str, str]) -> Hypothesis:
-    return Hypothesis(*told, "axes of positions", ReadingSetup(axes=held))
+    return Hypothesis(*told, "axes of positions", ReadingSetup(axes=held), gross=True)

@@ -6,6 +6,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import error_table
@@ -144,16 +145,22 @@ def coarse_step(values: Floats, unit: str) -> float:
         unit: SI unit of the values.
     """
     some = values[:: max(1, len(values) // 50)]
-    for factor in STEPS[unit]:
-        for power in range(0, -7, -1):
-            for digit in (5.0, 2.0, 1.0):
-                step = digit * 10.0**power * factor
-                if _on_grid(some, step) and _on_grid(values, step):
-                    distinct = len(np.unique(np.round(values / step)))
-                    return step if distinct >= OPTIONS.values else 0.0
+    steps = np.array(
+        [
+            digit * 10.0**power * factor
+            for factor in STEPS[unit]
+            for power in range(0, -7, -1)
+            for digit in (5.0, 2.0, 1.0)
+        ]
+    )
+    steps = -np.sort(-steps[_on_grid(some, steps)])
+    for step in steps[_on_grid(values, steps)][:1].tolist():
+        if len(np.unique(np.round(values / step))) >= OPTIONS.values:
+            return float(step)
     return 0.0
 
 
-def _on_grid(values: Floats, step: float) -> bool:
-    parts = values / step
-    return bool(np.all(np.abs(parts - np.round(parts)) < 1e-6))
+def _on_grid(values: Floats, steps: Floats) -> NDArray[np.bool_]:
+    """Whether all values are multiples of each step, shape (K,)."""
+    parts = values / steps[:, None]
+    return np.asarray(np.all(np.abs(parts - np.round(parts)) < 1e-6, axis=1))

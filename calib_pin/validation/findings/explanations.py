@@ -173,8 +173,8 @@ class _Search:
         first = self._fitted(())
         if not np.isfinite(first):
             return None
-        # A robot that is fitted shrinks with its measurements.
-        sized = [k for k, h in enumerate(self.known) if h.reading.scale == 1.0]
+        # A robot that is fitted shrinks with its measurements, say.
+        sized = [k for k, h in enumerate(self.known) if not h.gross]
         trials = [(self._fitted((self.known[k],)), k) for k in sized]
         left, k = min(trials, default=(first, -1))
         return self._decided(self.known[k : k + 1], first, left, FITTED, fitted=True)

@@ -30,6 +30,8 @@ class Hypothesis:
         chains: The chains that were measured, where they are others.
         setup: What the setup states otherwise, by the names of its attributes.
         stated: Further lines of the setup file.
+        gross: Whether the errors are as large as the robot, which the nominal one
+            tells; a fit to them says nothing.
         advice: What to do instead of stating something; empty where the setup helps.
         figure: Name of a figure that shows it.
         joint: The joint that it concerns alone: what is wrong with one joint may only
@@ -45,6 +47,7 @@ class Hypothesis:
     chains: Chains | None = None
     setup: Mapping[str, Any] = field(default_factory=dict)
     stated: Mapping[str, Any] = field(default_factory=dict)
+    gross: bool = False
     advice: str = ""
     figure: str = ""
     joint: str = ""

@@ -53,6 +53,7 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
         "the poses are those of the measurement frame in the tool",
         "pose of what",
         ReadingSetup(inverted=True),
+        gross=True,
     )
     try:
         located = _located(case, blocks)
@@ -76,6 +77,7 @@ def orientations(case: Case) -> Iterator[Hypothesis]:
                 "convention of orientations",
                 ReadingSetup(orientation=reading),
                 change=partial(_read_so, reading=reading, located=found),
+                gross=True,
             )
 
 

@@ -53,6 +53,7 @@ def units(case: Case) -> Iterator[Hypothesis]:
                 f"the measured lengths are {words}",
                 "unit of lengths",
                 ReadingSetup(scale=factor),
+                gross=True,
             )
 
 

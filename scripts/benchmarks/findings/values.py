@@ -138,7 +138,7 @@ DEFECTS: tuple[Defect, ...] = (
         {
             "x, y exchanged": ("y", "x", "z"),
             "y negated": ("x", "-y", "z"),
-            "two faults": ("-z", "-y", "-x"),
+            "three faults": ("-z", "-y", "x"),
         },
         ("position", "pose"),
         _AXES,

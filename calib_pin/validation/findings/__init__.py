@@ -23,6 +23,7 @@ from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.joint_offsets import joint_offset
+from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
 from calib_pin.validation.findings.noise import noise
@@ -55,7 +56,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, coarse_values)
+FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, joint_turns, coarse_values)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 

@@ -25,11 +25,10 @@ from calib_pin.validation.findings.hypotheses import Hypothesis, read_so
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
 
-LEFT = 0.65
+LEFT = 0.42
 """Part of the sum of squares that a part of a motion leaves at most.
 
-Gears that err by what no parameter describes, on a path, have left 0.44 of it, but
-with contradiction.
+Gears that err by what no parameter describes have left 0.43 of it, on a path.
 """
 
 CHANCE = 1e-4

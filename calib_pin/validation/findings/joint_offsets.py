@@ -10,8 +10,11 @@ from __future__ import annotations
 from dataclasses import replace
 
 import numpy as np
+from numpy.typing import NDArray
 
 from calib_pin.estimation.directions import column_space
+from calib_pin.estimation.problem import Problem
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import DECISIVE, Explanation
@@ -22,8 +25,14 @@ from calib_pin.validation.findings.quick_fit import QuickFit
 LARGE = 10.0
 """Errors of the nominal robot, in expected sizes, from which an offset is sought."""
 
-LEAST = np.radians(3.0)
-"""Least offset that is told [rad]; robots have up to half of it."""
+LEAST = 3.0
+"""Least offset that is told [deg]; robots have up to half of it."""
+
+ROUND = (45.0, 15.0, 10.0, 5.0, 1.0)
+"""Round angles [deg]."""
+
+NEARBY = 0.6
+"""Largest distance from one of them [deg], three times a usual error of a robot."""
 
 ROWS = 200
 """Measurements that are looked at."""
@@ -41,35 +50,67 @@ def joint_offset(case: Case) -> Explanation | None:
     before = fit.errors
     if not before > LARGE * expected_size(quantity.unit):
         return None
-    parameters = problem.parameters
-    frames = parameters.free & parameters.nuisance
-    joint, angle, fault = -1, 0.0, None
+    joint, degrees = _likeliest(fit), 0.0
     for _ in range(STEPS):
-        r, J = fit.linear
-        Q, X = column_space(J[:, frames]), fit.by_joints + fit.by_starts
-        seen = X - Q @ (Q.T @ X)
-        norms = np.sum(seen**2, axis=0)
-        if fault is None:
-            told = norms > 1e-6 * np.sum(X**2, axis=0)
-            gains = (seen.T @ r) ** 2 / np.where(told, norms, np.inf)
-            joint = int(np.argmax(gains))
-        angle -= float(seen[:, joint] @ r / max(norms[joint], 1e-300))
-        A = np.column_stack([J[:, frames], X[:, joint]])
-        theta = fit.theta.copy()
-        step = np.linalg.lstsq(A, r, rcond=1e-10)[0][:-1]
-        theta[frames] -= parameters.scales[frames] * step
-        fault = offset_by(data.joints, joint, float(np.degrees(angle)))
-        fit = QuickFit(replace(problem, data=read_so(data, (fault,))), theta)
+        theta, change = _step(fit, [joint])
+        degrees += float(np.degrees(change[0]))
+        fit = _read(problem, theta, joint, degrees)
+    degrees = _rounded(degrees)
+    fit = _read(problem, fit.theta, joint, degrees)
+    fit = replace(fit, theta=_step(fit, [])[0])
     after = fit.errors
-    if fault is None or not after < DECISIVE * before or abs(angle) < LEAST:
+    if not after < DECISIVE * before or abs(degrees) < LEAST:
         return None
-    ratio = len(first.linear[0]) * float(np.log(before / after))
     return Explanation(
-        (fault,),
+        (offset_by(data.joints, joint, degrees),),
         before,
         after,
-        ratio,
+        len(first.linear[0]) * float(np.log(before / after)),
         len(data.joints),
         fitted=False,
         harmless=not case.doubtful,
     )
+
+
+def _read(problem: Problem, theta: Floats, joint: int, degrees: float) -> QuickFit:
+    """Measurements read with an offset of a joint."""
+    fault = offset_by(problem.data.joints, joint, degrees)
+    return QuickFit(replace(problem, data=read_so(problem.data, (fault,))), theta)
+
+
+def _frames(fit: QuickFit) -> NDArray[np.bool_]:
+    """What places the nominal robot."""
+    parameters = fit.problem.parameters
+    return np.asarray(parameters.free & parameters.nuisance)
+
+
+def _likeliest(fit: QuickFit) -> int:
+    """The joint whose offset explains most, to first order."""
+    r, J = fit.linear
+    Q, X = column_space(J[:, _frames(fit)]), fit.by_joints + fit.by_starts
+    seen = X - Q @ (Q.T @ X)
+    norms, squares = np.sum(seen**2, axis=0), np.sum(X**2, axis=0)
+    norms[norms <= 1e-6 * squares] = np.inf
+    return int(np.argmax((seen.T @ r) ** 2 / norms))
+
+
+def _step(fit: QuickFit, joints: list[int]) -> tuple[Floats, Floats]:
+    """Parameter values with better frames, and the step of some joints [rad]."""
+    frames, (r, J) = _frames(fit), fit.linear
+    X = (fit.by_joints + fit.by_starts)[:, joints] if joints else np.zeros((len(r), 0))
+    A = np.column_stack([J[:, frames], X])
+    step, theta = -np.linalg.lstsq(A, r, rcond=1e-10)[0], fit.theta.copy()
+    count = int(frames.sum())
+    theta[frames] += fit.problem.parameters.scales[frames] * step[:count]
+    return theta, np.asarray(step[count:], float)
+
+
+def _rounded(degrees: float) -> float:
+    """The roundest angle nearby, for zeros are set on purpose [deg].
+
+    The rest is an error of the robot, which nothing else tells from it.
+    """
+    for step in ROUND:
+        if abs(degrees - step * round(degrees / step)) < NEARBY:
+            return float(step * round(degrees / step))
+    return degrees

@@ -29,11 +29,11 @@ from calib_pin.validation.findings.setup_lines import written
 CHANCE = 1e-5
 """Probability by chance below which a drift is looked at closely."""
 
-AMONG = 1e-3
+AMONG = 3e-3
 """Probability that a smooth curve explains so much more than others do."""
 
-WAVES, CURVES = 4, 20
-"""Least number of cosines, and of all columns, that it is compared with."""
+WAVES = range(2, 10)
+"""Half waves of the curves that it is compared with."""
 
 SIMPLER = 30.0
 """What a drift of more parts must gain on a simpler one, in terms of likelihood."""
@@ -42,7 +42,10 @@ LEAST = 2.0
 """Least displacement that is told, by the noise."""
 
 LARGE = 0.3
-"""Errors that it causes, in expected sizes of an error, from which it takes the trust."""
+"""Errors that it causes, in expected sizes, from which it takes the trust."""
+
+SURE = 0.6
+"""Part of the errors that it leaves at most then."""
 
 NORMAL = 1.96
 """Half of the 95 % interval, in standard deviations."""
@@ -95,16 +98,17 @@ def _first_columns(case: Case) -> set[tuple[str, ...]]:
 
 def _stands_out(case: Case, columns: Floats) -> Score | None:
     """What a drift explains that some columns describe; None where it may be chance."""
-    linear, count, time = _linear(case, columns), columns.shape[1], _time(case)
+    linear, time = _linear(case, columns), _time(case)
     found = case.fit.score(linear)
     if found.chance > CHANCE:
         return None
-    waves = np.arange(2, 2 + max(WAVES, CURVES // count))
-    curves = [columns * np.cos(np.pi * k * time)[:, None] for k in waves]
-    dof = min(len(waves) * count, case.fit.left - count - 1)
+    curves = [columns * np.cos(np.pi * k * time)[:, None] for k in WAVES]
     others = found.left - case.fit.score(np.hstack([linear, *curves])).left
-    ratio = (1.0 - found.left) / count / max(others / dof, 1e-300)
-    return found if f_tail(ratio, count, dof) < AMONG else None
+    if others < 0.0:
+        return None  # There are too few measurements to compare.
+    # What is bent may err in one direction only: a curve counts as one value.
+    ratio = (1.0 - found.left) / max(others / len(WAVES), 1e-300)
+    return found if f_tail(ratio, 1, len(WAVES)) < AMONG else None
 
 
 def _time(case: Case) -> Floats:
@@ -194,7 +198,8 @@ def _severity(case: Case, errors: Errors) -> Severity:
     before, after = errors.values()
     unit = case.fit.problem.layout.quantities[0].unit
     caused = np.sqrt(max(before**2 - after**2, 0.0))
-    return "error" if caused > LARGE * expected_size(unit) else "warning"
+    large = caused > LARGE * expected_size(unit) and after < SURE * before
+    return "error" if large else "warning"
 
 
 def _errors(case: Case, columns: Floats) -> dict[str, float]:

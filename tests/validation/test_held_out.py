@@ -292,3 +292,17 @@ def test_a_tool_that_was_not_fitted_is_refused() -> None:
     model = calib_pin.calibrate(CHAIN, two_stations(), SETUP, validate=False).model
     with pytest.raises(InputError, match=r"nothing of this kind was fitted: .*'probe'"):
         calib_pin.evaluate(model, probe)
+
+
+def test_a_small_move_is_told_and_hides_nothing() -> None:
+    """The nominal robot is worse than the move, and cannot confirm it."""
+    rows, new = simulated(40), simulated(20, seed=2)
+    model = fitted_to(rows)
+    plain = check(CHAIN, rows, SETUP, model, 0, validation=new, method="file")
+    found = check(
+        CHAIN, rows, SETUP, model, 0, validation=moved(new, 1e-3), method="file"
+    )
+    (finding,) = found.findings
+    assert finding.code == "moved-instrument" and "may have moved" in finding.message
+    assert "--station-per-file" in finding.remedy
+    assert np.mean(found.parts[0].after ** 2) > 4.0 * np.mean(plain.parts[0].after ** 2)

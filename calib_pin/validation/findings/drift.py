@@ -8,17 +8,18 @@ more over the files.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping
 
 import numpy as np
 
-from calib_pin.estimation.evidence import Finding
+from calib_pin.estimation.directions import column_space
+from calib_pin.estimation.evidence import Finding, Severity
 from calib_pin.estimation.problem import EXACT, error_table
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
-from calib_pin.parameterizations.base import LENGTH_SCALE
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import AXES
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
@@ -28,20 +29,23 @@ from calib_pin.validation.findings.setup_lines import written
 CHANCE = 1e-5
 """Probability by chance below which a drift is looked at closely."""
 
-AMONG = 1e-3
+AMONG = 3e-3
 """Probability that a smooth curve explains so much more than others do."""
 
-WAVES, CURVES = 4, 20
-"""Least number of cosines, and of all columns, that it is compared with."""
+WAVES = range(2, 10)
+"""Half waves of the curves that it is compared with."""
 
-SIMPLER = 20.0
+SIMPLER = 30.0
 """What a drift of more parts must gain on a simpler one, in terms of likelihood."""
 
 LEAST = 2.0
 """Least displacement that is told, by the noise."""
 
-LARGE = 0.2
-"""Part of the squares that it leaves from which one without a size takes the trust."""
+LARGE = 0.3
+"""Errors that it causes, in expected sizes, from which it takes the trust."""
+
+SURE = 0.6
+"""Part of the errors that it leaves at most then."""
 
 NORMAL = 1.96
 """Half of the 95 % interval, in standard deviations."""
@@ -61,13 +65,14 @@ def drift(case: Case) -> Iterator[Finding]:
         score = _stands_out(case, columns)
         if score is not None:
             cost = case.fit.left * np.log(max(score.left, 1e-300)) + k * SIMPLER
-            found.append((cost, tell, score))
+            found.append((cost, tell, score, columns))
     if found:
-        _, tell, score = min(found, key=lambda one: one[0])
-        yield from tell(case, score)
+        _, tell, score, columns = min(found, key=lambda one: one[0])
+        yield from tell(case, score, _errors(case, columns))
 
 
-Told = Callable[[Case, Score], Iterator[Finding]]
+Errors = Mapping[str, float]
+Told = Callable[[Case, Score, Errors], Iterator[Finding]]
 
 
 def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
@@ -93,25 +98,36 @@ def _first_columns(case: Case) -> set[tuple[str, ...]]:
 
 def _stands_out(case: Case, columns: Floats) -> Score | None:
     """What a drift explains that some columns describe; None where it may be chance."""
-    time = case.rank[case.fit.problem.layout.row] / max(int(case.rank.max()), 1)
-    linear, count = columns * time[:, None], columns.shape[1]
+    linear, time = _linear(case, columns), _time(case)
     found = case.fit.score(linear)
     if found.chance > CHANCE:
         return None
-    waves = np.arange(2, 2 + max(WAVES, CURVES // count))
-    curves = [columns * np.cos(np.pi * k * time)[:, None] for k in waves]
-    dof = min(len(waves) * count, case.fit.left - count - 1)
+    curves = [columns * np.cos(np.pi * k * time)[:, None] for k in WAVES]
     others = found.left - case.fit.score(np.hstack([linear, *curves])).left
-    ratio = (1.0 - found.left) / count / max(others / dof, 1e-300)
-    return found if f_tail(ratio, count, dof) < AMONG else None
+    if others < 0.0:
+        return None  # There are too few measurements to compare.
+    # What is bent may err in one direction only: a curve counts as one value.
+    ratio = (1.0 - found.left) / max(others / len(WAVES), 1e-300)
+    return found if f_tail(ratio, 1, len(WAVES)) < AMONG else None
 
 
-def _of_values(case: Case, score: Score) -> Iterator[Finding]:
+def _time(case: Case) -> Floats:
+    """Place of each measured value in the order of the files, 0 to 1, shape (M,)."""
+    return np.asarray(case.rank / max(int(case.rank.max()), 1))[
+        case.fit.problem.layout.row
+    ]
+
+
+def _linear(case: Case, columns: Floats) -> Floats:
+    return columns * _time(case)[:, None]
+
+
+def _of_values(
+    case: Case, score: Score, errors: Mapping[str, float]
+) -> Iterator[Finding]:
     """A displacement of what is measured, which can be taken out."""
     problem = case.fit.problem
-    noise = case.fit.rms * float(
-        np.median(problem.sigma[problem.layout.component == 0])
-    )
+    sigma = float(np.median(problem.sigma[problem.layout.component == 0]))
     size = float(np.linalg.norm(score.values))
     along = float(np.linalg.norm(score.values / size * score.deviations))
     if size < LEAST * case.fit.rms * sigma:
@@ -123,44 +139,48 @@ def _of_values(case: Case, score: Score) -> Iterator[Finding]:
     lines = {"reading": {"drift": [float(f"{v:.3g}") for v in score.values]}}
     yield Finding(
         "instrument-drift",
-        "error" if size > LENGTH_SCALE else "warning",
+        _severity(case, errors),
         f"the measured values drift by {drift} (95 %: {low} to {high}) from the first "
         "measurement to the last",
         {
             **dict(zip(names, score.values.tolist(), strict=True)),
             "drift": size,
             "sigma": along,
-            **_errors(case, score),
+            **errors,
         },
         f"{PARTS}; or state in the setup file: {written(lines)}",
         lines,
     )
 
 
-def _of_instrument(case: Case, score: Score) -> Iterator[Finding]:
+def _of_instrument(
+    case: Case, score: Score, errors: Mapping[str, float]
+) -> Iterator[Finding]:
     """A drift of an instrument that also turns, or sees more than positions."""
-    before, after = _errors(case, score).values()
+    before, after = errors.values()
     yield Finding(
         "instrument-drift",
-        "error" if score.left < LARGE else "warning",
+        _severity(case, errors),
         "the instrument drifts against the robot from the first measurement to the "
         f"last: without it {100 * after / before:.0f} % of the errors are left",
-        _errors(case, score),
+        errors,
         PARTS,
     )
 
 
-def _of_joints(case: Case, score: Score) -> Iterator[Finding]:
+def _of_joints(
+    case: Case, score: Score, errors: Mapping[str, float]
+) -> Iterator[Finding]:
     """Joint positions that drift, as those of a robot that grows warm."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, deviation = float(score.values[worst]), float(score.deviations[worst])
     joint = case.data.joints[worst]
-    before, after = _errors(case, score).values()
+    before, after = errors.values()
     turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
     unit, factor = DISPLAY["rad" if turning.get(joint, True) else "m"]
     yield Finding(
         "robot-drift",
-        "warning",
+        _severity(case, errors),
         "the joint positions drift from the first measurement to the last, most of all "
         f"'{joint}' by {factor * value:.2g} +- {factor * deviation:.1g} {unit}: "
         f"without it {100 * after / before:.0f} % of the errors are left",
@@ -168,16 +188,29 @@ def _of_joints(case: Case, score: Score) -> Iterator[Finding]:
             "joint": joint,
             "drift": value,
             "sigma": deviation,
-            **_errors(case, score),
+            **errors,
         },
         "let the robot warm up before it is measured",
     )
 
 
-def _errors(case: Case, score: Score) -> dict[str, float]:
+def _severity(case: Case, errors: Errors) -> Severity:
+    before, after = errors.values()
+    unit = case.fit.problem.layout.quantities[0].unit
+    caused = np.sqrt(max(before**2 - after**2, 0.0))
+    large = caused > LARGE * expected_size(unit) and after < SURE * before
+    return "error" if large else "warning"
+
+
+def _errors(case: Case, columns: Floats) -> dict[str, float]:
     """Errors now, and without a drift, rms in the unit of the first quantity."""
-    problem = case.fit.problem
-    quantity = problem.layout.quantities[0]
-    sizes = quantity.errors(error_table(problem, case.fit.theta))
-    before = float(np.sqrt(np.mean(sizes**2)))
-    return {"rms_before": before, "rms_after": before * float(np.sqrt(score.left))}
+    fit, (Q, r) = case.fit, case.fit.unexplained
+    problem = fit.problem
+    X = np.zeros((len(r), columns.shape[1]))
+    X[: len(columns)] = _linear(case, columns)
+    U = column_space(X - Q @ (Q.T @ X))
+    first = np.flatnonzero(problem.layout.component == 0)
+    left = np.linalg.norm((r - U @ (U.T @ r))[first]) / np.linalg.norm(r[first])
+    sizes = problem.layout.quantities[0].errors(error_table(problem, fit.theta))
+    before = float(np.sqrt(np.mean(sizes[np.isfinite(sizes)] ** 2)))
+    return {"rms_before": before, "rms_after": before * float(left)}

@@ -20,9 +20,6 @@ from calib_pin.validation.findings.setup_lines import lines_of, written
 
 CODES: dict[Kind, str] = {"station": "instrument-moved", "tool": "tool-remounted"}
 
-KEYS: dict[Kind, str] = {"station": "moved", "tool": "remounted"}
-"""Keys of the section `reading` of a setup."""
-
 TRANSFORM = ("x", "y", "z", "rx", "ry", "rz")
 """A new frame in the old one: position and rotation vector."""
 
@@ -50,7 +47,7 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
         for t in (first, last)
     ]
     settled, _ = last.problem.rebased(last.theta)
-    reading = ReadingSetup()
+    firsts: dict[Kind, list[str]] = {"station": [], "tool": []}
     found = []
     for k in sorted(range(len(last.moves)), key=lambda k: last.moves[k].rank):
         kind, _, at = last.moves[k]
@@ -78,9 +75,7 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
             place += f" of {file}"
         if data.files[next_row] != file:
             place = f"between {file} and {data.files[next_row]}"
-        key = KEYS[kind]
-        places = (*getattr(reading, key), place_of(data, next_row))
-        reading = replace(reading, **{key: places})
+        firsts[kind].append(place_of(data, next_row))
         found.append(
             Finding(
                 CODES[kind],
@@ -98,10 +93,13 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
                 REMEDIES[kind],
             )
         )
-    lines = {"reading": lines_of(reading)}
+    reading = ReadingSetup(
+        moved=tuple(firsts["station"]), remounted=tuple(firsts["tool"])
+    )
+    setup = {"reading": lines_of(reading)}
     for finding in found:
-        remedy = f"{finding.remedy}, or state in the setup file: {written(lines)}"
-        yield replace(finding, remedy=remedy, setup=lines)
+        remedy = f"{finding.remedy}, or state in the setup file: {written(setup)}"
+        yield replace(finding, remedy=remedy, setup=setup)
 
 
 def _sides(trial: Trial, k: int) -> tuple[BlockKey, BlockKey]:

@@ -13,6 +13,7 @@ from calib_pin.estimation.problem import Problem, distinct_values
 from calib_pin.estimation.registration import relocated
 from calib_pin.estimation.scopes import BASE
 from calib_pin.estimation.solve import least_squares
+from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.estimation.system import FRAME
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.validation.model_errors import (
@@ -36,6 +37,24 @@ Both are the nominal and the calibrated robot. A robot that errs in another corn
 its workspace looks displaced as well, with ratios as in `MOVED` of 2 to 8 between
 corners of 0.4 rad, but then the two displacements differ.
 """
+
+SUSPICIOUS = 1.5
+"""Ratio from which a smaller move is told, without registering anything anew.
+
+The nominal robot, with errors that are larger than the move, cannot confirm it.
+"""
+
+AS_FITTED = 1.5
+"""Errors from a station of their own, in standard deviations, up to which nothing but
+a move is wrong."""
+
+CHANCE = 1e-9
+"""Probability by chance of a move that is told."""
+
+STATION = (
+    "give them a station of their own (a column 'station', or --station-per-file), or "
+    "check that the instrument stood still"
+)
 
 FEWEST = 5
 """Fewest distinct configurations for a check."""
@@ -113,13 +132,11 @@ def _if_moved(
     left = max(values - unknowns, 1)
     as_is = _chi_square(after.problem, after.theta)
     on_itself = _chi_square(problem, here.theta)
-    if as_is * left <= MOVED**2 * on_itself * values:
+    ratio = np.sqrt(as_is * left / max(on_itself * values, 1e-300))
+    if ratio <= SUSPICIOUS:
         return None, None
     nominal = _elsewhere(before, station)
     if nominal is None:
-        return None, None
-    own = errors_of_registered(model, nominal, here, errors.positions)
-    if not _alike(errors, own, problem):
         return None, None
     numbers = {
         "chi-square as it is": as_is,
@@ -127,6 +144,21 @@ def _if_moved(
         "values": float(values),
         "unknowns": float(unknowns),
     }
+    own = errors_of_registered(model, nominal, here, errors.positions)
+    rms = [float(np.sqrt(square / values)) for square in (as_is, on_itself)]
+    if ratio <= MOVED or not _alike(errors, own, problem):
+        gain = max(as_is - on_itself, 0.0) / unknowns / max(on_itself / left, 1e-300)
+        if rms[1] > AS_FITTED or f_tail(gain, unknowns, left) > CHANCE:
+            return None, None
+        return errors, Finding(
+            "moved-instrument",
+            "warning",
+            "the validation measurements are off by "
+            f"{rms[0]:.3g} standard deviations, from another station by {rms[1]:.3g}: "
+            "the instrument may have moved before them",
+            numbers,
+            STATION,
+        )
     of = "" if station == BASE else f" of '{station.rpartition('.')[0]}'"
     seen = f"the instrument had another station for the validation measurements{of}"
     if distinct_values(problem) <= unknowns or problem.data.configurations < FEWEST:
@@ -138,7 +170,6 @@ def _if_moved(
             numbers,
             "measure more validation configurations from one station",
         )
-    rms = [np.sqrt(square / values) for square in (as_is, on_itself)]
     return own, Finding(
         "moved-instrument",
         "warning",
@@ -146,6 +177,7 @@ def _if_moved(
         f"deviations, with their own by {rms[1]:.3g}; both robots are registered on "
         "them",
         numbers,
+        STATION,
     )
 
 

@@ -10,9 +10,10 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.fit import fit_model
+from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
 from calib_pin.parameterizations import frame_pose
-from calib_pin.setup import Setup
+from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.moved_frames import move_findings
 
@@ -48,6 +49,33 @@ def test_the_same_with_its_names_is_good(moved_job) -> None:
     job = moved_job((30, 60), (45,))
     result = calib_pin.calibrate(job.chain, job.named)
     assert result.verdict == "good" and result.findings == ()
+
+
+def test_the_setup_lines_of_a_move(moved_job) -> None:
+    """They divide the measurements as their names would have done."""
+    job = moved_job((30, 60), (45,))
+    fitted = fit_model(job.chain, job.plain, Setup(), 0).fit
+    findings = move_findings(Case.of(fitted, fitted.problem.chains))
+    lines = {"reading": {"moved": [32, 62], "remounted": [47]}}
+    assert [dict(finding.setup) for finding in findings] == [lines] * 3
+    assert "moved: [32, 62], remounted: [47]" in findings[0].remedy
+    apart = [findings[0].evidence[axis] for axis in "xyz"]
+    assert np.linalg.norm(apart) == pytest.approx(findings[0].evidence["distance"])
+    reading = ReadingSetup(moved=("32", "62"), remounted=("47",))
+    read = read_otherwise(job.plain, reading)
+    assert calib_pin.calibrate(job.chain, read, validate=False).findings == ()
+
+
+def test_a_small_move_stands_out_from_drift_and_noise(moved_job) -> None:
+    """Noise is 0.05 mm."""
+    job = moved_job((40,), (), step=0.0)
+    block = job.plain.only
+    for shape, moves in ((np.arange(90) >= 40, 1), (np.linspace(0.0, 1.0, 90), 0)):
+        values = block.values + 2.5e-4 * shape[:, None] * np.array([0.6, 0.0, -0.8])
+        data = Observations.of(replace(block, values=values))
+        fitted = fit_model(job.chain, data, Setup(), 0).fit
+        found = move_findings(Case.of(fitted, fitted.problem.chains))
+        assert [f.evidence["line"] for f in found] == [41] * moves
 
 
 def test_the_line_is_found_among_very_many(moved_job) -> None:

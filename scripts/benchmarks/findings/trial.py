@@ -21,6 +21,7 @@ from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
 from calib_pin.io.setup import read_setup
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.setup_lines import merged
@@ -160,12 +161,31 @@ def _run(defect: Defect, number: int) -> Outcome:
     )
 
 
-def _judged(job: Job, result: CalibrationResult) -> Judged:
+def _judged(
+    job: Job,
+    result: CalibrationResult,
+    read: Callable[[Floats], Floats] = lambda q: q,
+) -> Judged:
     try:
-        return judged(job, result)
+        return judged(job, result, read=read)
     except ValueError:
         # Another robot does not have the joints.
         return Judged(job.number, "", "", (), result.verdict, result.reason, np.inf)
+
+
+def _positions(job: Job, spoiled: Input, q: Floats) -> Floats:
+    """Positions of the URDF's joints by the file at true joint positions, (N, n).
+
+    Where another reading of the file moves the robot in the same way, it is as right.
+    """
+    names, joints = job.chain.joints, spoiled.setup.joints
+    columns = dict(zip(names, spoiled.columns(q).T, strict=True))
+    result = dict(columns)
+    for name, stated in joints.items():
+        coupled = sum(part * columns[other] for other, part in stated.coupled.items())
+        factor = stated.sign * stated.gear
+        result[stated.joint] = factor * (columns[name] + coupled) + stated.offset
+    return np.stack([result[name] for name in names], axis=1)
 
 
 def _repaired(
@@ -178,7 +198,7 @@ def _repaired(
         result = calibrated(spoiled)
     except CalibPinError as error:
         return False, f"repaired: refused: {error}"
-    found = _judged(job, result)
+    found = _judged(job, result, partial(_positions, job, spoiled))
     right = found.actual <= max(AS_CLEAN * clean.actual, 2.0 * found.predicted)
     codes = ", ".join(f.code for f in result.findings if f.severity != "info")
     said = (

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from typing import Any
 
 import numpy as np
 
@@ -23,7 +24,7 @@ def _other_robot(
 
 
 def _other_link(
-    job: Job, rows: Measurements, rng: np.random.Generator, ends: dict[str, str]
+    job: Job, rows: Measurements, rng: np.random.Generator, ends: dict[str, Any]
 ) -> Input:
     """The wrong link is the tip, or the base."""
     return replace(given(job, rows), setup=replace(job.setup, **ends))

@@ -136,7 +136,7 @@ def _run(defect: Defect, number: int) -> Outcome:
         findings, verdict = result.findings, result.verdict
         # A result that must not be used has cost the whole calibration.
         if verdict in TRUSTED or clean.verdict not in TRUSTED:
-            actual = _judged(job, result).actual
+            actual = _judged(job, spoiled, result).actual
             cost = np.sqrt(max(actual**2 - clean.actual**2, 0.0)) / NOISE
     if defect.cost is not None:
         cost = defect.cost(job, value)
@@ -161,13 +161,9 @@ def _run(defect: Defect, number: int) -> Outcome:
     )
 
 
-def _judged(
-    job: Job,
-    result: CalibrationResult,
-    read: Callable[[Floats], Floats] = lambda q: q,
-) -> Judged:
+def _judged(job: Job, spoiled: Input, result: CalibrationResult) -> Judged:
     try:
-        return judged(job, result, read=read)
+        return judged(job, result, read=partial(_positions, job, spoiled))
     except ValueError:
         # Another robot does not have the joints.
         return Judged(job.number, "", "", (), result.verdict, result.reason, np.inf)
@@ -198,7 +194,7 @@ def _repaired(
         result = calibrated(spoiled)
     except CalibPinError as error:
         return False, f"repaired: refused: {error}"
-    found = _judged(job, result, partial(_positions, job, spoiled))
+    found = _judged(job, spoiled, result)
     right = found.actual <= max(AS_CLEAN * clean.actual, 2.0 * found.predicted)
     codes = ", ".join(f.code for f in result.findings if f.severity != "info")
     said = (

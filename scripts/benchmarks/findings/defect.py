@@ -129,10 +129,10 @@ def given(
 
 
 def told(*words: str) -> Callable[[Finding], bool]:
-    """Whether a finding says all words, in its message, evidence or remedy."""
+    """Whether a finding says all words, in its sentence, numbers or setup lines."""
 
     def right(finding: Finding) -> bool:
-        text = f"{finding.message} {dict(finding.evidence)} {finding.remedy}"
+        text = f"{finding.message} {finding.evidence} {finding.remedy} {finding.setup}"
         return all(word in text for word in words)
 
     return right

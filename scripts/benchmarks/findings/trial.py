@@ -20,6 +20,7 @@ from benchmarks.verdict.truth import judged
 from calib_pin.cli.files import open_chains, open_measurements
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
+from calib_pin.io.others import other_chains
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
@@ -87,14 +88,19 @@ def calibrated(of: Input) -> CalibrationResult:
     """The result of an input that goes through files."""
     with TemporaryDirectory() as folder:
         chains = open_chains(of.robot, of.setup)
-        chains, rows = open_measurements(
-            written(Path(folder), of.files), chains, of.setup, quiet=True
-        )
+        files = written(Path(folder), of.files)
+        chains, rows = open_measurements(files, chains, of.setup, quiet=True)
         validation = None
         if of.validation:
             paths = written(Path(folder), of.validation)
             _, validation = open_measurements(paths, chains, of.setup, quiet=True)
-        return calib_pin.calibrate(chains, rows, of.setup, validation=validation)
+        return calib_pin.calibrate(
+            chains,
+            rows,
+            of.setup,
+            validation=validation,
+            others=other_chains(files, chains, of.setup),
+        )
 
 
 def written(

@@ -17,10 +17,9 @@ from benchmarks.findings.defect import NOISE, Defect, Input, given, job_of
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_measurements, other_chains
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
-from calib_pin.io.others import other_chains
 from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations

@@ -40,10 +40,11 @@ def run_criteria(
                 count = max(criterion.count // SHARE, criterion.least)
             numbers = range(options.first, options.first + (options.count or count))
         begin = time.perf_counter()
-        found = list(_run(criterion, numbers, options.processes))
-        if options.job or options.tell:
-            for outcome in found:
-                print(outcome)
+        found = []
+        for outcome in _run(criterion, numbers, options.processes):
+            found.append(outcome)
+            if options.job or options.tell:
+                print(outcome, flush=True)
         minutes = (time.perf_counter() - begin) / 60.0
         print(
             f"\n{criterion.number}. {criterion.title} ({name}: {len(found)} jobs from "

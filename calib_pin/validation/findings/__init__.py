@@ -97,7 +97,10 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
         explanation = explain(case, EXPLANATIONS)
-        if explanation is not None and explanation.after < _left(causes):
+        # Of the nominal robot more is left than of a fit: the parts are compared.
+        if explanation is not None and (
+            explanation.after < explanation.before * _left(causes, part=True)
+        ):
             return tuple(finding(case, explanation))
     return causes or (*found, *in_time)
 
@@ -108,7 +111,11 @@ def _explained(case: Case, causes: Iterable[Finding]) -> bool:
     return _left(causes) < DOUBTFUL * expected_size(unit)
 
 
-def _left(causes: Iterable[Finding]) -> float:
-    """Errors that are left if these are corrected [unit of the first quantity]."""
-    found = (float(finding.evidence["rms_after"]) for finding in causes)
+def _left(causes: Iterable[Finding], part: bool = False) -> float:
+    """Errors that are left if these are corrected [unit of the first quantity].
+
+    Or the part of those that are there now.
+    """
+    pairs = [(f.evidence["rms_after"], f.evidence["rms_before"]) for f in causes]
+    found = (float(a) / (float(b) if part else 1.0) for a, b in pairs)
     return min(found, default=float("inf"))

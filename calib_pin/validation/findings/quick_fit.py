@@ -80,7 +80,10 @@ class QuickFit:
             A, b = trial.system
             theta = trial.theta.copy()
             theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
-            trial = replace(trial, theta=theta)
+            stepped = replace(trial, theta=theta)
+            if not np.isfinite(stepped.linear[0]).all():
+                break  # A point came to lie behind the camera, say.
+            trial = stepped
         return trial
 
     @cached_property

@@ -14,6 +14,7 @@ import numpy as np
 from benchmarks.verdict.jobs import ROBOTS, Job, draw
 from calib_pin.estimation.evidence import Finding
 from calib_pin.io.measurements import write_measurements
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 
@@ -44,6 +45,7 @@ class Input:
         right: Whether a finding with a right code also says the right thing, such as
             the joint, the line or the factor.
         robot: Another robot than that of the job.
+        columns: What the joint columns hold, by joint positions of shape (N, n).
     """
 
     files: Mapping[str, Measurements | Observations | str]
@@ -53,6 +55,7 @@ class Input:
     )
     right: Callable[[Finding], bool] = lambda finding: True
     robot: str = ROBOT
+    columns: Callable[[Floats], Floats] = lambda q: q
 
 
 def usual(job: Job, rng: np.random.Generator) -> Measurements:
@@ -126,10 +129,10 @@ def given(
 
 
 def told(*words: str) -> Callable[[Finding], bool]:
-    """Whether a finding says all words, in its message, evidence or remedy."""
+    """Whether a finding says all words, in its sentence, numbers or setup lines."""
 
     def right(finding: Finding) -> bool:
-        text = f"{finding.message} {dict(finding.evidence)} {finding.remedy}"
+        text = f"{finding.message} {finding.evidence} {finding.remedy} {finding.setup}"
         return all(word in text for word in words)
 
     return right

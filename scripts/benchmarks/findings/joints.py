@@ -5,7 +5,6 @@ from __future__ import annotations
 from collections.abc import Callable, Sequence
 from dataclasses import replace
 from functools import partial
-from typing import Any
 
 import numpy as np
 
@@ -25,9 +24,16 @@ INNER = (1, 2, 3)
 """Joints whose zero neither base nor tool can absorb."""
 
 
-def _read_otherwise(rows: Measurements, read: Callable[[Floats], Floats]) -> Any:
+def _read_otherwise(
+    job: Job,
+    rows: Measurements,
+    read: Callable[[Floats], Floats],
+    right: Callable[[Finding], bool],
+) -> Input:
+    """Measurements whose joint columns hold a function of the joint positions."""
     start = read(rows.start) if rows.start.size else rows.start
-    return replace(rows, q=read(rows.q), start=start)
+    spoiled = given(job, replace(rows, q=read(rows.q), start=start), right)
+    return replace(spoiled, columns=read)
 
 
 def _reversed(
@@ -36,8 +42,8 @@ def _reversed(
     """One joint counts the other way."""
     signs = np.ones(len(rows.joints))
     signs[joint] = -1.0
-    spoiled = _read_otherwise(rows, lambda q: q * signs)
-    return given(job, spoiled, told(rows.joints[joint]))
+    right = told(rows.joints[joint])
+    return _read_otherwise(job, rows, lambda q: q * signs, right)
 
 
 def _offset(
@@ -47,9 +53,7 @@ def _offset(
     joint = int(rng.choice(INNER))
     offset = np.zeros(len(rows.joints))
     offset[joint] = np.radians(degrees)
-    return given(
-        job, _read_otherwise(rows, lambda q: q + offset), told(rows.joints[joint])
-    )
+    return _read_otherwise(job, rows, lambda q: q + offset, told(rows.joints[joint]))
 
 
 def _exchanged(
@@ -57,7 +61,7 @@ def _exchanged(
 ) -> Input:
     """The columns stand in another order."""
     moved = [rows.joints[k] for k, other in enumerate(order) if k != other]
-    return given(job, _read_otherwise(rows, lambda q: q[:, order]), told(*moved))
+    return _read_otherwise(job, rows, lambda q: q[:, order], told(*moved))
 
 
 def _coupled(
@@ -67,7 +71,7 @@ def _coupled(
     factors = np.eye(len(rows.joints))
     factors[2, 1] = factor
     right = told(rows.joints[1], rows.joints[2])
-    return given(job, _read_otherwise(rows, lambda q: q @ factors.T), right)
+    return _read_otherwise(job, rows, lambda q: q @ factors.T, right)
 
 
 def _at_once(
@@ -81,8 +85,9 @@ def _at_once(
         factors[2] *= -1.0
     if "offset" in kinds:
         offset[2] = np.pi / 2
-    spoiled = _read_otherwise(rows, lambda q: q @ factors.T + offset)
-    return given(job, spoiled, told(rows.joints[2]))
+    return _read_otherwise(
+        job, rows, lambda q: q @ factors.T + offset, told(rows.joints[2])
+    )
 
 
 def _geared(
@@ -92,9 +97,7 @@ def _geared(
     joint = int(rng.integers(len(rows.joints)))
     factors = np.ones(len(rows.joints))
     factors[joint] = 1.0 / (1.0 + part)
-    return given(
-        job, _read_otherwise(rows, lambda q: q * factors), told(rows.joints[joint])
-    )
+    return _read_otherwise(job, rows, lambda q: q * factors, told(rows.joints[joint]))
 
 
 def _degrees(
@@ -103,10 +106,8 @@ def _degrees(
     """Some joints in degrees."""
     factors = np.ones(len(rows.joints))
     factors[list(joints)] = np.degrees(1.0)
-    return given(
-        job,
-        _read_otherwise(rows, lambda q: q * factors),
-        told(rows.joints[joints[0]]),
+    return _read_otherwise(
+        job, rows, lambda q: q * factors, told(rows.joints[joints[0]])
     )
 
 

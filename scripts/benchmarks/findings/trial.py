@@ -17,10 +17,11 @@ from benchmarks.findings.defect import NOISE, Defect, Input, given, job_of
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
-from calib_pin.cli.files import open_chains, open_measurements
+from calib_pin.cli.files import open_chains, open_measurements, other_chains
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
 from calib_pin.io.setup import read_setup
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.setup_lines import merged
@@ -86,14 +87,19 @@ def calibrated(of: Input) -> CalibrationResult:
     """The result of an input that goes through files."""
     with TemporaryDirectory() as folder:
         chains = open_chains(of.robot, of.setup)
-        chains, rows = open_measurements(
-            written(Path(folder), of.files), chains, of.setup, quiet=True
-        )
+        files = written(Path(folder), of.files)
+        chains, rows = open_measurements(files, chains, of.setup, quiet=True)
         validation = None
         if of.validation:
             paths = written(Path(folder), of.validation)
             _, validation = open_measurements(paths, chains, of.setup, quiet=True)
-        return calib_pin.calibrate(chains, rows, of.setup, validation=validation)
+        return calib_pin.calibrate(
+            chains,
+            rows,
+            of.setup,
+            validation=validation,
+            others=other_chains(files, chains, of.setup),
+        )
 
 
 def written(
@@ -135,7 +141,7 @@ def _run(defect: Defect, number: int) -> Outcome:
         findings, verdict = result.findings, result.verdict
         # A result that must not be used has cost the whole calibration.
         if verdict in TRUSTED or clean.verdict not in TRUSTED:
-            actual = _judged(job, result).actual
+            actual = _judged(job, spoiled, result).actual
             cost = np.sqrt(max(actual**2 - clean.actual**2, 0.0)) / NOISE
     if defect.cost is not None:
         cost = defect.cost(job, value)
@@ -160,12 +166,27 @@ def _run(defect: Defect, number: int) -> Outcome:
     )
 
 
-def _judged(job: Job, result: CalibrationResult) -> Judged:
+def _judged(job: Job, spoiled: Input, result: CalibrationResult) -> Judged:
     try:
-        return judged(job, result)
+        return judged(job, result, read=partial(_positions, job, spoiled))
     except ValueError:
         # Another robot does not have the joints.
         return Judged(job.number, "", "", (), result.verdict, result.reason, np.inf)
+
+
+def _positions(job: Job, spoiled: Input, q: Floats) -> Floats:
+    """Positions of the URDF's joints by the file at true joint positions, (N, n).
+
+    Where another reading of the file moves the robot in the same way, it is as right.
+    """
+    names, joints = job.chain.joints, spoiled.setup.joints
+    columns = dict(zip(names, spoiled.columns(q).T, strict=True))
+    result = dict(columns)
+    for name, stated in joints.items():
+        coupled = sum(part * columns[other] for other, part in stated.coupled.items())
+        factor = stated.sign * stated.gear
+        result[stated.joint] = factor * (columns[name] + coupled) + stated.offset
+    return np.stack([result[name] for name in names], axis=1)
 
 
 def _repaired(
@@ -178,7 +199,7 @@ def _repaired(
         result = calibrated(spoiled)
     except CalibPinError as error:
         return False, f"repaired: refused: {error}"
-    found = _judged(job, result)
+    found = _judged(job, spoiled, result)
     right = found.actual <= max(AS_CLEAN * clean.actual, 2.0 * found.predicted)
     codes = ", ".join(f.code for f in result.findings if f.severity != "info")
     said = (

@@ -7,6 +7,7 @@ no property of the robot, and `ExpectedAccuracy` leaves them aside as well.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -88,6 +89,7 @@ def judged(
     kind: str = "",
     group: tuple[str, ...] = (),
     there: Floats | None = None,
+    read: Callable[[Floats], Floats] = lambda q: q,
 ) -> Outcome:
     """The outcome of a job.
 
@@ -97,9 +99,13 @@ def judged(
         kind: Its subject.
         group: Names by which outcomes are counted.
         there: New configurations like those that were measured, shape (N, n).
+        read: Joint positions of the calibrated robot by true ones.
     """
     q = job.chain.random_configurations(WORKSPACE, stream(job.number, 99))
-    actual, nominal = position_error(job, result.model, q), position_error(job, None, q)
+    actual, nominal = (
+        position_error(job, result.model, q, read),
+        position_error(job, None, q),
+    )
     predicted, better = np.nan, np.nan
     if result.accuracy.workspace is not None:
         predicted, better = (
@@ -139,13 +145,19 @@ def refused(
     return Outcome(job.number, kind, job.label, group, verdict, reason)
 
 
-def position_error(job: Job, model: CalibratedModel | None, q: Floats) -> float:
+def position_error(
+    job: Job,
+    model: CalibratedModel | None,
+    q: Floats,
+    read: Callable[[Floats], Floats] = lambda q: q,
+) -> float:
     """Error of the tool position, root mean square over configurations [m].
 
     Args:
         job: The job, with the true robot.
         model: The calibrated robot; None for the nominal one.
         q: Configurations, shape (N, n).
+        read: Joint positions of the model by true ones.
 
     Raises:
         ValueError: If the model has joints that the job does not have.
@@ -159,7 +171,7 @@ def position_error(job: Job, model: CalibratedModel | None, q: Floats) -> float:
         own = model.of()
         # A wrong tip leaves joints out.
         joints = [job.chain.joints.index(name) for name in own.error.chain.joints]
-        B = own.poses(q[:, joints])
+        B = own.poses(read(q)[:, joints])
     B = absorbed(A, B, left=True, right=True)
     squares = np.sum((B[:, :3, 3] - A[:, :3, 3]) ** 2, axis=1)
     return float(np.sqrt(squares.mean()))

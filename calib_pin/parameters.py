@@ -9,7 +9,7 @@ from __future__ import annotations
 from collections.abc import Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from fnmatch import fnmatchcase
-from functools import cached_property
+from functools import cached_property, lru_cache
 
 import numpy as np
 from numpy.typing import NDArray
@@ -149,10 +149,8 @@ class ParameterSet:
         Raises:
             OptionError: If a pattern matches nothing.
         """
-        chosen: set[int] = set()
-        for pattern in patterns:
-            chosen |= self._match(pattern)
-        return self.without(chosen)
+        found = _matching_each(tuple(patterns), self.names)
+        return self.without(set().union(*set(found)))
 
     def without(self, positions: Iterable[int]) -> ParameterSet:
         """The set with the parameters at some positions not estimated."""
@@ -170,15 +168,15 @@ class ParameterSet:
             OptionError: If a glob matches nothing or an interval excludes zero.
         """
         changes: dict[int, dict[str, float]] = {}
-        for pattern, limit in bounds.items():
+        found = _matching_each(tuple(bounds), self.names)
+        for (pattern, limit), positions in zip(bounds.items(), found, strict=True):
             lower, upper = limit if isinstance(limit, tuple) else (-limit, limit)
             if not lower <= 0.0 <= upper:
                 raise OptionError(
                     f"bounds of '{pattern}' exclude zero, the nominal robot",
                     value=[lower, upper],
                 )
-            for k in self._match(pattern):
-                changes[k] = {"lower": lower, "upper": upper}
+            changes |= {k: {"lower": lower, "upper": upper} for k in positions}
         return self._replace(changes)
 
     def with_priors(self, priors: Mapping[str, float]) -> ParameterSet:
@@ -194,17 +192,11 @@ class ParameterSet:
                     value=sigma,
                     allowed="a positive number",
                 )
+        found = _matching_each(tuple(priors), self.names)
+        entries = zip(priors.values(), found, strict=True)
         return self._replace(
-            {k: {"prior": s} for glob, s in priors.items() for k in self._match(glob)}
+            {k: {"prior": s} for s, positions in entries for k in positions}
         )
-
-    def _match(self, pattern: str) -> set[int]:
-        found = matching(pattern, self.names)
-        if not found:
-            raise OptionError(
-                f"no parameter matches '{pattern}'{nearest(pattern, self.names)}"
-            )
-        return set(found)
 
     def _replace(self, changes: Mapping[int, Mapping[str, float]]) -> ParameterSet:
         if not changes:
@@ -227,3 +219,22 @@ def matching(pattern: str, names: Sequence[str]) -> list[int]:
     if pattern in names:  # The name of a joint may hold brackets.
         return [k for k, name in enumerate(names) if name == pattern]
     return [k for k, name in enumerate(names) if fnmatchcase(name, pattern)]
+
+
+@lru_cache(maxsize=64)
+def _matching_each(
+    patterns: tuple[str, ...], names: tuple[str, ...]
+) -> tuple[tuple[int, ...], ...]:
+    """What `matching` finds for each; a calibration asks the same hundreds of times.
+
+    Raises:
+        OptionError: If a pattern matches nothing.
+    """
+    result = []
+    for pattern in patterns:
+        result.append(tuple(matching(pattern, names)))
+        if not result[-1]:
+            raise OptionError(
+                f"no parameter matches '{pattern}'{nearest(pattern, names)}"
+            )
+    return tuple(result)

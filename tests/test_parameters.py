@@ -2,13 +2,13 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Mapping, Sequence
 
 import numpy as np
 import pytest
 
 from calib_pin.errors import OptionError
-from calib_pin.parameters import Parameter, ParameterSet
+from calib_pin.parameters import Parameter, ParameterSet, matching
 
 NAMES = (
     "base.frame.x",
@@ -114,6 +114,20 @@ def test_fixed(patterns: list[str], held: list[int]) -> None:
     assert after.names == before.names
     # It adds to what was fixed before.
     assert not after.with_fixed(["wall.*"]).free[[*held, 5]].any()
+
+
+def test_names_are_compared_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    # Calibrations ask hundreds of times, of sets that are equal but not the same.
+    asked: list[str] = []
+
+    def compared(pattern: str, names: Sequence[str]) -> list[int]:
+        asked.append(pattern)
+        return matching(pattern, names)
+
+    monkeypatch.setattr("calib_pin.parameters.matching", compared)
+    for _ in range(3):
+        parameters().with_fixed(["*.x", "joint1?.*"])
+    assert asked == ["*.x", "joint1?.*"]
 
 
 def test_patterns_that_match_nothing() -> None:

@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import nearest
+from calib_pin.errors import enumerated, nearest
 from calib_pin.io.urdf_bytes import Document, Element, parse_document, read_origin
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.joint_space import Mimic
@@ -234,7 +234,7 @@ def _root(
             raise document.error(links[next(iter(branch))], reason, allowed=allowed)
     roots = [link for link in links if link not in parents]
     if len(roots) > 1:
-        names = ", ".join(f"'{link}'" for link in roots)
+        names = enumerated(f"'{link}'" for link in roots)
         reason = f"the links {names} all have no parent joint, and a URDF has one root"
         raise document.error(links[roots[1]], reason)
     return roots[0]

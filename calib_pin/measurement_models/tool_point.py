@@ -14,7 +14,7 @@ from typing import ClassVar, Self
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.errors import InputError
+from calib_pin.errors import InputError, enumerated
 from calib_pin.kinematics.spatial import Floats, skew
 from calib_pin.measurement_models.base import (
     Batch,
@@ -104,7 +104,7 @@ class PointsAndSites(DeclaredModel):
         section = lacking[0].section
         what = f"its '{section}'"
         if any(f.located for f in self.references if f.section == section):
-            names = ", ".join(f"'{f.name}'" for f in lacking if f.section == section)
+            names = enumerated(f"'{f.name}'" for f in lacking if f.section == section)
             what = f"{names} of {what}"
         return f"give {what} in a setup file (--setup)"
 

@@ -6,12 +6,10 @@ from collections.abc import Iterator
 
 import numpy as np
 
+from calib_pin.errors import enumerated
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import Problem
 from calib_pin.validation.findings.case import Case
-
-NAMED = 8
-"""Joints that a finding names; the evidence has all of them."""
 
 
 def still_joints(problem: Problem) -> tuple[str, ...]:
@@ -34,13 +32,10 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
     names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
     names = [*still_joints(problem), *names]
     if names:
-        told = ", ".join(names[:NAMED])
-        if len(names) > NAMED:
-            told += f" and {len(names) - NAMED} more"
         yield Finding(
             "unmoved-joints",
             "info",
             f"{len(names)} joints are moved or seen by no measurement and stay at "
-            f"nominal: {told}",
+            f"nominal: {enumerated(names)}",
             {"joints": ", ".join(names)},
         )

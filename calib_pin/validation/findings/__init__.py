@@ -17,6 +17,7 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.coarse_values import coarse_values
+from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
@@ -52,7 +53,7 @@ CONSEQUENCES: tuple[Kind, ...] = (
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, coarse_values)
+FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, design, coarse_values)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 

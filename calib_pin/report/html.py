@@ -58,7 +58,10 @@ SECTIONS: Mapping[str, tuple[str, tuple[str, ...]]] = {
             "model-ladder",
         ),
     ),
-    "residuals": ("Noise and outliers", ("residuals",)),
+    "residuals": (
+        "Noise and outliers",
+        ("residuals", "residuals-over-order", "residuals-by-joint"),
+    ),
     "identifiability": (
         "Identifiability",
         (

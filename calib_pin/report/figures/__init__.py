@@ -19,6 +19,10 @@ from calib_pin.report.figures.plans import (
     predicted_deviations,
 )
 from calib_pin.report.figures.residuals import residuals
+from calib_pin.report.figures.residuals_along import (
+    residuals_by_joint,
+    residuals_over_order,
+)
 from calib_pin.report.figures.searches import convergence, model_ladder
 from calib_pin.report.figures.workspace import (
     drift_in_workspace,
@@ -44,6 +48,8 @@ OF_CALIBRATION: tuple[Callable[[CalibrationResult], Drawn | None], ...] = (
     errors_by_block,
     error_vectors,
     residuals,
+    residuals_over_order,
+    residuals_by_joint,
     singular_values,
     correlations,
     parameter_intervals,
@@ -66,6 +72,8 @@ NAMES: Mapping[str, tuple[str, ...]] = {
         "error-vectors",
         "errors-in-workspace",
         "residuals",
+        "residuals-over-order",
+        "residuals-by-joint",
         "singular-values",
         "correlations",
         "parameter-intervals",

@@ -18,6 +18,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.axes import axes
 from calib_pin.validation.findings.case import DOUBTFUL, Case
 from calib_pin.validation.findings.coarse_values import coarse_values
+from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
 from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
@@ -56,7 +57,13 @@ CONSEQUENCES: tuple[Kind, ...] = (
 )
 """Faults in every fit that may follow from another one, and then are not told."""
 
-FACTS: tuple[Kind, ...] = (repetitions, unmoved_joints, joint_turns, coarse_values)
+FACTS: tuple[Kind, ...] = (
+    repetitions,
+    unmoved_joints,
+    design,
+    joint_turns,
+    coarse_values,
+)
 """Faults in every fit that the measurements show whatever else is wrong."""
 
 

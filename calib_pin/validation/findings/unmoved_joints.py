@@ -11,6 +11,14 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import Problem
 from calib_pin.validation.findings.case import Case
 
+NAMED = 8
+"""Joints that a finding names; the evidence has all of them."""
+
+MORE = (
+    "measure configurations that differ more: calib-pin plan ROBOT --add 10 --to FILE"
+)
+"""The advice about configurations that are too much alike."""
+
 
 def still_joints(problem: Problem) -> tuple[str, ...]:
     """Names of the joints of the chains that no measurement moves."""
@@ -24,9 +32,16 @@ def still_joints(problem: Problem) -> tuple[str, ...]:
 
 
 def unmoved_joints(case: Case) -> Iterator[Finding]:
-    """The joints of a robot with several chains of which nothing can be said."""
+    """The joints of which nothing can be said; of a single chain this is a fault."""
+    if case.fitted is None:
+        return  # Nobody asks measurements for errors that are not fitted.
     problem = case.fit.problem
-    if len(problem.chains.names) == 1:
+    chains, names = problem.chains, [*still_joints(problem)]
+    single = len(chains.names) == 1
+    if not single:
+        there = chains.robot.model.names[1:]
+        names += [name for name in there if name not in chains.joints]
+    if not names:
         return
     chains = problem.chains
     names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
@@ -39,3 +54,16 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
             f"nominal: {enumerated(names)}",
             {"joints": ", ".join(names)},
         )
+    told = ", ".join(names[:NAMED])
+    if len(names) > NAMED:
+        told += f" and {len(names) - NAMED} more"
+    joints = "joint is" if len(names) == 1 else "joints are"
+    yield Finding(
+        "unmoved-joints",
+        "warning" if single else "info",
+        f"{len(names)} {joints} moved or seen by no measurement, and errors that only "
+        f"their motion shows stay at nominal: {told}",
+        {"joints": ", ".join(names)},
+        MORE if single else "",
+        figure="residuals-by-joint" if single else "",
+    )

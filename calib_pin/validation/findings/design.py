@@ -1,0 +1,80 @@
+"""Configurations that are too much alike to tell the errors of a whole workspace."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+
+import numpy as np
+
+from calib_pin.estimation.evidence import Finding
+from calib_pin.units import DISPLAY
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.unmoved_joints import MORE
+
+NARROW, SMALL = 0.1, 0.25
+"""Parts of the range of a joint below which there is a warning, and a remark."""
+
+RANGE = 2.0 * np.pi
+"""Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
+
+ALONE = 0.03
+"""Motion along a direction, by that along the largest, that counts as independent.
+
+Each joint counts by its own spread.
+"""
+
+FEW = 2
+"""Independent directions that do not tell the errors of a robot.
+
+Three of six joints that repeat the others have told them to 0.06 mm.
+"""
+
+NAMED = 3
+"""Joints that a finding names."""
+
+
+def design(case: Case) -> Iterator[Finding]:
+    """Joints that are hardly moved, and joints that only move together."""
+    if case.fitted is None or not len(case.data):
+        return
+    chains, q = case.chains, case.data.q
+    span = np.ptp(q, axis=0)
+    room = chains.upper - chains.lower
+    room = np.where(chains.revolute, np.minimum(room, RANGE), room)
+    free = np.array([joint not in chains.mimics for joint in chains.joints])
+    moved = free & (span > 0.0)
+    part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
+    few = np.flatnonzero(moved & (part < SMALL))
+    if len(few):
+        worst = few[np.argsort(part[few])]
+        told = []
+        for j in worst[:NAMED].tolist():
+            unit, factor = DISPLAY["rad" if chains.revolute[j] else "m"]
+            low, high = (factor * end for end in (q[:, j].min(), q[:, j].max()))
+            told.append(f"{chains.joints[j]} from {low:.3g} to {high:.3g} {unit}")
+        more = f" and {len(few) - NAMED} more" if len(few) > NAMED else ""
+        yield Finding(
+            "small-range",
+            "warning" if part[worst[0]] < NARROW else "info",
+            f"the measurements move {', '.join(told)}{more}, less than "
+            f"{100 * SMALL:.0f} % of the range; elsewhere the accuracy is uncertain",
+            {chains.joints[j]: float(part[j]) for j in worst.tolist()},
+            MORE,
+            figure="residuals-by-joint",
+        )
+    if moved.sum() < 2 or len(q) <= moved.sum():
+        return
+    scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
+    s = np.linalg.svd(scaled, compute_uv=False)
+    directions = int((s > ALONE * s[0]).sum())
+    if directions < moved.sum():
+        yield Finding(
+            "joints-move-together",
+            "warning" if directions <= FEW else "info",
+            f"the {moved.sum()} joints that move do so in only {directions} "
+            f"independent direction{'s' if directions > 1 else ''}; errors that cancel "
+            "along them show elsewhere",
+            {"directions": float(directions), "joints": float(moved.sum())},
+            MORE,
+            figure="residuals-by-joint",
+        )

@@ -18,18 +18,16 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
-from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.estimation.registration import registered
-from calib_pin.estimation.solve import refine
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
-from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.quick_fit import QuickFit, located
 from calib_pin.validation.findings.setup_lines import written
 
 ROWS = 60
@@ -58,9 +56,6 @@ FITTED = 0.5
 
 EXPLAINED = 0.02
 """Part of the errors with which nothing more is sought."""
-
-ROUGH = 1e-2
-"""Part of the cost that a step must promise where frames are fitted in a trial."""
 
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
@@ -284,11 +279,10 @@ def _located(problem: Problem) -> Problem:
     The closed form is enough to tell a robot from none; without a measurement frame
     there may be nothing in closed form, and it is fitted.
     """
-    zero = np.zeros(len(problem.parameters))
     if any(p.measurement.declaration.external for p in problem.parts.values()):
-        return registered(problem, zero)
-    problem, basis = registered(problem, zero), nuisance_basis(problem.parameters)
-    return problem.rebased(refine(problem, zero, basis, ROUGH).x)[0]
+        return registered(problem, np.zeros(len(problem.parameters)))
+    problem, theta = located(problem)
+    return problem.rebased(theta)[0]
 
 
 def _trimmed(problem: Problem) -> float:

@@ -168,7 +168,8 @@ class Trial(QuickFit):
             before: The trial without this move.
         """
         squares, left = before.rms**2 * before.left, self.rms**2 * self.left
-        gain, further = squares - left, left * (1.0 - self.candidates()[0][0])
+        rest = next((rest for rest, _ in self.candidates()), 1.0)
+        gain, further = squares - left, left * (1.0 - rest)
         own = next(
             own for _, keys, own in before._frames() if keys == self.moves[-1].keys
         )

@@ -9,9 +9,10 @@ from typing import Any, Self
 
 import numpy as np
 
-from calib_pin.estimation.directions import column_space
-from calib_pin.estimation.nominal import register
+from calib_pin.estimation.directions import column_space, nuisance_basis
 from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.estimation.registration import registered
+from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models.readings import with_positions
@@ -26,9 +27,19 @@ SIZE = 10.0
 STEPS = 2
 """Steps of a quick fit."""
 
+ROUGH = 1e-3
+"""Part of the cost that a step must promise where frames are fitted in a trial."""
+
 STEP = 1e-7
 """Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
 known far better than that by which others are told."""
+
+
+def located(problem: Problem) -> tuple[Problem, Floats]:
+    """A problem about roughly registered references, and its parameter values."""
+    zero = np.zeros(len(problem.parameters))
+    problem, basis = registered(problem, zero), nuisance_basis(problem.parameters)
+    return problem, refine(problem, zero, basis, ROUGH).x
 
 
 @dataclass(frozen=True)
@@ -73,8 +84,7 @@ class QuickFit:
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
         """
-        problem, found = register(problem, np.zeros(len(problem.parameters)))
-        trial = cls(problem, found.x, **more)
+        trial = cls(*located(problem), **more)
         free, scales = problem.parameters.free, problem.parameters.scales
         for _ in range(STEPS if trial.redundant else 0):
             A, b = trial.system

@@ -48,6 +48,8 @@ class MoveOptions:
         further: Times the squares of a further move that one explains that stands out.
         bent: Part of what a drift in a bent curve leaves that it leaves at most.
         chance: Probability that noise explains as much.
+        settled: Errors that small ones leave at most, by those of the fit without what
+            it has set aside.
         configurations: Least number of configurations on each side.
         measurements: Measurements that are looked at; the line is found among all.
         moves: Most moves that are sought.
@@ -64,6 +66,7 @@ class MoveOptions:
     further: float = 4.0
     bent: float = 0.9
     chance: float = 1e-6
+    settled: float = 1.5
     configurations: int = 6
     measurements: int = 500
     moves: int = 10
@@ -258,7 +261,10 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
     first, last = trials[0], trials[-1]
     if last.rms <= OPTIONS.left * first.rms:
         return first, last
-    small = len(trials) > 1 and all(b.plain(a) for a, b in pairwise(trials))
+    # Outliers look like small moves; of these the fit without outliers leaves no more.
+    settled = last.rms <= OPTIONS.settled * case.fit.rms
+    small = settled and len(trials) > 1
+    small = small and all(b.plain(a) for a, b in pairwise(trials))
     return (first, last) if small else None
 
 

@@ -225,7 +225,7 @@ def matching(pattern: str, names: Sequence[str]) -> list[int]:
 def _matching_each(
     patterns: tuple[str, ...], names: tuple[str, ...]
 ) -> tuple[tuple[int, ...], ...]:
-    """What `matching` finds for each; a calibration asks the same hundreds of times.
+    """Positions for each pattern; a calibration asks the same hundreds of times.
 
     Raises:
         OptionError: If a pattern matches nothing.

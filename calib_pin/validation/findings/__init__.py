@@ -97,10 +97,10 @@ def find(case: Case) -> Found:
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
     sure = joint_motion(case) or joint_offset(case)
-    found = () if sure is None else tuple(finding(case, sure))
-    if sure is not None and not sure.harmless:
-        return found
-    in_time = tuple(move_findings(case)) or (() if found else tuple(drift(case)))
+    if sure is not None:
+        # A nominal robot that is read wrong makes plateaus of its own.
+        return tuple(finding(case, sure))
+    in_time = tuple(move_findings(case)) or tuple(drift(case))
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
         explanation = explain(case, EXPLANATIONS)
@@ -109,7 +109,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
             explanation.after < explanation.before * _left(causes, part=True)
         ):
             return tuple(finding(case, explanation))
-    return causes or (*found, *in_time)
+    return causes or in_time
 
 
 def _explained(case: Case, causes: Iterable[Finding]) -> bool:

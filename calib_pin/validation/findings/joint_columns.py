@@ -44,7 +44,9 @@ def joint_columns(case: Case) -> Iterator[Hypothesis]:
             "order of the joint columns",
             joints=JointReading(plain.factors[list(order)], plain.offsets),
         )
-    large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 1.0]
+    # Smaller angles would be next to none in degrees, and any wrong joint looks better
+    # where it stands still.
+    large = [j for j in turning if np.abs(case.data.q[:, j]).max() > 2.0 * np.pi]
     for some in dict.fromkeys([*((j,) for j in large), tuple(large)]):
         names = tuple(joints[j] for j in some)
         if names:

@@ -3,7 +3,7 @@
 Each changes the position of a joint by a small part of something known: of its own
 position (a gear), of that of another joint (a coupling), of its last motion (a joint
 that was read before it stood still). To first order it is one further column of the
-Jacobian of the fit, and all of them are tried at once. What stands out is fitted.
+Jacobian of the fit, and all of them are tried at once. The one that stands out is fitted.
 """
 
 from __future__ import annotations
@@ -102,7 +102,7 @@ class _Columns:
 
     @cached_property
     def motions(self) -> tuple[Motion, ...]:
-        """What joints may move by."""
+        """Motions that are tried, of every joint."""
         joints = self.case.data.joints
         revolute = dict(
             zip(self.case.chains.joints, self.case.chains.revolute, strict=True)

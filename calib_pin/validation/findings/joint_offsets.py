@@ -79,7 +79,7 @@ def _read(problem: Problem, theta: Floats, joint: int, degrees: float) -> QuickF
 
 
 def _frames(fit: QuickFit) -> NDArray[np.bool_]:
-    """What places the nominal robot."""
+    """Parameters that place the nominal robot, shape (P,)."""
     parameters = fit.problem.parameters
     return np.asarray(parameters.free & parameters.nuisance)
 

@@ -10,6 +10,7 @@ import numpy as np
 
 import calib_pin
 from benchmarks.criterion import Criterion, Line, at_most
+from benchmarks.findings.defect import ROBOT
 from benchmarks.verdict.coverage import LENGTH, UNMODELED, unmodeled
 from benchmarks.verdict.defects import path, spoil
 from benchmarks.verdict.jobs import Job, draw, log_uniform, stream
@@ -117,7 +118,10 @@ def _made(kind: str, number: int) -> tuple[Job, Measurements | Observations, Set
         job = draw(number, model="position", robot="space6", least=LEARNED)
         learned = replace(job.setup, learned="gaussian-process")
         return job, job.measured(rng), learned
-    job = draw(number, model=names[int(rng.integers(3))], multiple=4, least=60)
+    # Gravity pulls at links with a mass alone.
+    robot = ROBOT if kind == "compliance" else None
+    model = names[int(rng.integers(3))]
+    job = draw(number, robot=robot, model=model, multiple=4, least=60)
     return job, job.measured(rng), replace(job.setup, parameters=("placement", kind))
 
 

@@ -3,7 +3,8 @@
 Each changes the position of a joint by a small part of something known: of its own
 position (a gear), of that of another joint (a coupling), of its last motion (a joint
 that was read before it stood still). To first order it is one further column of the
-Jacobian of the fit, and all of them are tried at once. The one that stands out is fitted.
+Jacobian of the fit, and all of them are tried at once. The one that stands out is
+fitted.
 """
 
 from __future__ import annotations

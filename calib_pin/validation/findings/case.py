@@ -20,7 +20,7 @@ from calib_pin.progress import Progress
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.quick_fit import QuickFit
 
-MEASUREMENTS = 500
+MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""
 
 DOUBTFUL = 0.5

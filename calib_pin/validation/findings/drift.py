@@ -36,7 +36,7 @@ WAVES = range(2, 10)
 """Half waves of the curves that it is compared with."""
 
 SIMPLER = 30.0
-"""What a drift of more parts must gain on a simpler one, in terms of likelihood."""
+"""Gain of a drift of more parts on a simpler one, in terms of likelihood."""
 
 LEAST = 2.0
 """Least displacement that is told, by the noise."""
@@ -76,7 +76,7 @@ Told = Callable[[Case, Score, Errors], Iterator[Finding]]
 
 
 def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
-    """What may drift: its finding, and the columns of its displacement."""
+    """The kinds of drift: its finding, and the columns of its displacement."""
     fit, problem = case.fit, case.fit.problem
     parts = [*problem.parts.values()]
     own, first = parts[0].index[:FRAME], _first_columns(case)
@@ -97,7 +97,7 @@ def _first_columns(case: Case) -> set[tuple[str, ...]]:
 
 
 def _stands_out(case: Case, columns: Floats) -> Score | None:
-    """What a drift explains that some columns describe; None where it may be chance."""
+    """The gain of a drift that some columns describe; None where it may be chance."""
     linear, time = _linear(case, columns), _time(case)
     found = case.fit.score(linear)
     if found.chance > CHANCE:

@@ -68,7 +68,7 @@ class MoveOptions:
     chance: float = 1e-6
     settled: float = 1.5
     configurations: int = 6
-    measurements: int = 500
+    measurements: int = 300
     moves: int = 10
     tried: int = 3
     rounds: int = 4

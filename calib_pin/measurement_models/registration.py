@@ -6,6 +6,7 @@ fit, which then applies the weights.
 
 from __future__ import annotations
 
+from functools import cache
 from itertools import permutations, product
 
 import numpy as np
@@ -17,6 +18,9 @@ from calib_pin.observations import Indices
 
 UNKNOWN = np.full((1, 3), np.nan)
 """One point of the tool that nobody knows."""
+
+SETTLED = 4
+"""Steps in which the cost of a rotation must fall by a millionth to go on."""
 
 
 @serial_blas
@@ -244,6 +248,7 @@ def _pose(R: Floats, t: Floats) -> Floats:
     return result
 
 
+@cache
 def _cube_rotations() -> list[Floats]:
     """The 24 rotations that map the coordinate axes onto each other."""
     result = []
@@ -272,7 +277,7 @@ def _minimize_over_rotations(rows: Floats) -> Floats:
     R: Floats = np.array(_cube_rotations())
     residuals, damping = residual(R), np.full(len(R), 1e-3)
     values = np.sum(residuals**2, axis=1)
-    generators = skew(np.eye(3))
+    generators, best = skew(np.eye(3)), [np.inf] * SETTLED
     for _ in range(100):
         # Rows: derivative of the residual by w in R Exp(w).
         D = (R[:, None] @ generators).reshape(-1, 3, 9) @ A.T
@@ -289,6 +294,10 @@ def _minimize_over_rotations(rows: Floats) -> Floats:
         residuals = np.where(better[:, None], tried, residuals)
         values = np.where(better, fresh, values)
         damping = np.where(better, np.maximum(damping / 10.0, 1e-12), damping * 10.0)
-        if (np.linalg.norm(step[np.argmin(values)]) < 1e-9) or (damping > 1e8).all():
+        best.append(float(values.min()))
+        # Of measurements that nothing explains the last digits mean nothing.
+        settled = best[-1] > (1.0 - 1e-6) * best[-1 - SETTLED]
+        small = np.linalg.norm(step[np.argmin(values)]) < 1e-9
+        if small or settled or (damping > 1e8).all():
             break
     return np.asarray(R[np.argmin(values)])

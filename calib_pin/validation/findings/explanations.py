@@ -12,6 +12,7 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass, replace
+from functools import cached_property
 from itertools import product
 
 import numpy as np
@@ -59,6 +60,9 @@ EXPLAINED = 0.02
 
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
+
+LEAST = 12
+"""Values beyond the unknowns of frames without which nothing is tried."""
 
 UNLIKELY = 14.0
 """Logarithm of the likelihood ratio, beyond that of the number of explanations tried,
@@ -115,9 +119,16 @@ class _Search:
             setup, parameters=(), learned=None, fixed=(), bounds={}, prior={}
         )
 
+    @cached_property
+    def first(self) -> float:
+        """Error of the nominal robot on measurements as they are read now."""
+        return self._nominal(())
+
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
-        size, first = self._nominal, self._nominal(())
+        size, first = self._nominal, self.first
+        if not np.isfinite(first):
+            return None
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
         best = beam[0]
         for k in range(MOST):
@@ -159,9 +170,8 @@ class _Search:
             return None
         found = [(self._nominal(faults), k) for k, faults in enumerate(trials)]
         left, k = min(found, default=(np.inf, -1))
-        before = self._nominal(())
         faults = trials[k] if trials else ()
-        return self._decided(faults, before, left, DECISIVE, fitted=False)
+        return self._decided(faults, self.first, left, DECISIVE, fitted=False)
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
@@ -185,8 +195,8 @@ class _Search:
     ) -> Explanation | None:
         if not faults or not after < limit * before or not np.isfinite(before):
             return None
-        values = KEPT * sum(b.values.size for b in self._some(()).blocks)
-        ratio = values * float(np.log(before / max(after, 1e-12)))
+        problem = self._problem((), self.plain)
+        ratio = _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
         if ratio < UNLIKELY + np.log(max(self.tried, 1)):
             return None
         factor = self._unit
@@ -216,7 +226,9 @@ class _Search:
         self.tried += 1
         try:
             problem = self._problem(faults, self.plain)
-            return _trimmed(problem)
+            if _redundancy(problem) < LEAST:
+                return np.inf
+            return _trimmed(problem, self.first if faults else np.inf)
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
@@ -285,10 +297,18 @@ def _located(problem: Problem) -> Problem:
     return problem.rebased(theta)[0]
 
 
-def _trimmed(problem: Problem) -> float:
+def _redundancy(problem: Problem) -> float:
+    """Values of the best part of the measurements beyond the unknowns of frames."""
+    parameters = problem.parameters
+    unknown = int((parameters.free & parameters.nuisance).sum())
+    return KEPT * problem.values - unknown
+
+
+def _trimmed(problem: Problem, bound: float) -> float:
     """Errors of the best part of the measurements, rms in standard deviations.
 
-    They locate the robot once more without the others, which outliers are among.
+    They locate the robot once more without the others, which outliers are among, if
+    they leave less than a bound.
     """
     zero = np.zeros(len(problem.parameters))
     size = np.inf
@@ -300,6 +320,8 @@ def _trimmed(problem: Problem) -> float:
         squares = np.nanmean((table / sigma) ** 2, axis=1)
         limit = np.quantile(squares, KEPT)
         size = float(np.sqrt(np.mean(squares[squares <= limit])))
+        if size >= bound:
+            break
         if not again:
             kept = (squares <= limit).astype(float)
             problem = replace(problem, data=problem.data.weighted(kept))

@@ -12,7 +12,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.case import Other
+from calib_pin.validation.findings.case import LINKS, Other
 
 HEAD = 65536
 """Bytes of a measurement file that hold its header."""
@@ -97,4 +97,4 @@ def _links(
                 return
             seen.add(joints)
             words = f"the {end} link is '{link}', not '{ends[end]}'"
-            yield f"{end}-link", words, other, {end: link}, ""
+            yield LINKS[end], words, other, {end: link}, ""

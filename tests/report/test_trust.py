@@ -122,6 +122,27 @@ def test_findings(result: CalibrationResult) -> None:
     assert text.startswith(f"UNTRUSTED: {said}") and "Warning" not in text
 
 
+def test_errors_come_first_with_lines_to_copy(result: CalibrationResult) -> None:
+    shift = Finding(
+        "line-shift",
+        "error",
+        "measurements stand one line below",
+        remedy="state in the setup file: reading: {shift: 1}",
+        setup={"reading": {"shift": 1}},
+        figure="residuals-over-order",
+    )
+    text = format_report(changed(result, findings=(*result.findings, shift)))
+    lines = text.splitlines()
+    first, second = (
+        next(k for k, line in enumerate(lines) if line.startswith(tone))
+        for tone in ("Error: ", "Warning: ")
+    )
+    assert first < second
+    assert [x for x in lines if x.startswith("  reading")] == ["  reading: {shift: 1}"]
+    start = lines.index("Lines for the setup file")
+    assert lines[start + 2] == "Shown by the figure 'residuals-over-order'."
+
+
 def test_two_accuracies(result: CalibrationResult) -> None:
     lines = format_report(result).splitlines()
     start = lines.index("Expected tool-point error (rms)")

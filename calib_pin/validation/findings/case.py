@@ -55,6 +55,9 @@ class Other:
     advice: str = ""
 
 
+LINKS = {"base": "base-link", "tip": "tip-link"}
+"""Codes of findings that say which link is measured, by the end of the chain."""
+
 Others = Callable[[], Iterable[Other]]
 """Other chains worth a trial; asked only where no robot explains the errors."""
 

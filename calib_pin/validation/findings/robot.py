@@ -9,7 +9,7 @@ from functools import partial
 from calib_pin.errors import RobotError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import LINKS, Case
 from calib_pin.validation.findings.hypotheses import Hypothesis
 
 OF = "the chain"
@@ -35,13 +35,13 @@ def robots(case: Case) -> Iterator[Hypothesis]:
 
 def _frames(case: Case) -> Iterator[Hypothesis]:
     """Frames that are stated, and that are others if they are estimated."""
-    for end, words in (("tool", "the tool"), ("base", "the base")):
+    for code, end in (("tool-frame", "tool"), ("base-frame", "base")):
         frame = getattr(case.setup, f"{end}_frame")
         if frame.estimate is False:
             yield Hypothesis(
-                f"{end}-frame",
-                f"the frame of {words} is not the stated one",
-                f"frame of {words}",
+                code,
+                f"the frame of the {end} is not the stated one",
+                f"{end} frame",
                 setup={f"{end}_frame": replace(frame, estimate=True)},
                 stated={"frames": {end: {"estimate": True}}},
             )
@@ -51,7 +51,7 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
     """Other links of the chain as its tip or its base."""
     names = case.fit.problem.parameters.names
     links = {"base": chain.base, "tip": chain.tip}
-    for k, end in enumerate(links):
+    for k, (end, code) in enumerate(LINKS.items()):
         # A frame that is estimated absorbs where on its body a link is.
         frame = "base.frame.x" if end == "base" else "tool.frame.x"
         body = _joints if frame in names else partial(_placed, k)
@@ -65,7 +65,7 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
                 continue
             seen.append(body(other))
             yield Hypothesis(
-                f"{end}-link",
+                code,
                 f"the {end} link is '{link}', not '{links[end]}'",
                 OF,
                 chains=Chains.of(other),

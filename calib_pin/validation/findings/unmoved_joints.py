@@ -11,9 +11,6 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.problem import Problem
 from calib_pin.validation.findings.case import Case
 
-NAMED = 8
-"""Joints that a finding names; the evidence has all of them."""
-
 MORE = (
     "measure configurations that differ more: calib-pin plan ROBOT --add 10 --to FILE"
 )
@@ -43,26 +40,12 @@ def unmoved_joints(case: Case) -> Iterator[Finding]:
         names += [name for name in there if name not in chains.joints]
     if not names:
         return
-    chains = problem.chains
-    names = [name for name in chains.robot.model.names[1:] if name not in chains.joints]
-    names = [*still_joints(problem), *names]
-    if names:
-        yield Finding(
-            "unmoved-joints",
-            "info",
-            f"{len(names)} joints are moved or seen by no measurement and stay at "
-            f"nominal: {enumerated(names)}",
-            {"joints": ", ".join(names)},
-        )
-    told = ", ".join(names[:NAMED])
-    if len(names) > NAMED:
-        told += f" and {len(names) - NAMED} more"
     joints = "joint is" if len(names) == 1 else "joints are"
     yield Finding(
         "unmoved-joints",
         "warning" if single else "info",
         f"{len(names)} {joints} moved or seen by no measurement, and errors that only "
-        f"their motion shows stay at nominal: {told}",
+        f"their motion shows stay at nominal: {enumerated(names)}",
         {"joints": ", ".join(names)},
         MORE if single else "",
         figure="residuals-by-joint" if single else "",

@@ -1,0 +1,95 @@
+"""Another robot, another link or a wrong frame explains what no joint does."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.others import others
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.setup import FrameSetup, Setup
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.explanations import explain, finding
+from calib_pin.validation.findings.robot import robots
+
+TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
+UR5, UR10 = "example:ur5_robot", "example:ur10_robot"
+
+
+def measured(tip="tool0"):
+    """Measurements of a UR10 that errs by some millimeters."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip=tip)
+    problem = nominal_problem(chain, "position", Setup(tool_frame=TOOL))
+    rng = np.random.default_rng(0)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    return calib_pin.simulate(problem, theta, rng, count=50, noise=1e-4)
+
+
+def told(chains, rows, setup=None, known=tuple):
+    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), known)
+    assert case.doubtful
+    found = explain(case, (robots,))
+    return [] if found is None else list(finding(case, found))
+
+
+@pytest.fixture(scope="module")
+def file(tmp_path_factory):
+    path = tmp_path_factory.mktemp("robot") / "rows.csv"
+    calib_pin.write_measurements(path, measured())
+    return path
+
+
+def read(file):
+    return lambda chains: calib_pin.read_measurements(file, chains)
+
+
+def test_wrong_robot(file) -> None:
+    chains = calib_pin.load_chains(UR5, base="base_link", tip="tool0")
+    setup, rows = Setup(base="base_link", tip="tool0"), read(file)(chains)
+
+    def known():
+        return others([file], chains, setup, read(file))
+
+    (found,) = told(chains, rows, setup, known)
+    assert (found.code, found.severity, found.setup) == ("robot", "error", {})
+    assert found.message.startswith("the robot is 'example:ur10_robot', not 'ur5': ")
+    assert found.remedy == f"use '{UR10}' in place of '{UR5}'"
+    assert told(chains, rows, setup) == []
+
+
+def test_wrong_link_of_which_the_file_has_the_joints(file) -> None:
+    chains = calib_pin.load_chains(UR10, base="base_link", tip="wrist_2_link")
+
+    def known():
+        return others([file], chains, Setup(), read(file))
+
+    (found,) = told(chains, read(file)(chains), known=known)
+    assert found.code == "tip-link"
+    assert found.setup == {"tip": "wrist_3_link"}
+
+
+def test_tip_behind_the_measured_link() -> None:
+    """The joints of the measured link are among those that were read."""
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    short = calib_pin.load_chain(UR10, base="base_link", tip="wrist_1_link")
+    rng = np.random.default_rng(0)
+    q = chain.random_configurations(50, rng)
+    problem = nominal_problem(short, "position", Setup(tool_frame=TOOL))
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, q=q[:, :4], noise=1e-4).only
+    rows = calib_pin.Measurements(
+        model="position", joints=chain.joints, q=q, values=rows.values
+    )
+    (found,) = told(chain, Observations.of(rows))
+    assert found.setup == {"tip": "wrist_1_link"}
+
+
+def test_tool_that_is_not_mounted() -> None:
+    chain = calib_pin.load_chain(UR10, base="base_link", tip="tool0")
+    wrong = FrameSetup((0.08, 0.08, 0.12), TOOL.rpy, estimate=False)
+    (found,) = told(chain, measured(), Setup(tool_frame=wrong))
+    assert found.code == "tool-frame"
+    assert found.setup == {"frames": {"tool": {"estimate": True}}}

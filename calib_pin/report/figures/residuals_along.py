@@ -25,7 +25,7 @@ from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
-LIMIT = 2000
+LIMIT = 1000
 """Measurements that are drawn at most."""
 
 FEWEST = 8

@@ -262,7 +262,7 @@ def test_a_reversed_joint_is_not_trusted() -> None:
     q = rows.q * [1, 1, -1, 1, 1, 1]
     result = calib_pin.calibrate(chain, replace(rows, q=q))
     assert result.verdict == "untrusted"
-    assert "if joint 'joint_3' is reversed; state it" in result.reason
+    assert result.reason.startswith("joint 'joint_3' is reversed: ")
     assert "joints: {joint_3: {joint: joint_3, sign: -1}}" in result.reason
 
 

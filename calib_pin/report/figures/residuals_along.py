@@ -25,8 +25,11 @@ from calib_pin.report.figures.strokes import Marks, thinned, thinning
 from calib_pin.validation.measurement_errors import AXES, MeasurementErrors
 from calib_pin.validation.result import CalibrationResult
 
-LIMIT = 1000
+LIMIT = 2000
 """Measurements that are drawn at most."""
+
+VECTORS = 200
+"""Points of one kind that are drawn as paths of their own."""
 
 FEWEST = 8
 """Measurements from which a course can be seen."""
@@ -149,7 +152,9 @@ def _drawn(rows: MeasurementErrors, values: Floats) -> NDArray[np.intp]:
 
 def _points(axes: Axes, x: Floats, y: Floats, color: str) -> None:
     known = np.isfinite(y)
-    axes.add_line(Marks(x[known], y[known], **marks(color, "o", 2.8)))
+    points = Marks(x[known], y[known], **marks(color, "o", 2.8))
+    points.set_rasterized(bool(known.sum() > VECTORS))
+    axes.add_line(points)
 
 
 def _course(axes: Axes, place: Floats, y: Floats, weight: Floats) -> None:

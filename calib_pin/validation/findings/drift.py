@@ -150,6 +150,7 @@ def _of_values(
         },
         f"{PARTS}; or state in the setup file: {written(lines)}",
         lines,
+        "residuals-over-order",
     )
 
 
@@ -165,6 +166,7 @@ def _of_instrument(
         f"last: without it {100 * after / before:.0f} % of the errors are left",
         errors,
         PARTS,
+        figure="residuals-over-order",
     )
 
 
@@ -191,6 +193,7 @@ def _of_joints(
             **errors,
         },
         "let the robot warm up before it is measured",
+        figure="residuals-over-order",
     )
 
 

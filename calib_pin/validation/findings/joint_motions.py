@@ -86,7 +86,13 @@ class Motion(NamedTuple):
         else:
             code, other = "joint-coupled", names[self.joints[1]]
             words = f"joint '{name}' is coupled to '{other}', by {100 * part:.2g} %"
-        return Hypothesis(code, words, f"{self.of} of {name}", joints=reading)
+        return Hypothesis(
+            code,
+            words,
+            f"{self.of} of {name}",
+            joints=reading,
+            figure="residuals-by-joint",
+        )
 
 
 @dataclass(frozen=True)

@@ -91,6 +91,7 @@ def _findings(data: Observations, first: Trial, last: Trial) -> Iterator[Finding
                     "rms_after": errors[1],
                 },
                 REMEDIES[kind],
+                figure="residuals-over-order",
             )
         )
     reading = ReadingSetup(

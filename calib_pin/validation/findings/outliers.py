@@ -49,6 +49,7 @@ def outliers(case: Case) -> Iterator[Finding]:
             if len(pairs) <= NAMED
             else "exchange their joint positions ('reading: exchanged' in the setup)",
             lines,
+            "residuals-over-order",
         )
     rest = np.array([o.row for o in out if not any(o.row in pair for pair in pairs)])
     if not len(rest):
@@ -64,6 +65,7 @@ def outliers(case: Case) -> Iterator[Finding]:
         f"{'was' if len(rows) == 1 else 'were'} set aside; {with_them}",
         {**numbers, "outliers": float(len(rows)), "first": place_of(data, rows[0])},
         *without(data, rows, "measure them again, or leave them out"),
+        figure="residuals-over-order",
     )
 
 

@@ -228,7 +228,8 @@ def columns(rng: random.Random, text: str) -> str:
         elif kind == 7:
             row += [f"{row[a]}{k}" for k in range(200)]
         elif kind == 8 and k > head:
-            row[a] = table[max(k - rng.randrange(1, 3), head + 1)][a]
+            before = table[min(max(k - rng.randrange(1, 3), head + 1), len(table) - 1)]
+            row[a] = before[a % len(before)] if before else new
     if rng.random() < 0.2:
         del table[head + 1 + rng.randrange(4) :]
     mark = rng.choice((",",) * 9 + (";", "\t", " ", ", "))

@@ -29,7 +29,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
 from calib_pin.validation.findings.quick_fit import QuickFit, located
-from calib_pin.validation.findings.setup_lines import written
+from calib_pin.validation.findings.setup_lines import merged, written
 
 ROWS = 60
 """Measurements that explanations are tried on."""
@@ -228,7 +228,10 @@ class _Search:
             problem = self._problem(faults, self.plain)
             if _redundancy(problem) < LEAST:
                 return np.inf
-            return _trimmed(problem, self.first if faults else np.inf)
+            # In the unit of the file: what is scaled down is no better for that.
+            scale = merged(fault.reading for fault in faults).scale
+            bound = self.first * scale if faults else np.inf
+            return _trimmed(problem, bound) / scale
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 

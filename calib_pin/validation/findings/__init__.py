@@ -11,8 +11,12 @@ from __future__ import annotations
 
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from typing import TypeVar
+
+import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.axes import axes
@@ -35,6 +39,8 @@ from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.robot import robots
 from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
+
+_Fault = TypeVar("_Fault")
 
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
@@ -87,7 +93,7 @@ def find(case: Case) -> Found:
     causes = tuple(found for found in sought if found.severity == "error")
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]
-    others += [found for kind in kinds for found in kind(case)]
+    others += [found for kind in kinds for found in _told(kind, case)]
     if any(found.code == "joint-offset" for found in others):
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
@@ -96,20 +102,33 @@ def find(case: Case) -> Found:
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
-    sure = joint_motion(case) or joint_offset(case)
+    sure = _tried(joint_motion, case) or _tried(joint_offset, case)
     if sure is not None:
         # A nominal robot that is read wrong makes plateaus of its own.
         return tuple(finding(case, sure))
-    in_time = tuple(move_findings(case)) or tuple(drift(case))
+    in_time = _told(move_findings, case) or _told(drift, case)
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
-        explanation = explain(case, EXPLANATIONS)
+        explanation = _tried(lambda case: explain(case, EXPLANATIONS), case)
         # Of the nominal robot more is left than of a fit: the parts are compared.
         if explanation is not None and (
             explanation.after < explanation.before * _left(causes, part=True)
         ):
             return tuple(finding(case, explanation))
     return causes or in_time
+
+
+def _tried(look: Callable[[Case], _Fault | None], case: Case) -> _Fault | None:
+    """A fault, if there is; None of measurements too absurd to compute with."""
+    try:
+        return look(case)
+    except (CalibPinError, np.linalg.LinAlgError):
+        return None
+
+
+def _told(kind: Kind, case: Case) -> tuple[Finding, ...]:
+    """The findings of a kind, none of measurements too absurd to compute with."""
+    return _tried(lambda case: tuple(kind(case)), case) or ()
 
 
 def _explained(case: Case, causes: Iterable[Finding]) -> bool:

@@ -99,6 +99,8 @@ def _step(fit: QuickFit, joints: list[int]) -> tuple[Floats, Floats]:
     frames, (r, J) = _frames(fit), fit.linear
     X = (fit.by_joints + fit.by_starts)[:, joints] if joints else np.zeros((len(r), 0))
     A = np.column_stack([J[:, frames], X])
+    if not (np.isfinite(A).all() and np.isfinite(r).all()):
+        raise np.linalg.LinAlgError  # A point lies behind the camera, say.
     step, theta = -np.linalg.lstsq(A, r, rcond=1e-10)[0], fit.theta.copy()
     count = int(frames.sum())
     theta[frames] += fit.problem.parameters.scales[frames] * step[:count]

@@ -9,6 +9,7 @@ from functools import partial
 from calib_pin.errors import RobotError
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
+from calib_pin.measurement_models import declared
 from calib_pin.validation.findings.case import LINKS, Case
 from calib_pin.validation.findings.hypotheses import Hypothesis
 
@@ -19,7 +20,9 @@ OF = "the chain"
 def robots(case: Case) -> Iterator[Hypothesis]:
     """Explanations by what was measured: the robot, its links, the tool."""
     yield from _frames(case)
-    if case.chains.names == ("",):
+    # A shorter chain touches one point the better the less it moves.
+    touching = any(declared(model).contact for model in case.data.models)
+    if case.chains.names == ("",) and not touching:
         yield from _ends(case.chains[""], case)
     for other in case.others():
         yield Hypothesis(
@@ -61,7 +64,9 @@ def _ends(chain: Chain, case: Case) -> Iterator[Hypothesis]:
                 other = Chain(chain.robot, **{**links, end: link})
             except RobotError:
                 continue
-            if body(other) in seen or not {*other.joints} <= {*case.data.joints}:
+            if not other.joints or body(other) in seen:
+                continue
+            if not {*other.joints} <= {*case.data.joints}:
                 continue
             seen.append(body(other))
             yield Hypothesis(

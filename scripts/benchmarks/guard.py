@@ -38,7 +38,8 @@ RECORDED = {
     "calibrate --solver de, pose": 0.039,
     "calibrate --solver de, plane distance": 0.021,
     "calibrate --solver de, known distance": 0.024,
-    "calibrate --solver de, transmission": 0.075,
+    # Its fit leaves errors, for which explanations are sought.
+    "calibrate --solver de, transmission": 0.44,
     "calibrate": 0.16,
     "calibrate --solver two-step": 0.42,
     "calibrate, five folds": 1.8,
@@ -47,7 +48,8 @@ RECORDED = {
     "calibrate --learned network": 11,
     "Jacobian": 0.027,
     "identify": 7.6,
-    "evaluate": 3.5,
+    # With the faults of the data, which are sought beside the accuracy.
+    "evaluate": 29.0,
     "simulate": 8.9,
     "plan": 1.1,
     "compensate": 27,

@@ -6,12 +6,14 @@ that were held out, and judges it; then the same for the geometry that a URDF ca
 
 from __future__ import annotations
 
+from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
 from calib_pin.estimation.tip_accuracy import tip_accuracy
@@ -139,7 +141,7 @@ def calibrate(
         seed,
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
-        urdf=_urdf(chains, training, model, held, seed, validate),
+        urdf=_urdf(chains, training, model, held, seed, validate, judgement.causes),
     )
 
 
@@ -262,6 +264,7 @@ def _urdf(
     held: Observations | None,
     seed: int,
     validate: bool,
+    causes: Sequence[Finding],
 ) -> UrdfResult | None:
     """The geometry alone, judged like a calibration of its own.
 
@@ -281,7 +284,7 @@ def _urdf(
         chains, training, setup, geometry, seed, validation=held, validate=validate
     )
     errors = fitted_errors(geometry, training)
-    judgement = judge(chains, geometry, errors, held_out, seed)
+    judgement = judge(chains, geometry, errors, held_out, seed, causes=causes)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta),
         judgement.errors,

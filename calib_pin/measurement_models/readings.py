@@ -135,9 +135,7 @@ def place_of(data: Observations, row: int) -> str:
 
 
 def _numbers(data: Observations) -> Indices:
-    result = np.empty(len(data), np.int64)
-    result[data.in_order] = np.arange(1, len(data) + 1)
-    return result
+    return np.argsort(data.in_order) + 1
 
 
 def measured_lengths(block: Measurements) -> Booleans:
@@ -171,8 +169,7 @@ def _converted(data: Observations, reading: ReadingSetup) -> Observations:
         which = np.ones(len(data), bool)
         if part.lines:
             found = np.array([located(data, place) for place in part.lines])
-            rank = np.empty(len(data), np.int64)
-            rank[data.in_order] = np.arange(len(data))
+            rank = np.argsort(data.in_order)
             which = np.isin(np.arange(len(data)), found)
             if not part.each:
                 which = (rank >= rank[found[0]]) & (rank <= rank[found[1]])
@@ -269,8 +266,7 @@ def _renamed(kind: str) -> Callable[[Observations, ReadingSetup], Observations]:
     key = {"station": "moved", "tool": "remounted"}[kind]
 
     def rename(data: Observations, reading: ReadingSetup) -> Observations:
-        rank = np.empty(len(data), np.int64)
-        rank[data.in_order] = np.arange(len(data))
+        rank = np.argsort(data.in_order)
         first = [rank[located(data, place)] for place in getattr(reading, key)]
         part, blocks = np.searchsorted(np.sort(first), rank, side="right"), []
         for block, rows in zip(data.blocks, data.slices, strict=True):

@@ -19,6 +19,9 @@ from calib_pin.observations import Indices
 UNKNOWN = np.full((1, 3), np.nan)
 """One point of the tool that nobody knows."""
 
+NEAR = 2.0
+"""Cost of a rotation, in least costs of a matrix, beyond which others are tried."""
+
 SETTLED = 4
 """Steps in which the cost of a rotation must fall by a millionth to go on."""
 
@@ -36,7 +39,8 @@ def register_points(
     For a given rotation R the best t and R^T b follow from a linear problem whose
     matrix [R_i, I] does not depend on R. With them projected out the cost is a
     quadratic form in the nine entries of R, so that a search over rotations costs
-    nothing: all 24 rotations of the cube are refined and the best one wins. Of several
+    nothing: the rotation next to the best matrix is refined and, unless no other can be
+    much better, all 24 rotations of the cube are, and the best one wins. Of several
     points t every row sees one (Wu et al., partial pose measurements).
 
     Args:
@@ -264,28 +268,48 @@ def _cube_rotations() -> list[Floats]:
 def _minimize_over_rotations(rows: Floats) -> Floats:
     """Rotation R of least `|A vec(R) - a|^2`, with rows (A, a) of shape (M, 10).
 
-    All starts take their damped Gauss-Newton steps at once.
+    No rotation costs less than the best matrix does. Where the one next to that costs
+    hardly more there is no better one to be sought from all sides.
     """
     # The triangular factor has the same residual norm. Unlike the normal matrix it
     # keeps small residuals exact, which the last digits of R need.
     factor: Floats = np.asarray(np.linalg.qr(rows, mode="r"))
     A, a = factor[:, :9], factor[:, 9]
+    free: Floats = np.asarray(np.linalg.lstsq(A, a, rcond=None)[0])
+    R, cost = _descended(A, a, nearest_rotation(free.reshape(3, 3))[None])
+    if cost > NEAR * float(np.sum((A @ free - a) ** 2)):
+        R, _ = _descended(A, a, np.array(_cube_rotations()))
+    return R
+
+
+def _descended(A: Floats, a: Floats, R: Floats) -> tuple[Floats, float]:
+    """The best rotation, and its cost, from starts of shape (S, 3, 3).
+
+    All of them take their damped Newton steps at once.
+    """
 
     def residual(R: Floats) -> Floats:
         return np.asarray(R.reshape(-1, 9) @ A.T - a)
 
-    R: Floats = np.array(_cube_rotations())
     residuals, damping = residual(R), np.full(len(R), 1e-3)
     values = np.sum(residuals**2, axis=1)
     generators, best = skew(np.eye(3)), [np.inf] * SETTLED
     for _ in range(100):
         # Rows: derivative of the residual by w in R Exp(w).
         D = (R[:, None] @ generators).reshape(-1, 3, 9) @ A.T
-        gradient = D @ residuals[:, :, None]
-        curvature = D @ np.swapaxes(D, 1, 2)
-        size = np.trace(curvature, axis1=1, axis2=2) / 3.0 + 1e-300
-        curvature += (damping * size)[:, None, None] * np.eye(3)
-        step: Floats = np.asarray(-np.linalg.solve(curvature, gradient)[:, :, 0])
+        gradient = (D @ residuals[:, :, None])[:, :, 0]
+        # The cost bends with the residual, too, which is large where nothing fits.
+        S = np.swapaxes(R, 1, 2) @ (residuals @ A).reshape(-1, 3, 3)
+        trace = np.trace(S, axis1=1, axis2=2)[:, None, None]
+        own = D @ np.swapaxes(D, 1, 2)
+        size = np.trace(own, axis1=1, axis2=2) / 3.0 + 1e-300
+        bends, V = np.linalg.eigh(
+            own + 0.5 * (S + np.swapaxes(S, 1, 2)) - trace * np.eye(3)
+        )
+        along = (gradient[:, None] @ V)[:, 0] / (
+            np.abs(bends) + (damping * size)[:, None]
+        )
+        step: Floats = -(V @ along[:, :, None])[:, :, 0]
         candidates: Floats = R @ so3_exp(step)
         tried = residual(candidates)
         fresh = np.sum(tried**2, axis=1)
@@ -300,4 +324,4 @@ def _minimize_over_rotations(rows: Floats) -> Floats:
         small = np.linalg.norm(step[np.argmin(values)]) < 1e-9
         if small or settled or (damping > 1e8).all():
             break
-    return np.asarray(R[np.argmin(values)])
+    return np.asarray(R[np.argmin(values)]), float(values.min())

@@ -25,7 +25,7 @@ from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
 from calib_pin.validation.verdict import CHECK, told, too_large
@@ -78,7 +78,7 @@ def evaluate(
             counts.append(len(sizes))
     findings = (
         *_findings(robot, rows, setup, others),
-        *_unregistered(robot, rows, ready),
+        *(() if ready.registered else _unregistered(robot, rows)),
     )
     reason = ready.reason or told([f for f in findings if f.severity == "error"])
     unexplained = [said for error in errors if (said := too_large(*error))]
@@ -119,12 +119,12 @@ def _findings(
 
 
 def _unregistered(
-    robot: Chain | Chains | CalibratedModel, rows: Observations, ready: Prepared
+    robot: Chain | Chains | CalibratedModel, rows: Observations
 ) -> Iterator[Finding]:
     """Frames or an instrument that are not where a calibration has seen them."""
-    if ready.registered:
-        return
-    again = prepared(robot, rows, registration=True)
+    some, _ = some_of(rows)
+    ready = prepared(robot, some)
+    again = prepared(robot, some, registration=True)
     if again.reason:
         return
     quantity = ready.problem.layout.quantities[0]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from itertools import starmap
 from math import erf
@@ -37,7 +37,8 @@ MEASURED, SAMPLES = 100, 300
 class Judgement:
     """A verdict with what it is based on; see `CalibrationResult`.
 
-    Accuracies are those to expect, without the predicted uncertainty of tips.
+    Accuracies are those to expect, without the predicted uncertainty of tips; causes
+    are those among the findings from which errors follow that no robot explains.
     """
 
     status: str
@@ -45,6 +46,7 @@ class Judgement:
     errors: tuple[QuantityErrors, ...]
     findings: tuple[Finding, ...]
     accuracies: Mapping[str, ToolAccuracy]
+    causes: tuple[Finding, ...]
 
 
 def judge(
@@ -55,6 +57,7 @@ def judge(
     seed: int,
     progress: Progress | None = None,
     others: Others = tuple,
+    causes: Sequence[Finding] | None = None,
 ) -> Judgement:
     """Judge a fitted model.
 
@@ -66,6 +69,7 @@ def judge(
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
         others: Other robots and links, of which only files know.
+        causes: Faults of the measurements that were found with another model.
     """
     fitted, data = model.fit, model.fit.problem.data
     chains = Chains.of(chains)
@@ -77,7 +81,7 @@ def judge(
     )
     validation = held_out.measurements if held_out.apart else None
     case = Case.of(fitted, chains, validation, progress, others)
-    found = find(case)
+    found = find(case, causes)
     findings = (*found.causes, *held_out.findings, *found.others)
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
@@ -100,7 +104,7 @@ def judge(
             found.causes,
         )
     )
-    return Judgement(status, reason, errors, findings, accuracies)
+    return Judgement(status, reason, errors, findings, accuracies, found.causes)
 
 
 def _expected(

@@ -9,7 +9,7 @@ looks good are sought in every fit, by a few further columns of its Jacobian
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable
+from collections.abc import Callable, Iterable, Sequence
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -87,9 +87,15 @@ class Found:
 
 
 @serial_blas
-def find(case: Case) -> Found:
-    """The faults of measurements and of what was fitted to them."""
-    sought = _sought(case)
+def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
+    """The faults of measurements and of what was fitted to them.
+
+    Args:
+        case: The case.
+        sought: Causes that have been found with another fit to the measurements; None
+            where nobody has sought them.
+    """
+    sought = _sought(case) if sought is None else sought
     causes = tuple(found for found in sought if found.severity == "error")
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]

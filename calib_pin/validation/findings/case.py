@@ -72,7 +72,6 @@ class Case:
         fit: The solution before some of them, in the order of the blocks.
         rank: Place of each of these in the order of the files, among all, (N,).
         nominal: Parameter values of the registered nominal robot, shape (P,).
-        converged: Whether the fit did.
         fitted: The whole fit; None where measurements are only compared with a robot.
         held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
@@ -84,7 +83,6 @@ class Case:
     fit: QuickFit
     rank: Indices
     nominal: Floats
-    converged: bool = True
     fitted: Fit | None = None
     held_out: Observations | None = None
     progress: Progress | None = None
@@ -100,7 +98,7 @@ class Case:
     ) -> Case:
         """The case of a whole fit."""
         data = fitted.problem.data
-        some, rank = _some(data)
+        some, rank = some_of(data)
         problem = replace(fitted.problem, data=some, expected=None)
         return Case(
             chains,
@@ -108,7 +106,6 @@ class Case:
             QuickFit(problem, fitted.theta),
             rank,
             fitted.before,
-            fitted.result.status.success,
             fitted,
             held_out,
             progress,
@@ -124,7 +121,7 @@ class Case:
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
         """
-        some, rank = _some(data)
+        some, rank = some_of(data)
         fit = QuickFit.of(make_problem(chains, some, replace(setup, learned=None)))
         robot = ~fit.problem.parameters.nuisance
         nominal = np.where(robot, 0.0, fit.theta)
@@ -141,7 +138,7 @@ class Case:
 
         Without a whole fit nobody judges corrections that are as large as a robot.
         """
-        if not self.converged or self.errors_left > DOUBTFUL:
+        if not self.errors_left <= DOUBTFUL:
             return True
         return self.fitted is None and self._errors(self.nominal) > FOREIGN
 
@@ -165,10 +162,9 @@ class Case:
         return max(sizes, default=0.0)
 
 
-def _some(data: Observations) -> tuple[Observations, Indices]:
+def some_of(data: Observations) -> tuple[Observations, Indices]:
     """At most so many measurements, evenly over the files, and their places."""
-    rank = np.empty(len(data), np.int64)
-    rank[data.in_order] = np.arange(len(data))
+    rank = np.argsort(data.in_order)
     if len(data) <= MEASUREMENTS:
         return data, rank
     ranks = np.linspace(0, len(data) - 1, MEASUREMENTS).astype(np.int64)

@@ -22,7 +22,6 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
-from calib_pin.estimation.registration import registered
 from calib_pin.observations import Observations
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
@@ -149,7 +148,9 @@ class _Search:
             if not beam:
                 break
             best = min(best, beam[0], key=lambda pair: pair[0])
-            if best[0] < EXPLAINED * first:
+            if best[0] < EXPLAINED * first or (
+                self._ratio(best[1], first, best[0]) < self._chance
+            ):
                 break
         return self._decided(best[1], first, best[0], DECISIVE, fitted=False)
 
@@ -195,14 +196,25 @@ class _Search:
     ) -> Explanation | None:
         if not faults or not after < limit * before or not np.isfinite(before):
             return None
-        problem = self._problem((), self.plain)
-        ratio = _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
-        if ratio < UNLIKELY + np.log(max(self.tried, 1)):
+        ratio = self._ratio(faults, before, after)
+        if ratio < self._chance:
             return None
         factor = self._unit
         return Explanation(
             tuple(faults), factor * before, factor * after, ratio, self.tried, fitted
         )
+
+    def _ratio(
+        self, faults: Sequence[Hypothesis], before: float, after: float
+    ) -> float:
+        """Logarithm of the likelihood ratio of faults; they may leave out lines."""
+        problem = self._problem(faults, self.plain)
+        return _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
+
+    @property
+    def _chance(self) -> float:
+        """What the best of so many trials gains by chance, of logarithms of ratios."""
+        return UNLIKELY + float(np.log(max(self.tried, 1)))
 
     @property
     def _unit(self) -> float:
@@ -228,10 +240,9 @@ class _Search:
             problem = self._problem(faults, self.plain)
             if _redundancy(problem) < LEAST:
                 return np.inf
-            # In the unit of the file: what is scaled down is no better for that.
+            bound = self.first if faults else np.inf
             scale = merged(fault.reading for fault in faults).scale
-            bound = self.first * scale if faults else np.inf
-            return _trimmed(problem, bound) / scale
+            return _trimmed(problem, bound, scale)
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
@@ -288,18 +299,6 @@ def _picked(data: Observations) -> Observations:
     return data.rows(np.sort(np.unique([order[s : s + length] for s in starts])))
 
 
-def _located(problem: Problem) -> Problem:
-    """The problem about its frames and references.
-
-    The closed form is enough to tell a robot from none; without a measurement frame
-    there may be nothing in closed form, and it is fitted.
-    """
-    if any(p.measurement.declaration.external for p in problem.parts.values()):
-        return registered(problem, np.zeros(len(problem.parameters)))
-    problem, theta = located(problem)
-    return problem.rebased(theta)[0]
-
-
 def _redundancy(problem: Problem) -> float:
     """Values of the best part of the measurements beyond the unknowns of frames."""
     parameters = problem.parameters
@@ -307,19 +306,24 @@ def _redundancy(problem: Problem) -> float:
     return KEPT * problem.values - unknown
 
 
-def _trimmed(problem: Problem, bound: float) -> float:
+def _trimmed(problem: Problem, bound: float, scale: float) -> float:
     """Errors of the best part of the measurements, rms in standard deviations.
 
     They locate the robot once more without the others, which outliers are among, if
-    they leave less than a bound.
+    they leave less than a bound. Lengths that were scaled count in the unit of the
+    file: what is scaled down is no better for that.
     """
+    layout = problem.layout
+    sigma = layout.table(problem.given_sigma, len(problem.data))
+    for quantity in layout.quantities:
+        if quantity.unit == "m":
+            sigma[:, quantity.columns] *= scale
     zero = np.zeros(len(problem.parameters))
     size = np.inf
     for again in (False, True):
-        problem = _located(problem)
+        problem = located(problem)
         table = error_table(problem, zero)
         table[np.isinf(table)] = 1e6
-        sigma = problem.layout.table(problem.given_sigma, len(problem.data))
         squares = np.nanmean((table / sigma) ** 2, axis=1)
         limit = np.quantile(squares, KEPT)
         size = float(np.sqrt(np.mean(squares[squares <= limit])))

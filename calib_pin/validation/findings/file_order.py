@@ -44,8 +44,7 @@ class Job:
     @staticmethod
     def of(data: Observations) -> Job:
         """All measurements of a job, none of them set aside."""
-        rank = np.empty(len(data), np.int64)
-        rank[data.in_order] = np.arange(len(data))
+        rank = np.argsort(data.in_order)
         return Job(data.weighted(np.ones(len(data))), rank)
 
     def rows(self, index: NDArray[np.generic]) -> Job:

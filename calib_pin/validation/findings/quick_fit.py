@@ -35,11 +35,18 @@ STEP = 1e-7
 known far better than that by which others are told."""
 
 
-def located(problem: Problem) -> tuple[Problem, Floats]:
-    """A problem about roughly registered references, and its parameter values."""
+def located(problem: Problem) -> Problem:
+    """A problem about roughly registered frames and references.
+
+    The closed form is enough to tell a robot from none; without a measurement frame
+    there may be nothing in closed form, and it is fitted.
+    """
     zero = np.zeros(len(problem.parameters))
-    problem, basis = registered(problem, zero), nuisance_basis(problem.parameters)
-    return problem, refine(problem, zero, basis, ROUGH).x
+    parts, problem = problem.parts.values(), registered(problem, zero)
+    if any(part.measurement.declaration.external for part in parts):
+        return problem
+    basis = nuisance_basis(problem.parameters)
+    return problem.rebased(refine(problem, zero, basis, ROUGH).x)[0]
 
 
 @dataclass(frozen=True)
@@ -84,7 +91,7 @@ class QuickFit:
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
         """
-        trial = cls(*located(problem), **more)
+        trial = cls(located(problem), np.zeros(len(problem.parameters)), **more)
         free, scales = problem.parameters.free, problem.parameters.scales
         for _ in range(STEPS if trial.redundant else 0):
             A, b = trial.system

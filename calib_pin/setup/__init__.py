@@ -110,7 +110,15 @@ def _bound(value: object) -> float | Pair:
 BOUND = {"anyOf": [Positive().schema(), listed({"type": "number"}, 2)], "unit": "SI"}
 """JSON schema of a bound."""
 
-Factor = Annotated[float, Number(nonzero=True)]
+Factor = Annotated[
+    float,
+    Number(
+        least=-1e6,
+        most=1e6,
+        apart=1e-6,
+        words="a number from 1e-6 to 1e6, or the negative of one",
+    ),
+]
 
 
 @dataclass(frozen=True)

@@ -17,7 +17,6 @@ from calib_pin.setup.values import (
     Flag,
     Number,
     OneOf,
-    Positive,
     Text,
     Triple,
     Vector,
@@ -88,6 +87,10 @@ def _shift(value: object) -> int:
 LINE = {"anyOf": [{"type": "integer", "minimum": 1}, {"type": "string"}]}
 """JSON schema of a line, whose file and a colon precede it if there are several."""
 
+Conversion = Annotated[
+    float, Number(least=1e-6, most=1e6, words="a positive number from 1e-6 to 1e6")
+]
+Part = Annotated[float, Number(least=-1.0, most=1.0, words="a part from -1 to 1")]
 Places = Annotated[tuple[str, ...], Checked(_places, {"type": "array", "items": LINE})]
 Pairs = Annotated[
     tuple[tuple[str, ...], ...],
@@ -107,7 +110,7 @@ class ConvertedSetup(Section):
         joints: Joints whose positions are converted; left out for the measured lengths.
     """
 
-    factor: Annotated[float, Positive()]
+    factor: Conversion
     lines: Places = ()
     each: Flag = False
     joints: tuple[Text, ...] = ()
@@ -143,7 +146,7 @@ class OrientationSetup(Section):
 
     columns: Annotated[str | None, OneOf(tuple(STATED))] = None
     hold: Annotated[str | None, Checked(_held, {"enum": list(HELD)})] = None
-    factor: Annotated[float, Positive()] = 1.0
+    factor: Conversion = 1.0
     inverse: Flag = False
 
     def _check(self) -> None:
@@ -187,12 +190,12 @@ class ReadingSetup(Section):
     converted: tuple[ConvertedSetup, ...] = ()
     reversed: Flag = False
     shift: Annotated[int, Checked(_shift, {"type": "integer"})] = 0
-    lag: Mapping[str, Annotated[float, Number()]] = field(default_factory=dict)
+    lag: Mapping[str, Part] = field(default_factory=dict)
     axes: Annotated[
         tuple[str, ...],
         Checked(_axes, listed({"enum": [s + a for a in AXES for s in ("", "-")]}, 3)),
     ] = AXES
-    scale: Annotated[float, Positive()] = 1.0
+    scale: Conversion = 1.0
     drift: Annotated[
         Triple,
         Vector(

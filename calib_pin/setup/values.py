@@ -67,7 +67,7 @@ class Number(Constraint):
         most: Largest value.
         below: Limit that it must stay under.
         words: Allowed values, for the message on a number beyond its limits.
-        nonzero: Whether 0 is refused.
+        apart: Distance from 0 that it must have; 0 is allowed where there is none.
     """
 
     unit: str = ""
@@ -76,14 +76,13 @@ class Number(Constraint):
     most: float = math.inf
     below: float = math.inf
     words: str = ""
-    nonzero: bool = False
+    apart: float = 0.0
 
     def check(self, value: object) -> float:
         """The number."""
         plain = number(value)
-        if self.nonzero and plain == 0.0:
-            raise ValueError("a number other than 0")
         within = self.above < plain < self.below and self.least <= plain <= self.most
+        within &= abs(plain) >= self.apart
         if not within:
             raise ValueError(self.words)
         return plain
@@ -91,8 +90,8 @@ class Number(Constraint):
     def schema(self) -> Json:
         """A number with its limits."""
         found = _number(self.above, self.least, self.most, self.below)
-        if self.nonzero:
-            found["not"] = {"const": 0}
+        if self.apart:
+            found["not"] = _number(above=-self.apart, below=self.apart)
         return _with_unit(found, self.unit)
 
 

@@ -194,9 +194,10 @@ def _size(errors: Floats, columns: slice, present: NDArray[np.bool_]) -> Floats:
 
 def _ratio(after: Floats, variance: Floats, present: NDArray[np.bool_]) -> float:
     """Found by predicted root mean square of whitened errors."""
-    if not present.any():
+    predicted = float(np.sum(variance[present]))
+    if predicted <= 0.0:  # All values were needed to fit, but for rounding.
         return float("nan")
-    return float(np.sqrt(np.sum(after[present] ** 2) / np.sum(variance[present])))
+    return float(np.sqrt(np.sum(after[present] ** 2) / predicted))
 
 
 def _gain(

@@ -552,7 +552,7 @@ def test_halves_of_characters(tmp_path, refused):
         ),
         (
             "joints: {a: {joint: b, gear: 0}}",
-            dict(line=1, value="0", reason="joints.a.gear", allowed="other than 0"),
+            dict(line=1, value="0", reason="joints.a.gear", allowed="1e-6 to 1e6"),
         ),
         (
             "joints: {a: {joint: b, offset: x}}",
@@ -1075,7 +1075,7 @@ def test_halves_of_characters(tmp_path, refused):
         ),
         (
             "gear_ratios:\n  a: 1\n  b: 0\n",
-            dict(line=3, value="0", reason="gear_ratios.b", allowed="other than 0"),
+            dict(line=3, value="0", reason="gear_ratios.b", allowed="1e-6 to 1e6"),
         ),
         (
             "gear_ratios: {a: .inf}",

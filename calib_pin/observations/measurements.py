@@ -241,27 +241,32 @@ class Measurements(SourcedRows):
         """About `count` rows, spread evenly over the rows of every target.
 
         A target with few rows keeps up to twenty, unless there are too many of them.
+        An image, whose targets follow one another, is kept whole.
         """
         if len(self) <= count:
             return self
+        codes = self.target.codes
+        begins = np.ones(len(self), bool)
+        begins[1:] = (self.q[1:] != self.q[:-1]).any(axis=1) | (codes[1:] <= codes[:-1])
+        firsts = np.flatnonzero(begins)
+        count = max(1, count * len(firsts) // len(self))
         names = self.target.distinct
-        label = np.zeros(len(self), np.int64)
+        label = np.zeros(len(firsts), np.int64)
         if 1 < len(names) <= count // 20:
             number = {name: k for k, name in enumerate(names)}
             label = np.array([number.get(name, -1) for name in self.target.names])[
-                self.target.codes
+                codes[firsts]
             ]
         order = np.argsort(label, kind="stable")
         sizes = np.bincount(label)
         few = np.minimum(sizes, min(20, count))
-        shares = np.maximum(sizes * count // len(self), few)
-        chosen = [
-            rows[np.linspace(0, len(rows) - 1, share).astype(np.int64)]
-            for rows, share in zip(
-                np.split(order, np.cumsum(sizes)[:-1]), shares, strict=True
-            )
-        ]
-        return self.rows(np.sort(np.concatenate(chosen)))
+        shares = np.maximum(sizes * count // len(firsts), few)
+        kept = np.zeros(len(firsts), bool)
+        for images, share in zip(
+            np.split(order, np.cumsum(sizes)[:-1]), shares, strict=True
+        ):
+            kept[images[np.linspace(0, len(images) - 1, share).astype(np.int64)]] = True
+        return self.rows(kept[np.cumsum(begins) - 1])
 
 
 def trusted(data: Measurements) -> Measurements:

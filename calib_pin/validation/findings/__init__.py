@@ -16,11 +16,14 @@ from typing import TypeVar
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import CalibPinError
+from calib_pin.errors import CalibPinError, InputError, OptionError
 from calib_pin.estimation.evidence import Finding
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
+from calib_pin.setup import Setup
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.case import DOUBTFUL, Case
+from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
@@ -106,6 +109,36 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
     return Found(causes, tuple(others))
 
 
+def refused(
+    error: InputError,
+    chains: Chains,
+    data: Observations,
+    setup: Setup,
+    others: Others = tuple,
+) -> InputError:
+    """The error of measurements that no robot fits, after what explains it.
+
+    Args:
+        error: Why the robot cannot be located; that of an option explains itself.
+        chains: The nominal chains.
+        data: The measurements.
+        setup: The setup.
+        others: Other robots and links, of which only files know.
+    """
+    if isinstance(error, OptionError):
+        return error
+    try:
+        case = Case.of_none(chains, data, setup, others)
+    except CalibPinError:
+        return error
+    found = _tried(lambda case: explain(case, EXPLANATIONS), case)
+    if found is None:
+        return error
+    first = next(finding(case, found))
+    said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
+    return InputError(said, file=error.file)
+
+
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
     sure = _tried(joint_motion, case) or _tried(joint_offset, case)
@@ -116,9 +149,10 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     causes = tuple(found for found in in_time if found.severity == "error")
     if case.doubtful and not _explained(case, causes):
         explanation = _tried(lambda case: explain(case, EXPLANATIONS), case)
-        # Of the nominal robot more is left than of a fit: the parts are compared.
+        # Of the nominal robot more is left than of a fit: the parts are compared, too.
         if explanation is not None and (
-            explanation.after < explanation.before * _left(causes, part=True)
+            explanation.after < _left(causes)
+            or explanation.after < explanation.before * _left(causes, part=True)
         ):
             return tuple(finding(case, explanation))
     return causes or in_time

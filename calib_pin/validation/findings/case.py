@@ -127,6 +127,20 @@ class Case:
         nominal = np.where(robot, 0.0, fit.theta)
         return Case(chains, data, fit, rank, nominal, others=others)
 
+    @staticmethod
+    def of_none(
+        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+    ) -> Case:
+        """The case of measurements on which no robot can be registered.
+
+        Raises:
+            CalibPinError: If they make no problem.
+        """
+        some, rank = some_of(data)
+        problem = make_problem(chains, some, replace(setup, learned=None))
+        zero = np.zeros(len(problem.parameters))
+        return Case(chains, data, QuickFit(problem, zero), rank, zero, others=others)
+
     @property
     def setup(self) -> Setup:
         """The setup of the fit."""

@@ -27,13 +27,14 @@ class CoarseOptions:
         told: Part of the remaining errors that steps make.
         doubtful: Part from which there is a warning.
         most: Part beyond which values cannot have been rounded: the errors would be
-            larger. Joints are often commanded to round numbers and reach them.
+            larger, but for what was set aside. Joints are often commanded to round
+            numbers and reach them.
     """
 
     values: int = 20
     told: float = 0.3
     doubtful: float = 0.7
-    most: float = 1.5
+    most: float = 2.0
 
 
 OPTIONS = CoarseOptions()
@@ -129,8 +130,13 @@ def _joint_steps(case: Case) -> Iterator[Finding]:
     sigma = problem.sigma[own, None]
     moved = case.fit.by_joints[own] * sigma * steps
     r = case.fit.linear[0][own] * sigma[:, 0]
-    left = float(np.sqrt(np.mean(r**2) * problem.values / max(case.fit.left, 1)))
-    noise = float(np.sqrt(np.mean(np.sum(moved**2, axis=1))))
+    # A fit follows what has leverage, such as grazing beams.
+    Q, _ = case.fit.unexplained
+    free = 1.0 - np.sum(Q[: len(own)][own] ** 2, axis=1)
+    if not free.sum() > 0.0:
+        return
+    left = float(np.sqrt(np.sum(r**2) / free.sum()))
+    noise = float(np.sqrt(np.sum(free[:, None] * moved**2) / free.sum()))
     step = float(turning.max())
     yield from _finding("the joint positions are", step, "rad", quantity, noise, left)
 

@@ -23,9 +23,10 @@ from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.observations import Observations
+from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import FOREIGN, Case
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
 from calib_pin.validation.findings.quick_fit import QuickFit, located
 from calib_pin.validation.findings.setup_lines import merged, written
@@ -47,6 +48,10 @@ TOGETHER = 500
 
 CLEAR = 0.95
 """Part of the errors that another explanation may leave to be worth combining."""
+
+CLOSE = 2.0
+"""Errors of an explanation, by those of the best one, that a fit is asked to tell from
+it; and those without a fault of several, if that is not needed."""
 
 DECISIVE = 0.2
 """Part of the nominal robot's errors that all of them together may leave."""
@@ -78,7 +83,8 @@ class Explanation:
 
     Attributes:
         faults: The faults.
-        before: Errors as the measurements are read now, rms [unit of the quantity].
+        before: Errors as the measurements are read now, rms [unit of the quantity];
+            infinite where the robot cannot be located.
         after: Errors if they are read so.
         ratio: Logarithm of the likelihood ratio.
         tried: Number of explanations that were tried.
@@ -123,13 +129,16 @@ class _Search:
         """Error of the nominal robot on measurements as they are read now."""
         return self._nominal(())
 
+    @cached_property
+    def first_fitted(self) -> float:
+        """Error of a robot whose errors were fitted to them."""
+        return self._fitted(())
+
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
         size, first = self._nominal, self.first
-        if not np.isfinite(first):
-            return None
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
-        best = beam[0]
+        every = [*beam]
         for k in range(MOST):
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
@@ -145,14 +154,48 @@ class _Search:
                         found[key] = misfit, trial
             # Of those that leave the same, the likelier kind comes first.
             beam = sorted(found.values(), key=lambda pair: _rounded(pair[0]))[:WIDTH]
-            if not beam:
-                break
-            best = min(best, beam[0], key=lambda pair: pair[0])
-            if best[0] < EXPLAINED * first or (
-                self._ratio(best[1], first, best[0]) < self._chance
+            every += beam
+            every.sort(key=lambda pair: _rounded(pair[0]))
+            left, faults = every[0]
+            if (
+                left < EXPLAINED * first
+                or self._ratio(faults, first, left) < self._chance
             ):
                 break
-        return self._decided(best[1], first, best[0], DECISIVE, fitted=False)
+        return self._best(every)
+
+    def _best(
+        self, every: Sequence[tuple[float, tuple[Hypothesis, ...]]]
+    ) -> Explanation | None:
+        """The best of some sets of faults, by the errors that the nominal robot leaves.
+
+        A robot whose errors are fitted tells those that leave about the same, and is
+        asked where what the nominal one leaves is too much.
+        """
+        least, _ = every[0]
+        close = [self._needed(*pair) for pair in every if pair[0] < CLOSE * least]
+        left, faults = close[0]
+        told = not any(fault.gross for _, kept in close for fault in kept)
+        if told and len(close) > 1:
+            left, faults = min(close, key=lambda pair: _rounded(self._fitted(pair[1])))
+        found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
+        return found or (self._of_fits(faults, DECISIVE) if told else None)
+
+    def _needed(
+        self, left: float, faults: tuple[Hypothesis, ...]
+    ) -> tuple[float, tuple[Hypothesis, ...]]:
+        """Those of some faults without which far more is left, and what they leave."""
+        for fault in faults if len(faults) > 1 else ():
+            rest = tuple(other for other in faults if other is not fault)
+            without = self._nominal(rest)
+            needless = without < CLOSE * left
+            if without < left / DECISIVE and not fault.gross:
+                # Large errors of the robot hide it: its fit tells, if anything.
+                fit = self._fitted(faults)
+                needless = needless or self._fitted(rest) < CLOSE * fit
+            if needless:
+                return self._needed(without, rest)
+        return left, faults
 
     def of_one_joint(self) -> Explanation | None:
         """All faults of a joint, each of which alone leaves as much as none."""
@@ -176,14 +219,23 @@ class _Search:
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
-        first = self._fitted(())
-        if not np.isfinite(first):
-            return None
         # A robot that is fitted shrinks with its measurements, say.
-        sized = [k for k, h in enumerate(self.known) if not h.gross]
-        trials = [(self._fitted((self.known[k],)), k) for k in sized]
-        left, k = min(trials, default=(first, -1))
-        return self._decided(self.known[k : k + 1], first, left, FITTED, fitted=True)
+        trials = [
+            (self._fitted((fault,)), k)
+            for k, fault in enumerate(self.known)
+            if not fault.gross and np.isfinite(self.first_fitted)
+        ]
+        _, k = min(trials, default=(np.inf, len(self.known)))
+        return self._of_fits(self.known[k : k + 1], FITTED)
+
+    def _of_fits(
+        self, faults: Sequence[Hypothesis], limit: float
+    ) -> Explanation | None:
+        """Faults with which a fit leaves far less."""
+        if not faults or not np.isfinite(self.first_fitted):
+            return None
+        left = self._fitted(faults)
+        return self._decided(faults, self.first_fitted, left, limit, fitted=True)
 
     def _decided(
         self,
@@ -194,7 +246,12 @@ class _Search:
         *,
         fitted: bool,
     ) -> Explanation | None:
-        if not faults or not after < limit * before or not np.isfinite(before):
+        # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
+        most = limit * before
+        if np.isinf(before):
+            unit = self.case.fit.problem.layout.quantities[0].unit
+            most = FOREIGN * expected_size(unit) / self._unit
+        if not faults or not after < most:
             return None
         ratio = self._ratio(faults, before, after)
         if ratio < self._chance:
@@ -213,7 +270,7 @@ class _Search:
 
     @property
     def _chance(self) -> float:
-        """What the best of so many trials gains by chance, of logarithms of ratios."""
+        """Logarithm of the ratio that the best of so many trials reaches by chance."""
         return UNLIKELY + float(np.log(max(self.tried, 1)))
 
     @property
@@ -267,13 +324,14 @@ def finding(case: Case, found: Explanation) -> Iterator[Finding]:
     unit, factor = DISPLAY[quantity.unit]
     sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
     robot = "of a fit" if found.fitted else "of the nominal robot"
+    fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
     clear = found.after < FITTED * found.before and not found.harmless
     for fault in found.faults:
         yield Finding(
             fault.code,
             "error" if clear else "warning",
-            f"{fault.words}: so read, the {quantity.name} errors {robot} fall from "
-            f"{sizes[0]} to {sizes[1]}",
+            f"{fault.words}: so read, the {quantity.name} errors {robot} {fall} "
+            f"{sizes[1]}",
             {
                 "rms_before": found.before,
                 "rms_after": found.after,

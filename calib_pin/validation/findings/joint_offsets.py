@@ -7,6 +7,7 @@ missed, a zero that was set anew.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from dataclasses import replace
 
 import numpy as np
@@ -70,6 +71,35 @@ def joint_offset(case: Case) -> Explanation | None:
         fitted=False,
         harmless=not case.doubtful,
     )
+
+
+def offset_within(
+    case: Case, x: Floats, size: Callable[[Floats], float]
+) -> tuple[float, int, float]:
+    """The joint offset without which some errors of the robot are the smallest.
+
+    What an offset turns, origins around it share, so that each looks smaller.
+
+    Args:
+        case: The case.
+        x: Errors of the fit in their scales, shape (P,).
+        size: The size of such errors.
+
+    Returns:
+        The size without it, the joint, and the offset [rad, m].
+    """
+    fit, parameters = case.fit, case.fit.problem.parameters
+    free, robot = parameters.free, parameters.free & ~parameters.nuisance
+    moves = fit.by_joints + fit.by_starts
+    found = []
+    spread = np.linalg.lstsq(fit.linear[1][:, free], moves, rcond=1e-9)[0]
+    for joint, column in enumerate(spread.T):
+        along = np.zeros(len(parameters))
+        along[free] = column
+        along[~robot] = 0.0
+        offset = float(along @ x) / max(float(along @ along), 1e-300)
+        found.append((size(x - offset * along), joint, offset))
+    return min(found)
 
 
 def _read(problem: Problem, theta: Floats, joint: int, degrees: float) -> QuickFit:

@@ -259,6 +259,8 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
     ):
         trials.pop()
     first, last = trials[0], trials[-1]
+    if _few_aside(case) and case.fit.rms <= OPTIONS.settled * last.rms:
+        return None
     if last.rms <= OPTIONS.left * first.rms:
         return first, last
     # Outliers look like small moves; of these the fit without outliers leaves no more.
@@ -266,6 +268,13 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
     small = settled and len(trials) > 1
     small = small and all(b.plain(a) for a, b in pairwise(trials))
     return (first, last) if small else None
+
+
+def _few_aside(case: Case) -> bool:
+    """Whether a fit has set aside some measurements, but fewer than a move concerns."""
+    data = case.fit.problem.data
+    aside = np.unique(data.groups()[data.weight == 0.0])
+    return 0 < len(aside) < OPTIONS.configurations
 
 
 def _suspicious(trial: Trial, nominal: Floats) -> bool:

@@ -32,6 +32,7 @@ from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
 from calib_pin.setup import DistanceSetup
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.joint_offsets import offset_within
 
 
 @dataclass(frozen=True)
@@ -104,7 +105,7 @@ def plausibility(case: Case) -> tuple[Finding, ...]:
         *_distances(fitted),
         *grown,
         # A robot that has grown has large corrections everywhere.
-        *(() if grown else _corrections(fitted, linear)),
+        *(() if grown else _corrections(case, fitted, linear)),
     )
 
 
@@ -309,7 +310,7 @@ def _scaled_without(fitted: Fit, distance: DistanceSetup) -> bool:
     return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
 
-def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
+def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
     """The largest correction of a joint, where it is far larger than robots have.
 
     A wrong origin in the URDF, or a joint mounted askew, is as large; then the
@@ -349,14 +350,27 @@ def _corrections(fitted: Fit, linear: _Linear) -> Iterator[Finding]:
             {**evidence, "errors_without": factor},
             "measure more configurations, or estimate fewer parameters",
         )
-    else:
-        yield Finding(
-            "large-correction",
-            "warning",
-            f"{said}, and the measurements confirm it",
-            evidence,
-            "check this origin in the URDF, and how the joint is mounted",
+        return
+    check = "check this origin in the URDF, and how the joint is mounted"
+    left, joint, offset = offset_within(
+        case, x, lambda x: float(_sizes(fitted, x).max())
+    )
+    if left < OPTIONS.large:
+        name, chains = case.data.joints[joint], case.chains
+        prismatic = not chains.revolute[chains.joints.index(name)]
+        amount = (
+            f"{1e3 * offset:.1f} mm" if prismatic else f"{np.degrees(offset):.2f} deg"
         )
+        said = f"the zero of joint '{name}' came out moved by {amount}"
+        evidence = {"joint": name, "move" if prismatic else "turn": offset}
+        check = "check the mastering of this joint, and its origin in the URDF"
+    yield Finding(
+        "large-correction",
+        "warning",
+        f"{said}, and the measurements confirm it",
+        evidence,
+        check,
+    )
 
 
 def _sizes(fitted: Fit, x: Floats) -> Floats:

@@ -63,6 +63,17 @@ def usual(job: Job, rng: np.random.Generator) -> Measurements:
     return job.measured(rng, max(CONFIGURATIONS, 3 * job.minimal))
 
 
+def half_range(job: Job, rng: np.random.Generator) -> Measurements:
+    """Measurements at random configurations in the middle half of every joint's range.
+
+    Sums of joint positions then stay within the two turns that files may state.
+    """
+    count, chain = max(CONFIGURATIONS, 3 * job.minimal), job.chain
+    middle, half = (chain.lower + chain.upper) / 2, (chain.upper - chain.lower) / 4
+    shape = (count, len(chain.joints))
+    return job.measured(rng, q=middle + half * rng.uniform(-1.0, 1.0, shape))
+
+
 def one_path(job: Job, rng: np.random.Generator) -> Measurements:
     """Measurements along smooth motions through the workspace."""
     count = max(2 * CONFIGURATIONS, 5 * job.minimal)

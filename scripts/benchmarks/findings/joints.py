@@ -8,7 +8,7 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.findings.defect import Defect, Input, given, one_path, told
+from benchmarks.findings.defect import Defect, Input, given, half_range, one_path, told
 from benchmarks.verdict.jobs import MODELS, Job
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
@@ -164,14 +164,14 @@ DEFECTS = (
         "reversed",
         {"base": 0, "elbow": 2, "wrist": 4},
         ALL,
-        ("joint-reversed",),
+        ("joint-reversed", "refused"),
         _reversed,
     ),
     Defect(
         "offset",
         {"5 deg": 5.0, "30 deg": 30.0, "90 deg": 90.0},
         ALL,
-        ("joint-offset", "large-correction"),
+        ("joint-offset", "large-correction", "refused"),
         _offset,
     ),
     Defect(
@@ -182,14 +182,14 @@ DEFECTS = (
             "cyclic": _of("012453"),
         },
         ALL,
-        ("joints-exchanged",),
+        ("joints-exchanged", "refused"),
         _exchanged,
     ),
     Defect(
         "coupled",
         {"1 %": 0.01, "1": 1.0, "-1": -1.0},
         ALL,
-        ("joint-coupled",),
+        ("joint-coupled", "refused"),
         _coupled,
     ),
     Defect(
@@ -200,8 +200,9 @@ DEFECTS = (
             "all": "reversed offset coupled",
         },
         ("position", "pose", "point-distance", "camera"),
-        ("joint-reversed", "joint-offset", "joint-coupled"),
+        ("joint-reversed", "joint-offset", "joint-coupled", "refused"),
         _at_once,
+        measured=half_range,
     ),
     Defect(
         "geared",

@@ -356,8 +356,8 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         case, x, lambda x: float(_sizes(fitted, x).max())
     )
     if left < OPTIONS.large:
-        name, chains = case.data.joints[joint], case.chains
-        prismatic = not chains.revolute[chains.joints.index(name)]
+        name = case.data.joints[joint]
+        prismatic = not case.chains.revolute[case.chains.joints.index(name)]
         amount = (
             f"{1e3 * offset:.1f} mm" if prismatic else f"{np.degrees(offset):.2f} deg"
         )

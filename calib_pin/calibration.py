@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import InputError, OptionError, nearest
+from calib_pin.errors import OptionError, nearest
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
@@ -25,7 +25,7 @@ from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings import refused
+from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
@@ -106,32 +106,30 @@ def calibrate(
     _require_ends(chains, setup, training, held)
     share = 1.0 if held is not None or not validate else 1.0 / (1 + FOLDS)
     selected = None
-    try:
+
+    def checking(stage: str, part: float) -> None:
+        if progress is not None:
+            progress(stage, share + (1.0 - share) * part)
+
+    with explained(chains, training, setup, others):
         if ladder:
             selected = select_model(chains, training, setup, seed, progress)
             model = selected.model
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
             model = fit_model(chains, training, setup, seed, tell)
-    except InputError as error:
-        raise refused(error, chains, training, setup, others) from error
-
-    def checking(stage: str, part: float) -> None:
-        if progress is not None:
-            progress(stage, share + (1.0 - share) * part)
-
-    held_out = check(
-        chains,
-        training,
-        setup,
-        model,
-        seed,
-        validation=held,
-        method=method,
-        validate=validate,
-        parts=None if selected is None else selected.parts,
-        progress=checking,
-    )
+        held_out = check(
+            chains,
+            training,
+            setup,
+            model,
+            seed,
+            validation=held,
+            method=method,
+            validate=validate,
+            parts=None if selected is None else selected.parts,
+            progress=checking,
+        )
     fitted = fitted_errors(model, training)
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)

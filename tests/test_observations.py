@@ -173,6 +173,23 @@ def test_a_sample_is_spread_over_the_rows() -> None:
     assert set(np.diff(rows)) <= {99, 100}
 
 
+def test_a_sample_keeps_images_whole() -> None:
+    """What one image shows follows one another at one configuration."""
+    data = Measurements(
+        ("j",),
+        np.repeat(np.arange(100.0), 4)[:, None],
+        "camera",
+        np.zeros((400, 2)),
+        target=("a", "b", "c", "d") * 100,
+    )
+    some = data.sample(40)
+    assert some.target == ("a", "b", "c", "d") * 10
+    assert len(np.unique(some.q)) == 10 and some.q[-1, 0] == 99.0
+    # Repetitions of one configuration are not an image.
+    repeated = Measurements(("j",), np.zeros((100, 1)), "position", np.zeros((100, 3)))
+    assert len(repeated.sample(10)) == 10
+
+
 def test_places_are_those_of_the_file() -> None:
     assert measurements().source(1) == "m.csv:3"
     assert measurements().rows(np.array([4, 0])).source(0) == "m.csv:6"

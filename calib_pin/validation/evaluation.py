@@ -24,7 +24,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.assessment import registration_reason
 from calib_pin.validation.calibrated_model import CalibratedModel
-from calib_pin.validation.findings import find
+from calib_pin.validation.findings import explained, find
 from calib_pin.validation.findings.case import Case, Others, some_of
 from calib_pin.validation.model_errors import located_names, registered
 from calib_pin.validation.result import Evaluation
@@ -63,7 +63,9 @@ def evaluate(
         InputError: If the measurements do not fit the model.
     """
     rows, outside = Observations.of(measurements), 0
-    ready = prepared(robot, rows, setup, registration=registration)
+    chains, plain = _nominal(robot, setup)
+    with explained(chains, rows, plain, others):
+        ready = prepared(robot, rows, setup, registration=registration)
     if isinstance(robot, CalibratedModel):
         outside = sum(
             int(robot.of(block.part.key.chain).outside(block.data.q).sum())
@@ -77,7 +79,7 @@ def evaluate(
             errors.append((quantity.name, quantity.unit, Accuracy.of(sizes)))
             counts.append(len(sizes))
     findings = (
-        *_findings(robot, rows, setup, others),
+        *_findings(chains, rows, plain, others),
         *(() if ready.registered else _unregistered(robot, rows)),
     )
     reason = ready.reason or told([f for f in findings if f.severity == "error"])
@@ -97,21 +99,24 @@ def evaluate(
     )
 
 
+def _nominal(
+    robot: Chain | Chains | CalibratedModel, setup: Setup | None
+) -> tuple[Chains, Setup]:
+    """The nominal robot and the setup of a comparison."""
+    if isinstance(robot, CalibratedModel):
+        return robot.chains, robot.setup
+    return Chains.of(robot), setup or Setup()
+
+
 def _findings(
-    robot: Chain | Chains | CalibratedModel,
-    rows: Observations,
-    setup: Setup | None,
-    others: Others,
+    chains: Chains, rows: Observations, setup: Setup, others: Others
 ) -> tuple[Finding, ...]:
     """The faults that measurements show with the nominal robot and errors of it.
 
     A calibration would be wrong about measurements that are read wrongly, too.
     """
-    chains = robot.chains if isinstance(robot, CalibratedModel) else Chains.of(robot)
-    if isinstance(robot, CalibratedModel):
-        setup = robot.setup
     try:
-        case = Case.of_robot(chains, rows, setup or Setup(), others)
+        case = Case.of_robot(chains, rows, setup, others)
     except CalibPinError:
         return ()  # They are too few, or name what only the calibration knows.
     found = find(case)

@@ -9,7 +9,8 @@ looks good are sought in every fit, by a few further columns of its Jacobian
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
 
@@ -44,6 +45,7 @@ from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
 _Fault = TypeVar("_Fault")
+_Given = TypeVar("_Given")
 
 Kind = Callable[[Case], Iterable[Finding]]
 """Finds the faults of one kind."""
@@ -109,34 +111,35 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
     return Found(causes, tuple(others))
 
 
-def refused(
-    error: InputError,
-    chains: Chains,
-    data: Observations,
-    setup: Setup,
-    others: Others = tuple,
-) -> InputError:
-    """The error of measurements that no robot fits, after what explains it.
+@contextmanager
+def explained(
+    chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+) -> Iterator[None]:
+    """What explains measurements that no robot fits precedes why they are refused.
 
     Args:
-        error: Why the robot cannot be located; that of an option explains itself.
         chains: The nominal chains.
         data: The measurements.
         setup: The setup.
         others: Other robots and links, of which only files know.
+
+    Raises:
+        InputError: If one is raised within.
     """
-    if isinstance(error, OptionError):
-        return error
     try:
-        case = Case.of_none(chains, data, setup, others)
-    except CalibPinError:
-        return error
-    found = _tried(lambda case: explain(case, EXPLANATIONS), case)
-    if found is None:
-        return error
-    first = next(finding(case, found))
-    said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
-    return InputError(said, file=error.file)
+        yield
+    except OptionError:
+        raise
+    except InputError as error:
+        case = _tried(lambda given: Case.of_none(*given), (chains, data, setup, others))
+        if case is None:
+            raise
+        found = _tried(lambda case: explain(case, EXPLANATIONS), case)
+        if found is None:
+            raise
+        first = next(finding(case, found))
+        said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
+        raise InputError(said, file=error.file) from error
 
 
 def _sought(case: Case) -> tuple[Finding, ...]:
@@ -158,7 +161,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
     return causes or in_time
 
 
-def _tried(look: Callable[[Case], _Fault | None], case: Case) -> _Fault | None:
+def _tried(look: Callable[[_Given], _Fault | None], case: _Given) -> _Fault | None:
     """A fault, if there is; None of measurements too absurd to compute with."""
     try:
         return look(case)

@@ -26,7 +26,7 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.units import DISPLAY
-from calib_pin.validation.findings.case import FOREIGN, Case
+from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case
 from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
 from calib_pin.validation.findings.quick_fit import QuickFit, located
 from calib_pin.validation.findings.setup_lines import merged, written
@@ -223,7 +223,7 @@ class _Search:
         trials = [
             (self._fitted((fault,)), k)
             for k, fault in enumerate(self.known)
-            if not fault.gross and np.isfinite(self.first_fitted)
+            if not fault.gross
         ]
         _, k = min(trials, default=(np.inf, len(self.known)))
         return self._of_fits(self.known[k : k + 1], FITTED)
@@ -232,9 +232,7 @@ class _Search:
         self, faults: Sequence[Hypothesis], limit: float
     ) -> Explanation | None:
         """Faults with which a fit leaves far less."""
-        if not faults or not np.isfinite(self.first_fitted):
-            return None
-        left = self._fitted(faults)
+        left = self._fitted(faults) if faults else np.inf
         return self._decided(faults, self.first_fitted, left, limit, fitted=True)
 
     def _decided(
@@ -250,7 +248,8 @@ class _Search:
         most = limit * before
         if np.isinf(before):
             unit = self.case.fit.problem.layout.quantities[0].unit
-            most = FOREIGN * expected_size(unit) / self._unit
+            least = DOUBTFUL if fitted else FOREIGN
+            most = least * expected_size(unit) / self._unit
         if not faults or not after < most:
             return None
         ratio = self._ratio(faults, before, after)

@@ -10,6 +10,7 @@ import pinocchio as pin
 import pytest
 
 import calib_pin
+from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.fit import fit_model
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chain import Chain
@@ -17,6 +18,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
+from calib_pin.validation import findings
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import Explanation, explain, finding
 from calib_pin.validation.findings.hypotheses import read_so, setup_lines
@@ -233,3 +235,17 @@ def test_the_remedy_is_a_setup_file(arm: Chains, rows: Observations) -> None:
     )
     lines = setup_lines(replace(case, fit=fit), found.faults)
     assert lines["joints"]["A2"] == {"joint": "j2", "coupled": {"A1": -1.0}}
+
+
+def test_refusals_say_what_explains_them(arm, rows) -> None:
+    wrong = misread(rows, reverse)
+    said = r"joint 'j1' is reversed: .*sign: -1.*; otherwise it hides$"
+    with pytest.raises(InputError, match=said), findings.explained(arm, wrong, SETUP):
+        raise InputError("it hides")
+    # What nothing explains, and what explains itself, stay.
+    plain = pytest.raises(InputError, match=r"^it hides$")
+    with plain, findings.explained(arm, rows, SETUP):
+        raise InputError("it hides")
+    option = pytest.raises(OptionError, match=r"^no$")
+    with option, findings.explained(arm, wrong, SETUP):
+        raise OptionError("no")

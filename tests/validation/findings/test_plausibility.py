@@ -190,6 +190,10 @@ def test_a_joint_that_is_mounted_askew_is_a_warning() -> None:
     rows = simulate(problem, theta, rng, count=60, noise=1e-4)
     findings = found(rows, FRAMES)
     assert [(f.code, f.severity) for f in findings] == [("large-correction", "warning")]
+    # The origins around share the offset, which is told as a whole.
+    assert findings[0].evidence["joint"] == "joint_3"
+    assert abs(findings[0].evidence["turn"]) == pytest.approx(0.1, abs=5e-3)
+    assert "the zero of joint 'joint_3' came out moved by" in findings[0].message
 
 
 def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:

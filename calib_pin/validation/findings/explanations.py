@@ -157,7 +157,7 @@ class _Search:
             every += beam
             every.sort(key=lambda pair: _rounded(pair[0]))
             left, faults = every[0]
-            if (
+            if np.isfinite(first) and (
                 left < EXPLAINED * first
                 or self._ratio(faults, first, left) < self._chance
             ):
@@ -212,10 +212,8 @@ class _Search:
         ]
         if len(trials) > TOGETHER:
             return None
-        found = [(self._nominal(faults), k) for k, faults in enumerate(trials)]
-        left, k = min(found, default=(np.inf, -1))
-        faults = trials[k] if trials else ()
-        return self._decided(faults, self.first, left, DECISIVE, fitted=False)
+        found = [(self._nominal(faults), faults) for faults in trials]
+        return self._best(sorted(found, key=lambda pair: pair[0])) if found else None
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""

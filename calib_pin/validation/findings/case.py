@@ -33,6 +33,9 @@ A calibrated robot leaves less, unless its gears and links bend.
 FOREIGN = 20.0
 """Errors of a nominal robot, in the same sizes, that hardly any robot has."""
 
+ABSURD = 200.0
+"""Errors of a nominal robot, in the same sizes, that no robot has."""
+
 
 @dataclass(frozen=True)
 class Other:
@@ -150,11 +153,13 @@ class Case:
     def doubtful(self) -> bool:
         """Whether errors are left that ask for an explanation.
 
-        Without a whole fit nobody judges corrections that are as large as a robot.
+        Without a whole fit nobody judges corrections that are as large as a robot; with
+        one a robot may have been fitted to measurements that are as small as its errors.
         """
         if not self.errors_left <= DOUBTFUL:
             return True
-        return self.fitted is None and self._errors(self.nominal) > FOREIGN
+        most = FOREIGN if self.fitted is None else ABSURD
+        return self._errors(self.nominal) > most
 
     @cached_property
     def errors_left(self) -> float:

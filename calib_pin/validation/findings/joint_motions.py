@@ -50,8 +50,11 @@ CLEAR = 5.0
 LARGEST = 0.3
 """Largest part; more is another fault, such as a joint that is reversed."""
 
-STEPS = 3
-"""Steps in which a part is fitted with the robot."""
+STEPS = 12
+"""Most steps in which a part is fitted with the robot."""
+
+SETTLED = 0.1
+"""Change of the part, in its standard deviations, after which no more are taken."""
 
 
 class Motion(NamedTuple):
@@ -173,21 +176,27 @@ class _Columns:
 
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion of a joint that errors follow; None where none stands out."""
-    fit = first = case.fit if case.fit.redundant else replace(case.fit, whole=True)
+    fit = case.fit if case.fit.redundant else replace(case.fit, whole=True)
     if fit.left <= 1:
         return None
     columns = _Columns(case, fit)
     best = columns.likeliest()
     if best is None:
         return None
+    # Noise that came out large for this very fault would hold back the robot's errors.
+    fit = first = replace(fit, problem=replace(fit.problem, units=np.zeros(0)))
+    columns = replace(columns, fit=fit)
     motion, X = columns.motions[best], columns.by_parts[:, [best]]
     part = 0.0
     for _ in range(STEPS):
-        part += float(fit.score(X).values[0])
+        score = fit.score(X)
+        part += float(score.values[0])
         if not abs(part) < LARGEST:
             return None
         data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
         fit = _refitted(fit, data)
+        if abs(score.values[0]) < SETTLED * score.deviations[0]:
+            break
     if not fit.rms**2 < LEFT * first.rms**2:
         return None
     return Explanation(

@@ -121,9 +121,8 @@ def _shifted(
         kept, q = rows.rows(np.arange(len(rows) - lines)), rows.q[lines:]
         lines = -lines
 
-    def right(finding: Finding) -> bool:
-        return bool(finding.setup.get("reading", {}).get("shift") == lines)
-
+    side = "above" if lines < 0 else "below"
+    right = told(f"stand {abs(lines)} line", side)
     return given(job, replace(kept, q=q), right)
 
 
@@ -222,7 +221,7 @@ DEFECTS = (
         "shifted",
         {"1 line": 1, "3 lines": 3, "10 lines": 10},
         (*PLAIN, "camera"),
-        ("lines-shifted",),
+        ("lines-shifted", "refused"),
         _shifted,
     ),
     Defect(

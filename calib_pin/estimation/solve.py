@@ -214,7 +214,11 @@ def least_squares(problem: Problem, start: Floats, basis: Floats) -> LeastSquare
 
 
 def refine(
-    problem: Problem, start: Floats, basis: Floats, tolerance: float = EXACT
+    problem: Problem,
+    start: Floats,
+    basis: Floats,
+    tolerance: float = EXACT,
+    most: int = 100,
 ) -> LeastSquaresResult:
     """Gauss-Newton from a start that is close; the arguments as in `least_squares`.
 
@@ -223,6 +227,7 @@ def refine(
         start: Start, shape (P,).
         basis: Directions that the parameters may take, shape (P, k).
         tolerance: Part of the cost that a step must promise.
+        most: Most steps.
     """
     return gauss_newton(
         problem.linearize,
@@ -231,6 +236,7 @@ def refine(
         basis,
         tolerance=max(tolerance, ENOUGH) if problem.many else tolerance,
         worthwhile=INVISIBLE / max(problem.count, 1),
+        max_iterations=most,
         complete=problem.completed,
     )
 

@@ -9,8 +9,12 @@ import pytest
 
 import calib_pin
 from calib_pin.io.documents import evaluation_document
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
 from calib_pin.report.accuracy import evaluated
 from calib_pin.report.terminal import plain_text
+from calib_pin.setup import Setup
+from calib_pin.validation.findings.case import Case
 
 
 @pytest.fixture(scope="module")
@@ -63,3 +67,24 @@ def test_nothing_explains_it(job) -> None:
     found = calib_pin.evaluate(chain, replace(rows, values=rows.values + noise))
     assert found.verdict == "untrusted"
     assert "rms remain, far more than a robot's geometry explains" in found.reason
+
+
+def test_an_outlier_is_named_and_moves_nothing(job) -> None:
+    chain, model, rows = job
+    values = rows.values.copy()
+    values[13] /= 0.3048
+    spoiled = replace(rows, values=values)
+    for robot in (model, chain):
+        found = calib_pin.evaluate(robot, spoiled)
+        (finding,) = found.findings
+        assert (finding.code, finding.severity) == ("outliers", "warning")
+        assert finding.setup == {"reading": {"without": [14]}}
+
+
+def test_few_measurements_of_a_nominal_robot_ask_for_nothing(job) -> None:
+    """They cannot tell errors of the robot from others: no faults are sought in vain."""
+    chain, _, rows = job
+    few = rows.rows(slice(0, 14))
+    case = Case.of_robot(Chains.of(chain), Observations.of(few), Setup())
+    assert not case.informed and not case.doubtful
+    assert calib_pin.evaluate(chain, few).findings == ()

@@ -11,14 +11,14 @@ import numpy as np
 
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
-from calib_pin.estimation.problem import error_table
+from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Indices, Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.quick_fit import QuickFit
+from calib_pin.validation.findings.quick_fit import QuickFit, located
 
 MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""
@@ -35,6 +35,19 @@ FOREIGN = 20.0
 
 ABSURD = 200.0
 """Errors of a nominal robot, in the same sizes, that no robot has."""
+
+
+FAR = 8.0
+"""Errors of an outlier, in medians of those of the nominal robot."""
+
+SOME = 0.1
+"""Largest part of the measurements that are outliers of it; more are another fault."""
+
+STEPS = 8
+"""Most steps of the fit to measurements that a robot is compared with."""
+
+ROUNDS = 3
+"""Most rounds in which they are found."""
 
 
 @dataclass(frozen=True)
@@ -125,7 +138,9 @@ class Case:
             CalibPinError: If a part of the measurements cannot be registered.
         """
         some, rank = some_of(data)
-        fit = QuickFit.of(make_problem(chains, some, replace(setup, learned=None)))
+        problem = make_problem(chains, some, replace(setup, learned=None))
+        problem = replace(problem, data=_without_outliers(problem))
+        fit = QuickFit.of(problem, STEPS)
         robot = ~fit.problem.parameters.nuisance
         nominal = np.where(robot, 0.0, fit.theta)
         return Case(chains, data, fit, rank, nominal, others=others)
@@ -149,14 +164,19 @@ class Case:
         """The setup of the fit."""
         return self.fit.problem.setup
 
+    @property
+    def informed(self) -> bool:
+        """Whether errors of the robot were fitted; few measurements only compare."""
+        return self.fitted is not None or self.fit.redundant
+
     @cached_property
     def doubtful(self) -> bool:
         """Whether errors are left that ask for an explanation.
 
-        Without a whole fit nobody judges corrections that are as large as a robot; with
-        one a robot may have been fitted to measurements that are as small as its errors.
+        Without a whole fit nobody judges corrections that are as large as a robot. With
+        one, it may have been fitted to measurements as small as the errors of a robot.
         """
-        if not self.errors_left <= DOUBTFUL:
+        if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
             return True
         most = FOREIGN if self.fitted is None else ABSURD
         return self._errors(self.nominal) > most
@@ -165,20 +185,39 @@ class Case:
     def errors_left(self) -> float:
         """Remaining errors, rms in expected sizes of an error, of the worst quantity.
 
-        What was set aside does not count.
+        Neither what was set aside counts, nor the largest of the others: a beam that
+        grazes its plane errs by far more than they do.
         """
         return self._errors(self.fit.theta)
 
     def _errors(self, theta: Floats) -> float:
         problem = self.fit.problem
         table = error_table(problem, theta)[problem.data.weight > 0.0]
-        sizes = [
-            float(np.sqrt(np.mean(quantity.errors(table) ** 2)))
-            / expected_size(quantity.unit)
-            for quantity in problem.layout.quantities
-            if len(quantity.errors(table))
-        ]
-        return max(sizes, default=0.0)
+        sizes = [0.0]
+        for quantity in problem.layout.quantities:
+            squares = np.sort(quantity.errors(table) ** 2)
+            usual = squares[: int(np.ceil((1.0 - SOME) * len(squares)))]
+            if len(usual):
+                size = float(np.sqrt(np.mean(usual)))
+                sizes.append(size / expected_size(quantity.unit))
+        return max(sizes)
+
+
+def _without_outliers(problem: Problem) -> Observations:
+    """Measurements, without weight where the nominal robot fits them far worse."""
+    data, zero = problem.data, np.zeros(len(problem.parameters))
+    for _ in range(ROUNDS):
+        there = located(replace(problem, data=data))
+        sigma = there.layout.table(there.given_sigma, len(data))
+        table = np.nan_to_num(error_table(there, zero) / sigma, posinf=1e9)
+        size = np.sqrt(np.sum(table**2, axis=1))
+        out = size > FAR * max(float(np.median(size)), 1.0)
+        if not 0.0 < out.mean() <= SOME:
+            break
+        if np.array_equal(out, data.weight == 0.0):
+            break
+        data = data.weighted(np.where(out, 0.0, 1.0))
+    return data
 
 
 def some_of(data: Observations) -> tuple[Observations, Indices]:

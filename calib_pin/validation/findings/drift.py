@@ -58,7 +58,7 @@ PARTS = (
 
 def drift(case: Case) -> Iterator[Finding]:
     """A drift of the instrument or of the joints, whichever explains more."""
-    if not case.fit.rms > EXACT:
+    if not (case.informed and case.fit.rms > EXACT):
         return
     found = []
     for k, (tell, columns) in enumerate(_drifts(case)):

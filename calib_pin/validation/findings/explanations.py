@@ -138,7 +138,7 @@ class _Search:
         """Faults with which the nominal robot fits far better."""
         size, first = self._nominal, self.first
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
-        every = [*beam]
+        every = list(beam)
         for k in range(MOST):
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
@@ -173,7 +173,7 @@ class _Search:
         asked where what the nominal one leaves is too much.
         """
         least, _ = every[0]
-        close = [self._needed(*pair) for pair in every if pair[0] < CLOSE * least]
+        close = [self._needed(*pair) for pair in every if pair[0] <= CLOSE * least]
         left, faults = close[0]
         told = not any(fault.gross for _, kept in close for fault in kept)
         if told and len(close) > 1:

@@ -17,7 +17,7 @@ from calib_pin.estimation.directions import column_space
 from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import DOUBTFUL, Case
 from calib_pin.validation.findings.explanations import DECISIVE, Explanation
 from calib_pin.validation.findings.hypotheses import read_so
 from calib_pin.validation.findings.joint_columns import offset_by
@@ -69,7 +69,7 @@ def joint_offset(case: Case) -> Explanation | None:
         len(first.linear[0]) * float(np.log(before / after)),
         len(data.joints),
         fitted=False,
-        harmless=not case.doubtful,
+        harmless=case.fitted is not None and case.errors_left <= DOUBTFUL,
     )
 
 

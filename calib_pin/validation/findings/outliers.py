@@ -25,9 +25,12 @@ from calib_pin.validation.tip_drift import tip_drift
 
 
 def outliers(case: Case) -> Iterator[Finding]:
-    """Measurements that are set aside, exchanged ones apart; none without a fit."""
+    """Measurements that are set aside; of a whole fit exchanged ones apart."""
     fitted = case.fitted
-    if fitted is None or fitted.robust.squared is None:
+    if fitted is None:
+        yield from _far(case.fit.problem.data)
+        return
+    if fitted.robust.squared is None:
         return
     out = [o for o in fitted.robust.outliers if o.weight == 0.0]
     if not out:
@@ -67,6 +70,22 @@ def outliers(case: Case) -> Iterator[Finding]:
         *without(data, rows, "measure them again, or leave them out"),
         figure="residuals-over-order",
     )
+
+
+def _far(data: Observations) -> Iterator[Finding]:
+    """Measurements that the nominal robot fits far worse than the others."""
+    rows = data.in_order[data.weight[data.in_order] == 0.0].tolist()
+    if rows:
+        yield Finding(
+            "outliers",
+            "warning",
+            f"{named(data, rows)}: {len(rows)} of {len(data)} measurements that were "
+            f"looked at {'does' if len(rows) == 1 else 'do'} not fit the nominal robot "
+            "as the others do",
+            {"outliers": float(len(rows)), "first": place_of(data, rows[0])},
+            *without(data, rows, "measure them again, or leave them out"),
+            figure="residuals-over-order",
+        )
 
 
 def displaced(fitted: Fit, squared: Fit) -> float:

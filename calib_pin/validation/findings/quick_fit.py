@@ -27,8 +27,14 @@ SIZE = 10.0
 STEPS = 2
 """Steps of a quick fit."""
 
+SETTLED = 0.99
+"""Part of the errors that a further step must leave at most."""
+
 ROUGH = 1e-3
 """Part of the cost that a step must promise where frames are fitted in a trial."""
+
+LOCATING = 10
+"""Most steps in which frames are fitted in a trial: of a robot six are enough."""
 
 STEP = 1e-7
 """Step of differences by joint positions [rad, m]: the motion that a fit can absorb is
@@ -46,7 +52,7 @@ def located(problem: Problem) -> Problem:
     if any(part.measurement.declaration.external for part in parts):
         return problem
     basis = nuisance_basis(problem.parameters)
-    return problem.rebased(refine(problem, zero, basis, ROUGH).x)[0]
+    return problem.rebased(refine(problem, zero, basis, ROUGH, LOCATING).x)[0]
 
 
 @dataclass(frozen=True)
@@ -81,11 +87,12 @@ class QuickFit:
     whole: bool = field(default=False, kw_only=True)
 
     @classmethod
-    def of(cls, problem: Problem, **more: Any) -> Self:
+    def of(cls, problem: Problem, steps: int = STEPS, **more: Any) -> Self:
         """Register the nominal robot, and fit its errors where that says something.
 
         Args:
             problem: The problem.
+            steps: Most steps, of which each must leave less.
             **more: Further attributes.
 
         Raises:
@@ -93,13 +100,15 @@ class QuickFit:
         """
         trial = cls(located(problem), np.zeros(len(problem.parameters)), **more)
         free, scales = problem.parameters.free, problem.parameters.scales
-        for _ in range(STEPS if trial.redundant else 0):
+        for step in range(steps if trial.redundant else 0):
             A, b = trial.system
             theta = trial.theta.copy()
             theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
             stepped = replace(trial, theta=theta)
             if not np.isfinite(stepped.linear[0]).all():
                 break  # A point came to lie behind the camera, say.
+            if step >= STEPS and not stepped.rms < SETTLED * trial.rms:
+                break
             trial = stepped
         return trial
 

@@ -163,6 +163,17 @@ def _ruler(
 
 MOVES = {"0.5 mm": 5e-4, "5 mm": 5e-3, "3 m": 3.0}
 
+
+def _by_size(job: Job, size: float) -> float:
+    """The cost of what moves by so much [m]."""
+    return size / NOISE
+
+
+def _of_the_trust(job: Job, size: float) -> float:
+    """The cost of what a validation that shows nothing hides."""
+    return np.inf
+
+
 DEFECTS = (
     Defect("moved", MOVES, ("position", "pose"), ("instrument-moved",), _moved),
     Defect(
@@ -171,7 +182,7 @@ DEFECTS = (
         ("position", "pose"),
         ("moved-instrument",),
         _other_station,
-        cost=lambda job, size: size / NOISE,
+        cost=_by_size,
     ),
     Defect(
         "remounted",
@@ -229,7 +240,7 @@ DEFECTS = (
         (*FREE, "plane-distance", "camera"),
         ("copied-measurements",),
         _copied,
-        cost=lambda job, count: np.inf,
+        cost=_of_the_trust,
     ),
     Defect(
         "copy-as-validation",
@@ -238,7 +249,7 @@ DEFECTS = (
         ("repeated-validation",),
         _validated_by_itself,
         also=("copied-measurements",),
-        cost=lambda job, count: np.inf,
+        cost=_of_the_trust,
     ),
     Defect(
         "repeats-only",
@@ -253,7 +264,7 @@ DEFECTS = (
         FREE,
         ("noise",),
         _stated,
-        cost=lambda job, factor: np.inf,
+        cost=_of_the_trust,
     ),
     Defect(
         "ruler",

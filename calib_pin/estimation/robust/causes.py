@@ -28,7 +28,8 @@ class CauseOptions:
         chance: Probability that so long a stretch comes about by chance.
         pairs: Rows among which exchanged pairs are sought; with more, that is not
             the trouble.
-        fits: Part of its own size that the residual of an exchanged value may have.
+        fits: Part of its own size that the residual of an exchanged value may have;
+            less where so many pairs of so few values fit as well by chance.
     """
 
     largest_share: float = 0.7
@@ -187,7 +188,9 @@ def _exchanged(
             with np.errstate(invalid="ignore", over="ignore"):
                 r = block.part.measurement.residual(T, instrument, there)
                 size = np.linalg.norm(r / block.table(sigma)[a], axis=1)
-            fits.append(size < OPTIONS.fits * own[block.rows][a])
+            # The parts of wrong values are anywhere in a ball of two pairs of values.
+            by_chance = (OPTIONS.chance / max(len(i), 1)) ** (0.5 / r.shape[1])
+            fits.append(size < min(OPTIONS.fits, by_chance) * own[block.rows][a])
         for k in np.flatnonzero(fits[0] & fits[1]).tolist():
             a, b = int(i[k]) + block.rows.start, int(j[k]) + block.rows.start
             yield [a], exchanged_with(data, b)

@@ -41,6 +41,7 @@ from calib_pin.validation.findings.outliers import outliers
 from calib_pin.validation.findings.plausibility import plausibility
 from calib_pin.validation.findings.repetitions import repetitions
 from calib_pin.validation.findings.robot import robots
+from calib_pin.validation.findings.targets import targets
 from calib_pin.validation.findings.units import units, units_of_some
 from calib_pin.validation.findings.unmoved_joints import unmoved_joints
 
@@ -57,6 +58,7 @@ EXPLANATIONS: tuple[Family, ...] = (
     axes,
     units,
     robots,
+    targets,
 )
 """Explanations of errors that no robot explains."""
 

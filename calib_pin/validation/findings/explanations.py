@@ -179,6 +179,7 @@ class _Search:
         if told and len(close) > 1:
             left, faults = min(close, key=lambda pair: _rounded(self._fitted(pair[1])))
         found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
+        told = told and not any(fault.chains for fault in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
 
     def _needed(
@@ -217,11 +218,11 @@ class _Search:
 
     def fitted(self) -> Explanation | None:
         """The fault with which a robot with errors fits far better."""
-        # A robot that is fitted shrinks with its measurements, say.
+        # A robot that is fitted shrinks with its measurements, or turns into another.
         trials = [
             (self._fitted((fault,)), k)
             for k, fault in enumerate(self.known)
-            if not fault.gross
+            if not (fault.gross or fault.chains)
         ]
         _, k = min(trials, default=(np.inf, len(self.known)))
         return self._of_fits(self.known[k : k + 1], FITTED)

@@ -149,9 +149,15 @@ def told(*words: str) -> Callable[[Finding], bool]:
     return right
 
 
-def line(measurement: int) -> int:
-    """Line of a measurement in its file, by its number from 0; a header precedes."""
-    return measurement + 2
+def line(measurement: int, rows: Measurements | None = None) -> int:
+    """Line of a measurement in its file, by its number from 0; a header precedes.
+
+    And where each target is measured from, if measurements are relative.
+    """
+    begun = 0
+    if rows is not None and rows.start.size:
+        begun = len(set(rows.target[: measurement + 1]))
+    return measurement + 2 + begun
 
 
 def text_of(rows: Measurements | Observations) -> str:

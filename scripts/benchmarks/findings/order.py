@@ -75,7 +75,9 @@ def _single(
     """Some measurements are wrong by so much."""
     index = np.sort(rng.permutation(len(rows))[:count])
     spoiled = spoil(rows, index, np.full(count, size), rng)
-    return given(job, spoiled, told(*(str(line(k)) for k in index.tolist())))
+    if rows.model == "relative-distance":
+        spoiled = replace(spoiled, values=np.abs(spoiled.values))
+    return given(job, spoiled, told(*(str(line(k, rows)) for k in index.tolist())))
 
 
 def _target(
@@ -86,7 +88,14 @@ def _target(
     name = names[int(rng.integers(len(names)))]
     index = np.flatnonzero(rows.target.where(name))
     spoiled = spoil(rows, index, np.full(len(index), size), rng)
-    return given(job, spoiled, told(name))
+    named, lines = told(name), {str(line(k, rows)) for k in index.tolist()}
+
+    def right(finding: Finding) -> bool:
+        """Whether it names the target, or nothing but measurements of it."""
+        out = finding.setup.get("reading", {}).get("without", ())
+        return named(finding) or (len(out) > 0 and {*map(str, out)} <= lines)
+
+    return given(job, spoiled, right)
 
 
 def _exchanged(
@@ -96,8 +105,14 @@ def _exchanged(
     index = rng.permutation(len(rows))[: 2 * pairs].reshape(-1, 2).tolist()
     for first, second in index:
         rows = exchanged(rows, first, second)
-    words = [str(line(k)) for pair in index for k in pair]
-    return given(job, rows, told(*words))
+    lines = [{line(k, rows) for k in pair} for pair in index]
+
+    def right(finding: Finding) -> bool:
+        """Whether all that is said to be exchanged is; of a line there may be more."""
+        found = finding.setup.get("reading", {}).get("exchanged", ())
+        return all({int(place) for place in pair} in lines for pair in found)
+
+    return given(job, rows, right)
 
 
 def _copied(
@@ -223,7 +238,7 @@ DEFECTS = (
         "target",
         {"2 mm": 2e-3, "2 cm": 0.02, "1 m": 1.0},
         ("camera", "point-distance", "plane-distance"),
-        ("outliers",),
+        ("target", "outliers", "refused"),
         _target,
     ),
     Defect(

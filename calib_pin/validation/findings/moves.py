@@ -51,6 +51,7 @@ class MoveOptions:
         settled: Errors that small ones leave at most, by those of the fit without what
             it has set aside.
         configurations: Least number of configurations on each side.
+        aside: Part of the measurements that may be outliers.
         measurements: Measurements that are looked at; the line is found among all.
         moves: Most moves that are sought.
         tried: Most frames that are tried for each of them.
@@ -68,6 +69,7 @@ class MoveOptions:
     chance: float = 1e-6
     settled: float = 1.5
     configurations: int = 6
+    aside: float = 0.25
     measurements: int = 300
     moves: int = 10
     tried: int = 3
@@ -271,10 +273,18 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
 
 
 def _few_aside(case: Case) -> bool:
-    """Whether a fit has set aside some measurements, but fewer than a move concerns."""
+    """Whether a fit has set aside some measurements that are no stretch of the files.
+
+    Fewer than a move concerns, or a small part that stands scattered.
+    """
     data = case.fit.problem.data
-    aside = np.unique(data.groups()[data.weight == 0.0])
-    return 0 < len(aside) < OPTIONS.configurations
+    out = data.weight == 0.0
+    if not out.any():
+        return False
+    few = len(np.unique(data.groups()[out])) < OPTIONS.configurations
+    places = np.flatnonzero(out[np.argsort(case.rank)])
+    scattered = np.ptp(places) > 2 * len(places)
+    return few or bool(scattered and out.mean() <= OPTIONS.aside)
 
 
 def _suspicious(trial: Trial, nominal: Floats) -> bool:

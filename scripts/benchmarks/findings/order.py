@@ -272,6 +272,7 @@ DEFECTS = (
         ("position", "pose"),
         ("few-configurations",),
         _repeated,
+        ("joints-move-together",),
     ),
     Defect(
         "sigma",

@@ -19,7 +19,7 @@ from calib_pin.report.tables import (
     ladder_table,
     sizes,
 )
-from calib_pin.report.trust import advised, findings
+from calib_pin.report.trust import advised, below, findings
 from calib_pin.validation.result import CalibrationResult, Evaluation
 
 TITLES = {"network": "network", "gaussian-process": "Gaussian process"}
@@ -61,7 +61,7 @@ def verdict(result: CalibrationResult) -> Line:
     for finding in result.findings:
         if advised(finding) not in reason:
             reason = reason.replace(finding.message, advised(finding))
-    return judged(reason, result.verdict)
+    return judged(below(reason, result.findings), result.verdict)
 
 
 def judged(reason: str, status: str = "untrusted") -> Line:
@@ -218,7 +218,7 @@ def beyond(result: CalibrationResult) -> Iterator[Block]:
 def evaluated(evaluation: Evaluation) -> Iterator[Block]:
     """Accuracy on measurements that were not fitted."""
     if evaluation.verdict != "good":
-        yield judged(evaluation.reason)
+        yield judged(below(evaluation.reason, evaluation.findings))
     yield from findings(evaluation.findings, evaluation.reason)
     counts = evaluation.counts or (evaluation.rows,) * len(evaluation.errors)
     rows = [

@@ -27,6 +27,7 @@ from calib_pin.report.blocks import (
 from calib_pin.report.tables import number, outlier_cells, significant
 from calib_pin.units import DISPLAY
 from calib_pin.validation.assessment import chi2_interval
+from calib_pin.validation.findings.setup_lines import written
 from calib_pin.validation.result import CalibrationResult
 
 LISTED = 5
@@ -51,11 +52,22 @@ def findings(found: Iterable[Finding], reason: str, of: str = "") -> Iterator[Bl
         for finding in together:
             if finding.message not in reason:
                 name = f"{finding.severity.capitalize()}{of and f', {of}'}"
-                yield Line(f"{name}: {advised(finding)}.", TONES[finding.severity])
+                said = below(advised(finding), together)
+                yield Line(f"{name}: {said}.", TONES[finding.severity])
         if setup:
             yield Code("Lines for the setup file", yaml_text(setup))
         for figure in dict.fromkeys(filter(None, (f.figure for f in together))):
             yield Line(f"Shown by the figure '{figure}'.", "note", figure=figure)
+
+
+def below(text: str, found: Iterable[Finding]) -> str:
+    """A text without the lines of findings, which stand below it."""
+    for finding in found:
+        if finding.setup:
+            lines = f"in the setup file: {written(finding.setup)}"
+            text = text.replace(f"state {lines}", "state the lines below")
+            text = text.replace(f"({lines})", "(the lines below)")
+    return text
 
 
 def advised(finding: Finding) -> str:

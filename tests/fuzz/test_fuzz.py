@@ -36,7 +36,7 @@ def test_damaged_files() -> None:
 
 @pytest.mark.slow
 def test_many_damaged_files() -> None:
-    fuzz("--cases", "1000", "--seed", "1900", "--no-reduction")
+    fuzz("--cases", "5000", "--seed", "1900", "--no-reduction")
 
 
 # --- the fuzzer itself -------------------------------------------------------------

@@ -117,7 +117,7 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
 def explained(
     chains: Chains, data: Observations, setup: Setup, others: Others = tuple
 ) -> Iterator[None]:
-    """What explains measurements that no robot fits precedes why they are refused.
+    """Let an explanation of measurements precede why no robot can be fitted to them.
 
     Args:
         chains: The nominal chains.
@@ -141,7 +141,8 @@ def explained(
             raise
         first = next(finding(case, found))
         said = f"{first.message}; {first.remedy}; otherwise {error.reason}"
-        raise InputError(said, file=error.file) from error
+        file = error.file or next(iter(data.files.distinct), None) or None
+        raise InputError(said, file=file) from error
 
 
 def _sought(case: Case) -> tuple[Finding, ...]:

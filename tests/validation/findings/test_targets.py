@@ -1,0 +1,62 @@
+"""A target that contradicts all others is found by leaving it out."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+
+import numpy as np
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.kinematics.chains import Chains
+from calib_pin.observations import Observations
+from calib_pin.setup import PointSetup, Setup
+from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.explanations import explain
+from calib_pin.validation.findings.targets import targets
+
+ARM = calib_pin.load_chain("space6")
+NAMES = ("a", "b", "c")
+
+
+def measured(wrong: float) -> Observations:
+    """Three points of the tool, the last of which is off in a new way each time."""
+    points = {n: PointSetup((0.1 * k, 0.05, 0.2)) for k, n in enumerate(NAMES)}
+    setup = Setup(targets=points)
+    problem = nominal_problem(ARM, "position", setup)
+    rng = np.random.default_rng(4)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(
+        problem, theta, rng, count=90, noise=1e-4, target=NAMES * 30
+    ).only
+    values = rows.values.copy()
+    values[2::3] += wrong * rng.normal(size=(30, 3))
+    return Observations.of(
+        replace(rows, values=values, lines=np.arange(2, 92), files=("m.csv",) * 90)
+    )
+
+
+def case_of(data: Observations) -> Case:
+    return Case.of_robot(Chains.of(ARM), data, Setup())
+
+
+def test_it_is_left_out() -> None:
+    case = case_of(measured(0.05))
+    found = explain(case, (targets,))
+    assert found is not None
+    (fault,) = found.faults
+    assert fault.words == "the measurements of target 'c' contradict all others"
+    assert fault.reading.without == tuple(str(line) for line in range(4, 92, 3))
+    assert found.after < 0.5 * found.before
+
+
+def test_true_targets_stay() -> None:
+    case = case_of(measured(0.0))
+    assert len(list(targets(case))) == 3
+    assert explain(case, (targets,)) is None
+
+
+def test_one_target_contradicts_nothing() -> None:
+    rows = measured(0.0).only
+    alone = Observations.of(rows.rows(np.arange(0, 90, 3)))
+    assert list(targets(case_of(alone))) == []

@@ -282,9 +282,12 @@ def nodes(rng: random.Random, text: str) -> str:
     except (ValueError, yaml.YAMLError, RecursionError):
         return numbers(rng, text)
     places: list[tuple[Any, Any]] = []
-    todo = [data]
+    todo, seen = [data], set()
     while todo:
         place = todo.pop()
+        if id(place) in seen:  # What YAML names may contain itself.
+            continue
+        seen.add(id(place))
         keys = list(place) if isinstance(place, dict) else []
         keys = list(range(len(place))) if isinstance(place, list) else keys
         # Of a long list the first entries stand for all.

@@ -38,8 +38,7 @@ RECORDED = {
     "calibrate --solver de, pose": 0.039,
     "calibrate --solver de, plane distance": 0.021,
     "calibrate --solver de, known distance": 0.024,
-    # Its fit leaves errors, for which explanations are sought.
-    "calibrate --solver de, transmission": 0.44,
+    "calibrate --solver de, transmission": 0.075,
     "calibrate": 0.16,
     "calibrate --solver two-step": 0.42,
     "calibrate, five folds": 1.8,
@@ -49,7 +48,7 @@ RECORDED = {
     "Jacobian": 0.027,
     "identify": 7.6,
     # With the faults of the data, which are sought beside the accuracy.
-    "evaluate": 29.0,
+    "evaluate": 17,
     "simulate": 8.9,
     "plan": 1.1,
     "compensate": 27,

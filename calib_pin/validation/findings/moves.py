@@ -239,7 +239,7 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
         case: The case; what its fit has set aside is looked at as well.
     """
     problem = case.fit.problem
-    if problem.parameters.free.sum() > OPTIONS.unknowns:
+    if problem.parameters.free.sum() > OPTIONS.unknowns or case.fit.rms < EXACT:
         return None
     job = Job.of(case.data).sample(OPTIONS.measurements)
     plain = replace(problem, data=job.data, units=np.zeros(0))
@@ -294,8 +294,6 @@ def _suspicious(trial: Trial, nominal: Floats) -> bool:
         trial: The measurements with the solution of a fit.
         nominal: Parameter values of the registered nominal robot, shape (P,).
     """
-    if trial.rms < EXACT:
-        return False
     if any(left < OPTIONS.looked_at**2 for left, _ in trial.candidates()):
         return True
     errors = error_table(trial.problem, nominal)

@@ -156,9 +156,11 @@ def _positions(
     parts = {c: table.numbers(c, kind) for c, kind in source.kinds.items()}
     position = parts[source.column]
     if source.map is not None:
-        for name, factor in source.map.coupled.items():
-            position = position + factor * parts[name]
-        position = source.map.sign * source.map.gear * position + source.map.offset
+        # What overflows is told with its line.
+        with np.errstate(over="ignore", invalid="ignore"):
+            for name, factor in source.map.coupled.items():
+                position = position + factor * parts[name]
+            position = source.map.sign * source.map.gear * position + source.map.offset
     _check_unit(table, source, position, limits)
     return position
 

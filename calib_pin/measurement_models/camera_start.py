@@ -19,6 +19,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 
@@ -109,7 +110,8 @@ class Rays:
             rows = [rows[k] for k in np.linspace(0, len(rows) - 1, IMAGES).astype(int)]
         chain, poses = [], []
         for k in rows:
-            pose = pose_of_points(self.points[self.index[k]], self.rays[k])
+            points = self.points[self.index[k]]
+            pose = _pose_of_image(points.tobytes(), self.rays[k].tobytes())
             if pose is not None:
                 chain.append(self.F[k[0]])
                 poses.append(pose)
@@ -153,6 +155,14 @@ class Rays:
         error = np.linalg.norm(X[:, :2] / depth[:, None] - self.rays, axis=1)
         # Unlike a mean this does not ask what a wrong row says.
         return float(np.median(np.where(front, error, np.inf)))
+
+
+@lru_cache(maxsize=1024)
+def _pose_of_image(points: bytes, rays: bytes) -> Floats | None:
+    """`pose_of_points` of an image; readings of one file are tried by the hundred."""
+    return pose_of_points(
+        np.frombuffer(points).reshape(-1, 3), np.frombuffer(rays).reshape(-1, 2)
+    )
 
 
 @serial_blas

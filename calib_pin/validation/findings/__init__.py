@@ -133,6 +133,8 @@ def explained(
     except OptionError:
         raise
     except InputError as error:
+        if not len(data):
+            raise
         case = _tried(lambda given: Case.of_none(*given), (chains, data, setup, others))
         if case is None:
             raise

@@ -138,7 +138,7 @@ class _Search:
         """Faults with which the nominal robot fits far better."""
         size, first = self._nominal, self.first
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
-        every = list(beam)
+        every, last = list(beam), first
         for k in range(MOST):
             if self.case.progress is not None:
                 self.case.progress(k / MOST)
@@ -157,11 +157,10 @@ class _Search:
             every += beam
             every.sort(key=lambda pair: _rounded(pair[0]))
             left, faults = every[0]
-            if np.isfinite(first) and (
-                left < EXPLAINED * first
-                or self._ratio(faults, first, left) < self._chance
-            ):
+            explained = np.isfinite(first) and left < EXPLAINED * first
+            if explained or self._ratio(faults, last, left) < self._chance:
                 break
+            last = left
         return self._best(every)
 
     def _best(
@@ -263,6 +262,8 @@ class _Search:
         self, faults: Sequence[Hypothesis], before: float, after: float
     ) -> float:
         """Logarithm of the likelihood ratio of faults; they may leave out lines."""
+        if not after < before:
+            return 0.0
         problem = self._problem(faults, self.plain)
         return _redundancy(problem) * float(np.log(before / max(after, 1e-12)))
 

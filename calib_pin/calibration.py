@@ -26,7 +26,7 @@ from calib_pin.setup import ReadingSetup, Setup
 from calib_pin.validation.assessment import estimates, fitted_ranks, leverages
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
-from calib_pin.validation.findings.case import Others
+from calib_pin.validation.findings.case import NONE, Others
 from calib_pin.validation.held_out import HeldOut, check
 from calib_pin.validation.judgement import Judgement, judge
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -56,7 +56,7 @@ def calibrate(
     ladder: bool = False,
     seed: int = 0,
     progress: Stages | None = None,
-    others: Others = tuple,
+    others: Others = NONE,
 ) -> CalibrationResult:
     """Calibrate a robot.
 
@@ -74,8 +74,7 @@ def calibrate(
             `model_selection.select_model`.
         seed: Seed of random configurations, searches and splits.
         progress: Told the stage and the part that is done, 0 to 1.
-        others: Other robots and links, asked where no error explains the measurements;
-            see `io.others`.
+        others: Other readings of the files of the measurements.
 
     Returns:
         The result. Look at `verdict` before using it.

@@ -13,7 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_chains,
+    other_readings,
     require_distinct,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
@@ -190,7 +190,7 @@ def calibrate(
             ladder=model_ladder,
             seed=seed,
             progress=bar,
-            others=other_chains(
+            others=other_readings(
                 measurements, chains, stated, station_per_file=station_per_file
             ),
         )

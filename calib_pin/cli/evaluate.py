@@ -13,7 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_chains,
+    other_readings,
     require_distinct,
     require_file,
 )
@@ -83,7 +83,7 @@ def evaluate(
         if not robot.endswith(".json"):
             subject = measured
         stage(bar, "evaluate")
-        others = other_chains(
+        others = other_readings(
             measurements, chains, stated, chain=chain, station_per_file=station_per_file
         )
         evaluation = run(subject, rows, stated, registration=register, others=others)

@@ -2,7 +2,8 @@
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -18,7 +19,7 @@ from calib_pin.errors import (
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
     from calib_pin.observations import BlockKey, Observations
-    from calib_pin.setup import Setup
+    from calib_pin.setup import JointMap, Setup
     from calib_pin.validation.calibrated_model import CalibratedModel
     from calib_pin.validation.findings.case import Others
 
@@ -249,7 +250,7 @@ def open_measurements(
     return chains.named(names), rows
 
 
-def other_chains(
+def other_readings(
     files: Sequence[Path],
     chains: Chains,
     setup: Setup,
@@ -257,7 +258,7 @@ def other_chains(
     chain: str | None = None,
     station_per_file: bool = False,
 ) -> Others:
-    """Other robots and links that the files may be of, read only if they are asked for.
+    """Other readings of the files, which are read so only if that is asked for.
 
     Args:
         files: The measurement files.
@@ -266,19 +267,26 @@ def other_chains(
         chain: As for `open_measurements`.
         station_per_file: As for `open_measurements`.
     """
-    from calib_pin.io.others import others
+    from calib_pin.io.joint_sets import joint_sets
+    from calib_pin.io.other_chains import other_chains
+    from calib_pin.validation.findings.case import Others
 
-    def read(other: Chains) -> Observations:
+    def read(other: Chains, joints: Mapping[str, JointMap]) -> Observations:
         return open_measurements(
             files,
             other,
-            setup,
+            replace(setup, joints=joints),
             chain=chain,
             station_per_file=station_per_file,
             quiet=True,
         )[1]
 
-    return lambda: others(files, chains, setup, read)
+    return Others(
+        lambda: other_chains(
+            files, chains, setup, lambda other: read(other, setup.joints)
+        ),
+        lambda: joint_sets(files, chains, setup, lambda joints: read(chains, joints)),
+    )
 
 
 def require_folders(folders: Sequence[Path]) -> None:

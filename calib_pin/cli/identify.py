@@ -13,7 +13,7 @@ from calib_pin.cli.files import (
     open_chains,
     open_measurements,
     open_setup,
-    other_chains,
+    other_readings,
     require_distinct,
     stated_blocks,
     tell_limits,
@@ -82,7 +82,7 @@ def identify(
                 validate=False,
                 seed=seed,
                 progress=bar,
-                others=other_chains(
+                others=other_readings(
                     measurements, chains, stated, station_per_file=station_per_file
                 ),
             )

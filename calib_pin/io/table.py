@@ -11,6 +11,7 @@ import re
 from array import array
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, replace
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -238,12 +239,15 @@ class Table:
         return kind.units[unit]
 
 
-def read_table(path: str | Path, progress: Progress | None = None) -> Table:
+def read_table(
+    path: str | Path, progress: Progress | None = None, *, head: bool = False
+) -> Table:
     """Read a CSV file with a header; comments and blank lines are skipped.
 
     Args:
         path: UTF-8 file, with or without byte order mark, any line ends.
         progress: Told the part of the lines that is read, 0 to 1.
+        head: Whether the first lines are enough, some hundreds.
 
     Raises:
         InputError: If the file is not comma-separated text with a header and rows of
@@ -263,7 +267,7 @@ def read_table(path: str | Path, progress: Progress | None = None) -> Table:
             line=header_line,
         )
     lines, columns = array("q"), [GrowingColumn() for _ in header]
-    for stretch in stretches:
+    for stretch in islice(stretches, 1) if head else stretches:
         lines.extend(stretch.numbers)
         for column, cells in zip(columns, stretch.columns(header), strict=True):
             column.extend(cells)

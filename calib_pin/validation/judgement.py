@@ -23,7 +23,7 @@ from calib_pin.observations import Observations
 from calib_pin.progress import Progress
 from calib_pin.validation.accuracy import Accuracy, QuantityErrors
 from calib_pin.validation.findings import find
-from calib_pin.validation.findings.case import Case, Others
+from calib_pin.validation.findings.case import NONE, Case, Others
 from calib_pin.validation.held_out import HeldOut
 from calib_pin.validation.model_errors import ModelErrors
 from calib_pin.validation.summaries import ToolAccuracy
@@ -56,7 +56,7 @@ def judge(
     held_out: HeldOut,
     seed: int,
     progress: Progress | None = None,
-    others: Others = tuple,
+    others: Others = NONE,
     causes: Sequence[Finding] | None = None,
 ) -> Judgement:
     """Judge a fitted model.
@@ -68,7 +68,7 @@ def judge(
         held_out: Its check on held-out measurements.
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
-        others: Other robots and links, of which only files know.
+        others: Other readings of the files.
         causes: Faults of the measurements that were found with another model.
     """
     fitted, data = model.fit, model.fit.problem.data
@@ -80,9 +80,6 @@ def judge(
         ModelErrors.joined(parts) if parts else None,
     )
     validation = held_out.measurements if held_out.apart else None
-    case = Case.of(fitted, chains, validation, progress, others)
-    found = find(case, causes)
-    findings = (*found.causes, *held_out.findings, *found.others)
     counting = data.weight > 0.0
     accuracies = dict.fromkeys(model.problem.by_chain, ToolAccuracy())
     if fitted.noise:
@@ -91,6 +88,9 @@ def judge(
             name: _expected(model, part, kept, np.random.default_rng(seed))
             for name, part in model.problem.by_chain.items()
         }
+    case = Case.of(fitted, chains, validation, progress, others, accuracies)
+    found = find(case, causes)
+    findings = (*found.causes, *held_out.findings, *found.others)
     groups = data.groups()
     aside = 1.0 - len(np.unique(groups[counting])) / max(groups.max() + 1, 1)
     status, reason = verdict(

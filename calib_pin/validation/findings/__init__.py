@@ -24,7 +24,7 @@ from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.case import DOUBTFUL, Case, Others
+from calib_pin.validation.findings.case import DOUBTFUL, NONE, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
@@ -32,6 +32,7 @@ from calib_pin.validation.findings.explanations import Family, explain, finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.joint_offsets import joint_offset
+from calib_pin.validation.findings.joint_sets import joint_sets
 from calib_pin.validation.findings.joint_turns import joint_turns
 from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.moved_frames import move_findings
@@ -115,7 +116,7 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
 
 @contextmanager
 def explained(
-    chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+    chains: Chains, data: Observations, setup: Setup, others: Others = NONE
 ) -> Iterator[None]:
     """Let an explanation of measurements precede why no robot can be fitted to them.
 
@@ -123,7 +124,7 @@ def explained(
         chains: The nominal chains.
         data: The measurements.
         setup: The setup.
-        others: Other robots and links, of which only files know.
+        others: Other readings of the files.
 
     Raises:
         InputError: If one is raised within.
@@ -149,6 +150,10 @@ def explained(
 
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
+    sets = _told(joint_sets, case)
+    if any(found.setup for found in sets):
+        # What one column lags behind another is no lag of its joint.
+        return tuple(found for found in sets if found.setup)[:1]
     sure = _tried(joint_motion, case) or _tried(joint_offset, case)
     if sure is not None:
         # A nominal robot that is read wrong makes plateaus of its own.
@@ -163,7 +168,7 @@ def _sought(case: Case) -> tuple[Finding, ...]:
             or explanation.after < explanation.before * _left(causes, part=True)
         ):
             return tuple(finding(case, explanation))
-    return causes or in_time
+    return causes or (*in_time, *sets)
 
 
 def _tried(look: Callable[[_Given], _Fault | None], case: _Given) -> _Fault | None:

@@ -19,6 +19,7 @@ from calib_pin.parameterizations.base import expected_size
 from calib_pin.progress import Progress
 from calib_pin.setup import Setup
 from calib_pin.validation.findings.quick_fit import QuickFit, located
+from calib_pin.validation.summaries import ToolAccuracy
 
 MEASUREMENTS = 300
 """Measurements that are looked at; more do not make it clearer."""
@@ -74,8 +75,38 @@ class Other:
 LINKS = {"base": "base-link", "tip": "tip-link"}
 """Codes of findings that say which link is measured, by the end of the chain."""
 
-Others = Callable[[], Iterable[Other]]
-"""Other chains worth a trial; asked only where no robot explains the errors."""
+
+@dataclass(frozen=True)
+class JointSet:
+    """Other columns of the files that hold positions of the joints as well.
+
+    Attributes:
+        columns: Their names, of some joints.
+        data: The measurements as they are read with these.
+        stated: Lines of a setup file that state them.
+    """
+
+    columns: tuple[str, ...]
+    data: Observations
+    stated: Mapping[str, Any]
+
+
+@dataclass(frozen=True)
+class Others:
+    """Other readings of the files, of which only these know.
+
+    Attributes:
+        chains: Other chains worth a trial, asked only where no robot explains the
+            errors.
+        joint_sets: Other columns of the joints, asked in every fit.
+    """
+
+    chains: Callable[[], Iterable[Other]] = tuple
+    joint_sets: Callable[[], Iterable[JointSet]] = tuple
+
+
+NONE = Others()
+"""Nothing else: there are no files."""
 
 
 @dataclass(frozen=True)
@@ -91,7 +122,8 @@ class Case:
         fitted: The whole fit; None where measurements are only compared with a robot.
         held_out: Validation measurements; None without.
         progress: Told how far the search for explanations is.
-        others: Other robots and links, of which only files know.
+        others: Other readings of the files.
+        accuracies: Accuracy to expect of each chain; empty where nothing is known.
     """
 
     chains: Chains
@@ -102,7 +134,8 @@ class Case:
     fitted: Fit | None = None
     held_out: Observations | None = None
     progress: Progress | None = None
-    others: Others = tuple
+    others: Others = NONE
+    accuracies: Mapping[str, ToolAccuracy] = field(default_factory=dict)
 
     @staticmethod
     def of(
@@ -110,7 +143,8 @@ class Case:
         chains: Chains,
         held_out: Observations | None = None,
         progress: Progress | None = None,
-        others: Others = tuple,
+        others: Others = NONE,
+        accuracies: Mapping[str, ToolAccuracy] = {},
     ) -> Case:
         """The case of a whole fit."""
         data = fitted.problem.data
@@ -126,11 +160,12 @@ class Case:
             held_out,
             progress,
             others,
+            accuracies,
         )
 
     @staticmethod
     def of_robot(
-        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+        chains: Chains, data: Observations, setup: Setup, others: Others = NONE
     ) -> Case:
         """The case of measurements that are only compared with a robot.
 
@@ -147,7 +182,7 @@ class Case:
 
     @staticmethod
     def of_none(
-        chains: Chains, data: Observations, setup: Setup, others: Others = tuple
+        chains: Chains, data: Observations, setup: Setup, others: Others = NONE
     ) -> Case:
         """The case of measurements on which no robot can be registered.
 

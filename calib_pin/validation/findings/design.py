@@ -7,12 +7,28 @@ from collections.abc import Iterator
 import numpy as np
 
 from calib_pin.estimation.evidence import Finding
+from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.unmoved_joints import MORE
 
-NARROW, SMALL = 0.1, 0.25
-"""Parts of the range of a joint below which there is a warning, and a remark."""
+NARROW, SMALL, WIDE = 0.1, 0.25, 0.5
+"""Parts of the range of a joint below which there is a warning, and a remark, and a
+warning where far more errors are expected elsewhere."""
+
+ELSEWHERE = 3.0
+"""Expected errors over the workspace, by those where it was measured, from which the
+configurations are too much alike.
+
+Random ones have 1.0 to 1.6, those of narrow ranges and paths that cost more than twice
+the noise 3.5 and more.
+"""
+
+SMOOTH = 0.05
+"""Squared steps between neighbors of a path, by those between any two configurations.
+
+Random ones have 1, four repetitions of each in a row 0.25.
+"""
 
 RANGE = 2.0 * np.pi
 """Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
@@ -44,7 +60,19 @@ def design(case: Case) -> Iterator[Finding]:
     free = np.array([joint not in chains.mimics for joint in chains.joints])
     moved = free & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
-    few = np.flatnonzero(moved & (part < SMALL))
+    elsewhere = _elsewhere(case)
+    if elsewhere and _smooth(q[case.data.in_order][:, moved]):
+        yield Finding(
+            "one-path",
+            "warning",
+            f"all configurations lie on one path, and {elsewhere}",
+            {},
+            MORE,
+            figure="residuals-by-joint",
+        )
+        elsewhere = ""
+    limit = WIDE if elsewhere else SMALL
+    few = np.flatnonzero(moved & (part < limit))
     if len(few):
         worst = few[np.argsort(part[few])]
         told = []
@@ -53,11 +81,13 @@ def design(case: Case) -> Iterator[Finding]:
             low, high = (factor * end for end in (q[:, j].min(), q[:, j].max()))
             told.append(f"{chains.joints[j]} from {low:.3g} to {high:.3g} {unit}")
         more = f" and {len(few) - NAMED} more" if len(few) > NAMED else ""
+        narrow = elsewhere or part[worst[0]] < NARROW
         yield Finding(
             "small-range",
-            "warning" if part[worst[0]] < NARROW else "info",
+            "warning" if narrow else "info",
             f"the measurements move {', '.join(told)}{more}, less than "
-            f"{100 * SMALL:.0f} % of the range; elsewhere the accuracy is uncertain",
+            f"{100 * limit:.0f} % of the range; "
+            f"{elsewhere or 'elsewhere the accuracy is uncertain'}",
             {chains.joints[j]: float(part[j]) for j in worst.tolist()},
             MORE,
             figure="residuals-by-joint",
@@ -78,3 +108,28 @@ def design(case: Case) -> Iterator[Finding]:
             MORE,
             figure="residuals-by-joint",
         )
+
+
+def _elsewhere(case: Case) -> str:
+    """Expected errors elsewhere in words, if they are far above those of the design."""
+    worst, said = ELSEWHERE, ""
+    for accuracy in case.accuracies.values():
+        if accuracy.measured is None or accuracy.workspace is None:
+            continue
+        there = accuracy.workspace.calibrated.position
+        times = there / max(accuracy.measured.calibrated.position, 1e-300)
+        if times > worst:
+            worst, (unit, factor) = times, DISPLAY["m"]
+            said = (
+                f"over the workspace errors of {factor * there:.2g} {unit} are "
+                f"expected, {times:.2g} times those where it was measured"
+            )
+    return said
+
+
+def _smooth(q: Floats) -> bool:
+    """Whether configurations follow one another closely."""
+    if not q.shape[1] or len(q) < 2:
+        return False
+    steps = np.mean(np.diff(q, axis=0) ** 2, axis=0)
+    return float(np.mean(steps / (2.0 * q.var(axis=0)))) < SMOOTH

@@ -24,7 +24,7 @@ def robots(case: Case) -> Iterator[Hypothesis]:
     touching = any(declared(model).contact for model in case.data.models)
     if case.chains.names == ("",) and not touching:
         yield from _ends(case.chains[""], case)
-    for other in case.others():
+    for other in case.others.chains():
         yield Hypothesis(
             other.code,
             other.words,

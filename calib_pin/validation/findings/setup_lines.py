@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.setup import JointMap, ReadingSetup
+from calib_pin.setup import JointMap, ReadingSetup, Section
 
 
 @dataclass(frozen=True)
@@ -110,7 +110,7 @@ def merged(readings: Iterable[ReadingSetup]) -> ReadingSetup:
     return result
 
 
-def lines_of(section: ReadingSetup) -> dict[str, Any]:
+def lines_of(section: Section) -> dict[str, Any]:
     """The keys of a section that are not at their defaults, as plain data."""
 
     def plain(value: Any) -> Any:

@@ -54,7 +54,7 @@ class Outcome:
 
 TRUE: dict[str, tuple[str, ...]] = {
     "outliers": ("outliers",),
-    "path": ("one-path", "narrow-range"),
+    "path": ("one-path", "small-range"),
     "unmodeled": ("transmission",),
 }
 """Codes of findings that are true of a kind."""

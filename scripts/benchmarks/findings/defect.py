@@ -30,6 +30,9 @@ NOISE = 1e-4
 FILE = "measured.csv"
 """Name of the only file."""
 
+MEASURED = "measured_"
+"""Beginning of the names of columns that hold the true joint positions."""
+
 PIXEL = 0.1
 """The same of an image [px]."""
 

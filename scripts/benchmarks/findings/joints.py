@@ -8,7 +8,16 @@ from functools import partial
 
 import numpy as np
 
-from benchmarks.findings.defect import Defect, Input, given, half_range, one_path, told
+from benchmarks.findings.defect import (
+    MEASURED,
+    Defect,
+    Input,
+    given,
+    half_range,
+    one_path,
+    text_of,
+    told,
+)
 from benchmarks.verdict.jobs import MODELS, Job
 from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.spatial import Floats
@@ -154,6 +163,20 @@ def _lagging(
     return given(job, replace(rows, q=q), right)
 
 
+def _commanded(
+    job: Job, rows: Measurements, rng: np.random.Generator, size: float
+) -> Input:
+    """Commanded positions in the columns of the joints, and measured ones beside."""
+    commanded = rows.q + rng.normal(0.0, size, rows.q.shape)
+    lines = text_of(replace(rows, q=commanded)).splitlines()
+    names = [f"{MEASURED}{joint}" for joint in rows.joints]
+    added = [names, *(map(repr, q) for q in rows.q.tolist())]
+    text = "".join(
+        f"{line},{','.join(more)}\n" for line, more in zip(lines, added, strict=True)
+    )
+    return given(job, text, told(*names))
+
+
 def _of(joints: str) -> tuple[int, ...]:
     return tuple(int(letter) for letter in joints)
 
@@ -239,6 +262,13 @@ DEFECTS = (
         ("position", "pose"),
         ("lines-reversed",),
         _backwards,
+    ),
+    Defect(
+        "joint-sets",
+        {"0.1 mrad": 1e-4, "1 mrad": 1e-3, "10 mrad": 1e-2},
+        ("position", "pose", "camera"),
+        ("joint-columns",),
+        _commanded,
     ),
     Defect(
         "lag",

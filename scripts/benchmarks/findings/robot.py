@@ -115,14 +115,14 @@ DEFECTS: tuple[Defect, ...] = (
         "narrow",
         {"0.2 rad": 0.2, "0.5 rad": 0.5, "1 rad": 1.0},
         FREE,
-        ("narrow-range", "small-range"),
+        ("small-range",),
         _narrow,
     ),
     Defect(
         "path",
         {"60": CONFIGURATIONS, "120": 2 * CONFIGURATIONS, "240": 4 * CONFIGURATIONS},
         FREE,
-        ("one-path", "narrow-range", "small-range"),
+        ("one-path",),
         _path,
     ),
 )

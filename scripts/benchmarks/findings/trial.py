@@ -13,11 +13,11 @@ import yaml
 
 import calib_pin
 from benchmarks.criterion import Criterion, Line, at_most, named
-from benchmarks.findings.defect import NOISE, Defect, Input, given, job_of
+from benchmarks.findings.defect import MEASURED, NOISE, Defect, Input, given, job_of
 from benchmarks.verdict.jobs import Job, stream
 from benchmarks.verdict.truth import Outcome as Judged
 from benchmarks.verdict.truth import judged
-from calib_pin.cli.files import open_chains, open_measurements, other_chains
+from calib_pin.cli.files import open_chains, open_measurements, other_readings
 from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import TRUSTED, Finding
 from calib_pin.io.setup import read_setup
@@ -98,7 +98,7 @@ def calibrated(of: Input) -> CalibrationResult:
             rows,
             of.setup,
             validation=validation,
-            others=other_chains(files, chains, of.setup),
+            others=other_readings(files, chains, of.setup),
         )
 
 
@@ -182,6 +182,7 @@ def _positions(job: Job, spoiled: Input, q: Floats) -> Floats:
     names, joints = job.chain.joints, spoiled.setup.joints
     columns = dict(zip(names, spoiled.columns(q).T, strict=True))
     result = dict(columns)
+    columns |= {f"{MEASURED}{joint}": q[:, j] for j, joint in enumerate(names)}
     for name, stated in joints.items():
         coupled = sum(part * columns[other] for other, part in stated.coupled.items())
         factor = stated.sign * stated.gear
@@ -224,7 +225,9 @@ def stated(setup: Setup, finding: Finding) -> Setup:
     if "reading" in changed:
         changed["reading"] = merged((setup.reading, lines.reading))
     if "joints" in changed:
-        changed["joints"] = {**setup.joints, **lines.joints}
+        again = {given.joint for given in lines.joints.values()}
+        left = {c: m for c, m in setup.joints.items() if m.joint not in again}
+        changed["joints"] = {**left, **lines.joints}
     return replace(setup, **changed)
 
 

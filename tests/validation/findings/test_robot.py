@@ -7,11 +7,11 @@ import pytest
 
 import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
-from calib_pin.io.others import others
+from calib_pin.io.other_chains import other_chains
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, Setup
-from calib_pin.validation.findings.case import Case
+from calib_pin.validation.findings.case import Case, Others
 from calib_pin.validation.findings.explanations import explain, finding
 from calib_pin.validation.findings.robot import robots
 
@@ -29,7 +29,7 @@ def measured(tip="tool0"):
 
 
 def told(chains, rows, setup=None, known=tuple):
-    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), known)
+    case = Case.of_robot(Chains.of(chains), rows, setup or Setup(), Others(known))
     assert case.doubtful
     found = explain(case, (robots,))
     return [] if found is None else list(finding(case, found))
@@ -51,7 +51,7 @@ def test_wrong_robot(file) -> None:
     setup, rows = Setup(base="base_link", tip="tool0"), read(file)(chains)
 
     def known():
-        return others([file], chains, setup, read(file))
+        return other_chains([file], chains, setup, read(file))
 
     (found,) = told(chains, rows, setup, known)
     assert (found.code, found.severity, found.setup) == ("robot", "error", {})
@@ -64,7 +64,7 @@ def test_wrong_link_of_which_the_file_has_the_joints(file) -> None:
     chains = calib_pin.load_chains(UR10, base="base_link", tip="wrist_2_link")
 
     def known():
-        return others([file], chains, Setup(), read(file))
+        return other_chains([file], chains, Setup(), read(file))
 
     (found,) = told(chains, read(file)(chains), known=known)
     assert found.code == "tip-link"

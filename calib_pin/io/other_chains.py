@@ -21,7 +21,7 @@ MOST = 12
 """Links that are tried, by the joints that move them."""
 
 
-def others(
+def other_chains(
     files: Sequence[str | Path],
     chains: Chains,
     setup: Setup,

@@ -75,7 +75,7 @@ class PlausibilityOptions:
     implausible: float = 25.0
     bought: float = 4.0
     contradicted: float = 2e-3
-    measurements: int = 2000
+    measurements: int = 600
 
 
 OPTIONS = PlausibilityOptions()

@@ -15,8 +15,7 @@ from calib_pin.estimation.registration import registered
 from calib_pin.estimation.solve import refine
 from calib_pin.estimation.statistics.distributions import f_tail
 from calib_pin.kinematics.spatial import Floats
-from calib_pin.measurement_models.readings import with_positions
-from calib_pin.observations import Observations
+from calib_pin.observations import Measurements, Observations
 
 REDUNDANCY = 2.0
 """Least number of values, by unknowns, to tell errors of the robot from others."""
@@ -148,9 +147,11 @@ class QuickFit:
     @cached_property
     def left(self) -> int:
         """Number of values that unknowns do not use up."""
-        (A, _), count = self.system, self.problem.values
-        rows = len(self.problem.layout.row)
-        return count - int(np.linalg.matrix_rank(A[:rows])) if rows else 0
+        (A, _), rows = self.system, len(self.problem.layout.row)
+        if not rows:
+            return 0
+        R, rounding = np.linalg.qr(A[:rows], mode="r"), rows * np.finfo(float).eps
+        return self.problem.values - int(np.linalg.matrix_rank(R, rtol=rounding))
 
     @cached_property
     def rms(self) -> float:
@@ -175,33 +176,43 @@ class QuickFit:
 
         By differences; where a relative measurement starts does not move.
         """
-        data = self.problem.data
-        return self._by_positions(lambda h: with_positions(data, data.q + h))
+        return self._by_positions(lambda block, h: replace(block, q=block.q + h))
 
     @cached_property
     def by_starts(self) -> Floats:
         """The same by the joint positions where relative measurements start, (M, n)."""
+
+        def moved(block: Measurements, h: Floats) -> Measurements:
+            return replace(block, start=block.start + h) if block.start.size else block
+
         data = self.problem.data
-
-        def moved(h: Floats) -> Observations:
-            blocks = (
-                replace(b, start=b.start + h) if b.start.size else b
-                for b in data.blocks
-            )
-            return Observations(tuple(blocks))
-
         if not any(block.start.size for block in data.blocks):
             return np.zeros((len(self.problem.layout.row), len(data.joints)))
         return self._by_positions(moved)
 
-    def _by_positions(self, moved: Callable[[Floats], Observations]) -> Floats:
-        """Whitened residual by what moves by h of shape (n,), shape (M, n)."""
+    def _by_positions(
+        self, moved: Callable[[Measurements, Floats], Measurements]
+    ) -> Floats:
+        """Whitened residual by what moves by h of shape (N, n), shape (M, n)."""
         here, _ = self.linear
-        ends = [
-            replace(self.problem, data=moved(h)).residual(self.theta)[: len(here)]
-            for h in STEP * np.eye(len(self.problem.data.joints))
-        ]
-        return (np.stack(ends, axis=1) - here[:, None]) / STEP
+        blocks, count = self.problem.data.blocks, len(self.problem.data.joints)
+        # All at once, one joint after the other: most of an evaluation is overhead.
+        joint = [np.repeat(np.arange(count), len(block)) for block in blocks]
+        pairs = zip(blocks, joint, strict=True)
+        data = Observations(
+            tuple(
+                moved(
+                    block.rows(np.tile(np.arange(len(block)), count)),
+                    STEP * np.eye(count)[own],
+                )
+                for block, own in pairs
+            )
+        )
+        problem = replace(self.problem, data=data)
+        row = problem.layout.row
+        order = np.argsort(np.concatenate(joint)[row], kind="stable")
+        there = problem.residual(self.theta)[: len(row)][order].reshape(count, -1)
+        return (there.T - here[:, None]) / STEP
 
     def score(self, columns: Floats) -> Score:
         """Try further columns of the Jacobian, in units of their own.

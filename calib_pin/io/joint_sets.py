@@ -74,7 +74,8 @@ def _exchanges(
         for column, here in used.items():
             there = _numbers(table, name, kinds[column])
             if here is not None and there is not None and name not in reserved():
-                rms = float(np.sqrt(np.mean((there - here) ** 2)))
+                with np.errstate(over="ignore"):  # What means something else.
+                    rms = float(np.sqrt(np.mean((there - here) ** 2)))
                 far[column] = rms / max(float(here.std()), 1e-300)
         closest = min(far, key=lambda column: far[column], default="")
         if closest and 0.0 < far[closest] < NEAR:

@@ -35,6 +35,7 @@ from calib_pin.io.result_folder import (
 )
 from calib_pin.io.results import read_model
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.setup.values import LARGEST_LENGTH
 from calib_pin.validation.breakdown import Breakdown
 from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.measurement_errors import MeasurementErrors
@@ -241,6 +242,8 @@ def _tip(entry: Mapping[str, Any], joints: int) -> TipAccuracy:
     older = np.zeros((0, joints)), np.zeros((0, 3)), *means
     samples = entry.get("samples") or dict(zip(SAMPLES, older, strict=True))
     q, points, position, orientation = (np.array(samples[k], float) for k in SAMPLES)
+    if not np.abs(points).max(initial=0.0) <= LARGEST_LENGTH:
+        raise ValueError(f"points are more than {LARGEST_LENGTH:g} m away")
     curve = entry.get("by_count", dict.fromkeys(CURVE, ()))
     counts, errors = (np.array(curve[key], float) for key in CURVE)
     alone = typed(PoseErrors, entry.get("robot") or dict.fromkeys(PoseErrors._fields))

@@ -111,6 +111,18 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
     if any(found.code == "joint-offset" for found in others):
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
+    ends = {
+        end
+        for found in others
+        if found.code == "known-distance"
+        for end in str(found.evidence["between"]).split(" - ")
+    }
+    # The measurements of an end do not fit a wrong distance.
+    others = [
+        found
+        for found in others
+        if found.code != "outliers" or found.evidence.get("target") not in ends
+    ]
     return Found(causes, tuple(others))
 
 

@@ -153,7 +153,7 @@ class Case:
         return Case(
             chains,
             data,
-            QuickFit(problem, fitted.theta),
+            QuickFit(problem, fitted.theta, whole=True),
             rank,
             fitted.before,
             fitted,

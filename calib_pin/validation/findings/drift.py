@@ -9,6 +9,7 @@ more over the files.
 from __future__ import annotations
 
 from collections.abc import Callable, Iterator, Mapping
+from functools import partial
 
 import numpy as np
 
@@ -88,6 +89,12 @@ def _drifts(case: Case) -> Iterator[tuple[Told, Floats]]:
             yield _of_instrument, fit.linear[1][:, own]
         elif first == {("distance",)}:
             yield _of_values, 1.0 / problem.sigma[:, None]
+    if len(case.data.joints) > 1:
+        # Of few measurements one joint may stand out, but not six.
+        X, (_, r) = _further(case, fit.by_joints), fit.unexplained
+        along = np.abs(r @ X) / np.maximum(np.linalg.norm(X, axis=0), 1e-300)
+        joint = int(np.argmax(along))
+        yield partial(_of_joints, first=joint), fit.by_joints[:, [joint]]
     yield _of_joints, fit.by_joints
 
 
@@ -171,12 +178,12 @@ def _of_instrument(
 
 
 def _of_joints(
-    case: Case, score: Score, errors: Mapping[str, float]
+    case: Case, score: Score, errors: Mapping[str, float], first: int = 0
 ) -> Iterator[Finding]:
-    """Joint positions that drift, as those of a robot that grows warm."""
+    """Joint positions that drift, as those of a robot that grows warm, from one on."""
     worst = int(np.argmax(np.abs(score.values) / score.deviations))
     value, deviation = float(score.values[worst]), float(score.deviations[worst])
-    joint = case.data.joints[worst]
+    joint = case.data.joints[first + worst]
     before, after = errors.values()
     turning = dict(zip(case.chains.joints, case.chains.revolute, strict=True))
     unit, factor = DISPLAY["rad" if turning.get(joint, True) else "m"]
@@ -205,13 +212,19 @@ def _severity(case: Case, errors: Errors) -> Severity:
     return "error" if large else "warning"
 
 
-def _errors(case: Case, columns: Floats) -> dict[str, float]:
-    """Errors now, and without a drift, rms in the unit of the first quantity."""
-    fit, (Q, r) = case.fit, case.fit.unexplained
-    problem = fit.problem
+def _further(case: Case, columns: Floats) -> Floats:
+    """That part of a drift that the fit cannot explain."""
+    Q, r = case.fit.unexplained
     X = np.zeros((len(r), columns.shape[1]))
     X[: len(columns)] = _linear(case, columns)
-    U = column_space(X - Q @ (Q.T @ X))
+    return np.asarray(X - Q @ (Q.T @ X))
+
+
+def _errors(case: Case, columns: Floats) -> dict[str, float]:
+    """Errors now, and without a drift, rms in the unit of the first quantity."""
+    fit, (_, r) = case.fit, case.fit.unexplained
+    problem = fit.problem
+    U = column_space(_further(case, columns))
     first = np.flatnonzero(problem.layout.component == 0)
     left = np.linalg.norm((r - U @ (U.T @ r))[first]) / np.linalg.norm(r[first])
     sizes = problem.layout.quantities[0].errors(error_table(problem, fit.theta))

@@ -176,7 +176,8 @@ class _Columns:
 
 def joint_motion(case: Case) -> Explanation | None:
     """The small motion of a joint that errors follow; None where none stands out."""
-    fit = case.fit if case.fit.redundant else replace(case.fit, whole=True)
+    known = case.fit.whole or case.fit.redundant
+    fit = case.fit if known else replace(case.fit, whole=True)
     if fit.left <= 1:
         return None
     columns = _Columns(case, fit)

@@ -243,7 +243,9 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
         return None
     job = Job.of(case.data).sample(OPTIONS.measurements)
     plain = replace(problem, data=job.data, units=np.zeros(0))
-    if not _suspicious(Trial(plain, case.fit.theta, job, (), job.rank), case.nominal):
+    theta, whole = case.fit.theta, case.fit.whole
+    first = Trial(plain, theta, job, (), job.rank, whole=whole)
+    if not _suspicious(first, case.nominal):
         return None
     trials = list(_settled(plain, job, ()))
     while 0 < len(trials) <= OPTIONS.moves:

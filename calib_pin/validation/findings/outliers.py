@@ -36,7 +36,7 @@ def outliers(case: Case) -> Iterator[Finding]:
     if not out:
         return
     data, moved = case.data, displaced(fitted, fitted.robust.squared)
-    numbers = {"displaced": moved, "all": float(len(data))}
+    numbers: dict[str, float | str] = {"displaced": moved, "all": float(len(data))}
     severity: Severity = "warning" if moved > LENGTH_SCALE else "info"
     with_them = f"with them the tool point would move by {1e3 * moved:.2g} mm"
     pairs = _pairs(data, out)
@@ -58,6 +58,9 @@ def outliers(case: Case) -> Iterator[Finding]:
     if not len(rest):
         return
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
+    targets = {data.target[row] for row in rows}
+    if len(targets) == 1:
+        numbers["target"] = targets.pop()
     causes = [*dict.fromkeys(o.cause for o in out if o.row in rows and o.cause)]
     shared = f" ({', '.join(causes[:NAMED])})" if causes else ""
     yield Finding(

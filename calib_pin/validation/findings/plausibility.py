@@ -61,10 +61,11 @@ class PlausibilityOptions:
             where unmodeled errors of 3 to 10 mrad, seen by a draw-wire encoder from
             few configurations, had moved joints by 22 to 46 expected sizes, they grew
             1.6 to 3.3 times.
-        contradicted: By how much measurements may contradict a known distance [m].
-            The errors that no parameter describes do: two sockets of a plate, 50 mm
-            apart, come out up to 1.1 mm wrong at places where a real robot was not
-            calibrated.
+        contradicted: By how much measurements may contradict a known distance before
+            the trust goes [m]. The errors that no parameter describes do: two sockets
+            of a plate, 50 mm apart, come out up to 1.1 mm wrong at places where a real
+            robot was not calibrated.
+        missed: From which there is a warning [m].
         measurements: Measurements that are looked at; more do not make it clearer.
     """
 
@@ -75,6 +76,7 @@ class PlausibilityOptions:
     implausible: float = 25.0
     bought: float = 4.0
     contradicted: float = 2e-3
+    missed: float = 3e-4
     measurements: int = 600
 
 
@@ -240,13 +242,17 @@ def _known(fitted: Fit) -> KnownDistances:
     )
 
 
-def _distances(fitted: Fit) -> Iterator[Finding]:
+def _distances(fitted: Fit, robust: Fit | None = None) -> Iterator[Finding]:
     """The known distance that the measurements contradict most, if they do.
 
     Of a distance with the whitened residual v that decides the part h of itself, the
     measurements alone say v sigma / (1 - h) else, and the normalized residual is
     w = v / sqrt(1 - h). The one of the largest w is the wrong one, and what it makes
     of the others says nothing (data snooping, Baarda 1968).
+
+    Args:
+        fitted: The fit.
+        robust: The one that has set all measurements of an end aside, if it is without.
     """
     known = _known(fitted)
     if not len(known):
@@ -255,20 +261,21 @@ def _distances(fitted: Fit) -> Iterator[Finding]:
     left = _decided_by_others(fitted, known.jacobian(fitted.theta))
     if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from _distances(fitted.robust.squared)
+        yield from _distances(fitted.robust.squared, fitted)
         return
     w = np.abs(v) / np.sqrt(left)
     k = int(np.argmax(w))
     stated = known.stated[k]
     apart = float(v[k] * stated.sigma / left[k])
-    if abs(apart) < OPTIONS.contradicted or w[k] < OPTIONS.significant:
+    if abs(apart) < OPTIONS.missed or w[k] < OPTIONS.significant:
         return
-    if not _scaled_without(fitted, stated):
+    # A wrong distance takes all measurements for coarse ones.
+    if not _scaled_without(robust or fitted, stated):
         return
     ends, (unit, factor) = " - ".join(stated.between), DISPLAY["m"]
     yield Finding(
         "known-distance",
-        "error",
+        "error" if abs(apart) > OPTIONS.contradicted else "warning",
         f"the measurements contradict the known distance {ends}: without it they find "
         f"{factor * (stated.value + apart):.1f} {unit} instead of "
         f"{factor * stated.value:.1f} {unit} ({w[k]:.0f} standard deviations)",

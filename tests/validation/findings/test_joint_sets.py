@@ -106,3 +106,7 @@ def test_maps_of_joints_are_kept(told, measured) -> None:
         "shoulder_measured": {"joint": first, "sign": -1, "gear": 2.0, "offset": 0.1},
         second: {"joint": second, "coupled": {"shoulder_measured": 0.5}},
     }
+
+
+def test_columns_that_overflow_are_no_joints(told, measured) -> None:
+    assert told(measured.q, {"count": np.full(len(measured.q), 1e300)}) == {}

@@ -156,11 +156,14 @@ def test_a_distance_that_the_measurements_contradict() -> None:
     right = replace(BALLS, distances=(ruler,))
     assert not found(rows, right)
     wrong = replace(BALLS, distances=(replace(ruler, value=APART + 6.1e-3),))
+    missed = DistanceSetup(("a", "b"), APART + 1e-3, 1e-5)
     (finding,) = found(rows, wrong)
     assert (finding.code, finding.severity) == ("known-distance", "error")
     assert finding.evidence["between"] == "a - b"
     assert finding.evidence["found"] == pytest.approx(APART, abs=3e-4)
     assert finding.evidence["normalized_residual"] == pytest.approx(12.2, abs=1.0)
+    (finding,) = found(rows, replace(BALLS, distances=(missed,)))
+    assert (finding.code, finding.severity) == ("known-distance", "warning")
 
 
 def test_the_wrong_distance_is_named_among_others() -> None:
@@ -179,6 +182,8 @@ def test_the_wrong_distance_is_named_among_others() -> None:
     findings = found(rows, replace(setup, sockets={}, distances=distances))
     assert findings[0].code == "known-distance"
     assert findings[0].evidence["between"] == "p1/0 - p1/1"
+    # A robust fit sets the measurements of an end aside, for one of both is wrong.
+    assert "outliers" not in {f.code for f in findings}
 
 
 def test_a_joint_that_is_mounted_askew_is_a_warning() -> None:

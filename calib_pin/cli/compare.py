@@ -47,7 +47,7 @@ def compare(
     displacement of them is removed by a fit: a tracker at another station is no drift
     of the robot, nor is another tool. Parameters and combinations are listed where they
     differ by more than three standard deviations. Exit status 2: one of the
-    calibrations must not be trusted.
+    calibrations must not be trusted, or they are of different robots.
     """
     from calib_pin.estimation.evidence import TRUSTED
     from calib_pin.io.documents import comparison_document
@@ -56,6 +56,7 @@ def compare(
     from calib_pin.io.result_file import read_result
     from calib_pin.report.comparison import comparison_report
     from calib_pin.validation.comparison import compare as run
+    from calib_pin.validation.comparison import faults
 
     files = (first, second)
     for file in files:
@@ -75,4 +76,6 @@ def compare(
     pictured = told_figures(contents, pictures)
     if not json:
         say_written(pictured)
-    return 0 if {A.verdict, B.verdict} <= set(TRUSTED) else 2
+    trusted = {A.verdict, B.verdict} <= set(TRUSTED)
+    different = any(fault.severity == "error" for fault in faults(found))
+    return 0 if trusted and not different else 2

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError, require_known
+from calib_pin.errors import InputError, OptionError, require_known
 from calib_pin.estimation.directions import nuisance_basis, visible_nuisances
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.formulation import make_problem
@@ -39,6 +39,7 @@ from calib_pin.residual_models import (
 )
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
+from calib_pin.solvers.status import Status
 
 _System = TypeVar("_System", bound=System)
 
@@ -184,7 +185,8 @@ def fit_model(
 
     Raises:
         OptionError: If a name in the setup does not exist.
-        InputError: If the measurements are too few to learn from.
+        InputError: If the measurements are too few to learn from, or no measurement
+            could come from where the fit ends.
     """
     part = 1.0
     if setup.learned is not None:
@@ -199,6 +201,11 @@ def fit_model(
             fitted = with_effects(fitted)
         else:
             fitted = replace(fitted, effects=part_of[0].effects)
+    if part_of is None and fitted.result.status is Status.NOT_FINITE:
+        raise InputError(
+            "no fit to these measurements is possible from where the nominal robot is: "
+            "some points are behind the camera, say, or beams miss their plane"
+        )
     problem, theta = fitted.problem.rebased(fitted.theta)
     if setup.learned is None:
         return FittedModel(fitted, problem, theta)

@@ -16,7 +16,7 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
-from calib_pin.validation.comparison import BOUND, Comparison, Difference
+from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
 from calib_pin.validation.result import (
     CalibrationResult,
     Evaluation,
@@ -40,6 +40,7 @@ def comparison_document(found: Comparison) -> Json:
             "parameters": found.same_parameters,
             "measurements": found.same_rows,
         },
+        "findings": plain(faults(found)),
         "drifted": found.drifted,
         "changed": found.changed,
         "tip": _tip(found, found.chain),

@@ -26,6 +26,7 @@ from calib_pin.validation.comparison import (
     BOUND,
     Comparison,
     Difference,
+    faults,
     robot_groups,
     robot_parameters,
     shared_files,
@@ -42,6 +43,7 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
             said = f"{label} ({record.provenance.file}): {record.reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
+    yield from findings(faults(found), "")
     for label, record in pair:
         yield from findings(record.findings, record.reason, label)
     yield from (Line(doubt, "note") for doubt in _doubts(found))

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
+from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.system import FRAME
 from calib_pin.validation.counterparts import (
     Displacement,
@@ -17,6 +18,7 @@ from calib_pin.validation.counterparts import (
     require_comparable,
     same_nominal,
 )
+from calib_pin.validation.findings.different_robots import different_robots
 from calib_pin.validation.result import (
     CalibrationResult,
     CoupledGroup,
@@ -320,6 +322,12 @@ def compare(
         ),
         drifts=drifts,
     )
+
+
+def faults(found: Comparison) -> tuple[Finding, ...]:
+    """Why tips are so far apart, if hardly any robot has such a drift."""
+    models = found.first.model, found.second.model
+    return different_robots(*models, found.same_nominal, found.drift.position.rms)
 
 
 def shared_files(first: CalibrationResult, second: CalibrationResult) -> bool:

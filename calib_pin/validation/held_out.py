@@ -24,6 +24,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations, grouped
 from calib_pin.progress import Stages, named, portion
 from calib_pin.setup import Setup
+from calib_pin.solvers.status import Status
 from calib_pin.validation.findings.moved_instrument import FEWEST, registered_if_moved
 from calib_pin.validation.gains import PRESS, gains, press_check
 from calib_pin.validation.model_errors import ModelErrors, model_errors, registered
@@ -144,13 +145,15 @@ def cross_validate(
         kept = ~mask & (measurements.weight > 0.0)
         some = measurements.rows(kept)
         model = fit_model(chains, some, setup, seed, tell, part_of=(whole, kept))
-        reason = ""
+        reason, status = "", model.fit.result.status
         if not model.fit.structure.scaled:
             reason = "the absolute scale is unobservable"
-        elif not model.fit.result.status.success:
+        elif not status.success:
             reason = "it did not converge"
         shown = whole.problem.layout.quantities
         try:
+            if status is Status.NOT_FINITE:
+                raise InputError("it ended where no measurement can be")
             if model.problem.layout.quantities != shown:
                 raise InputError("all others of an instrument are set aside")
             found = model_errors(model, measurements.rows(mask), np.flatnonzero(mask))

@@ -89,6 +89,20 @@ def test_what_must_not_be_trusted(there, run):
     assert json.loads(result.out)["b"]["verdict"] == verdict
 
 
+def test_calibrations_of_different_robots(there, run):
+    text = Path("arm.urdf").read_text()
+    Path("other.urdf").write_text(text.replace("0.5 0 0.05", "0.6 0 0.05"))
+    words = "calibrate other.urdf rows.csv --setup setup.yaml -o later --quiet --force"
+    assert run(words).status in (0, 2)
+    result = run(PAIR)
+    assert (result.status, result.err) == (2, "")
+    said = " ".join(result.out.split())
+    assert "mm rms apart: their nominal robots differ" in said
+    (finding,) = json.loads(run(f"{PAIR} --json").out)["findings"]
+    assert (finding["code"], finding["severity"]) == ("different-robots", "error")
+    assert finding["evidence"]["rms"] > 0.02
+
+
 @pytest.mark.parametrize(
     ("words", "fields"),
     [

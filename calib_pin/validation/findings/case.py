@@ -38,6 +38,9 @@ ABSURD = 200.0
 """Errors of a nominal robot, in the same sizes, that no robot has."""
 
 
+REBUILT = 60.0
+"""Correction of an origin, in the same sizes, that makes another robot of it."""
+
 FAR = 8.0
 """Errors of an outlier, in medians of those of the nominal robot."""
 
@@ -213,8 +216,16 @@ class Case:
         """
         if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
             return True
-        most = FOREIGN if self.fitted is None else ABSURD
-        return self._errors(self.nominal) > most
+        known = self.fitted is not None and self._largest_correction <= REBUILT
+        return self._errors(self.nominal) > (ABSURD if known else FOREIGN)
+
+    @property
+    def _largest_correction(self) -> float:
+        """The largest correction of the robot, in expected sizes."""
+        parameters = self.fit.problem.parameters
+        robot = ~parameters.nuisance
+        sizes = np.abs(self.fit.theta / parameters.scales)[robot]
+        return float(sizes.max(initial=0.0))
 
     @cached_property
     def errors_left(self) -> float:

@@ -12,7 +12,7 @@ from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.unmoved_joints import MORE
 
-NARROW, SMALL, WIDE = 0.1, 0.25, 0.5
+NARROW, SMALL, WIDE = 0.1, 0.25, 0.4
 """Parts of the range of a joint below which there is a warning, and a remark, and a
 warning where far more errors are expected elsewhere."""
 

@@ -65,7 +65,8 @@ class PlausibilityOptions:
             the trust goes [m]. The errors that no parameter describes do: two sockets
             of a plate, 50 mm apart, come out up to 1.1 mm wrong at places where a real
             robot was not calibrated.
-        missed: From which there is a warning [m].
+        missed: From which there is a warning [m], and
+        beyond: from which there is one, in errors left, rms.
         measurements: Measurements that are looked at; more do not make it clearer.
     """
 
@@ -77,6 +78,7 @@ class PlausibilityOptions:
     bought: float = 4.0
     contradicted: float = 2e-3
     missed: float = 3e-4
+    beyond: float = 3.0
     measurements: int = 600
 
 
@@ -104,7 +106,7 @@ def plausibility(case: Case) -> tuple[Finding, ...]:
     grown = tuple(_scale(fitted, linear))
     return (
         # One wrong distance among several stretches the robot, too.
-        *_distances(fitted),
+        *_distances(fitted, case.fit.errors),
         *grown,
         # A robot that has grown has large corrections everywhere.
         *(() if grown else _corrections(case, fitted, linear)),
@@ -242,7 +244,9 @@ def _known(fitted: Fit) -> KnownDistances:
     )
 
 
-def _distances(fitted: Fit, robust: Fit | None = None) -> Iterator[Finding]:
+def _distances(
+    fitted: Fit, errors: float, robust: Fit | None = None
+) -> Iterator[Finding]:
     """The known distance that the measurements contradict most, if they do.
 
     Of a distance with the whitened residual v that decides the part h of itself, the
@@ -252,6 +256,7 @@ def _distances(fitted: Fit, robust: Fit | None = None) -> Iterator[Finding]:
 
     Args:
         fitted: The fit.
+        errors: Errors that are left, rms [unit of the first quantity].
         robust: The one that has set all measurements of an end aside, if it is without.
     """
     known = _known(fitted)
@@ -261,13 +266,15 @@ def _distances(fitted: Fit, robust: Fit | None = None) -> Iterator[Finding]:
     left = _decided_by_others(fitted, known.jacobian(fitted.theta))
     if fitted.robust.squared is not None and left.min() <= ROUNDING:
         # All measurements of an end are set aside, for one of both must be wrong.
-        yield from _distances(fitted.robust.squared, fitted)
+        yield from _distances(fitted.robust.squared, errors, fitted)
         return
     w = np.abs(v) / np.sqrt(left)
     k = int(np.argmax(w))
     stated = known.stated[k]
     apart = float(v[k] * stated.sigma / left[k])
-    if abs(apart) < OPTIONS.missed or w[k] < OPTIONS.significant:
+    metric = fitted.problem.layout.quantities[0].unit == "m"
+    least = max(OPTIONS.missed, OPTIONS.beyond * errors if metric else 0.0)
+    if abs(apart) < min(least, OPTIONS.contradicted) or w[k] < OPTIONS.significant:
         return
     # A wrong distance takes all measurements for coarse ones.
     if not _scaled_without(robust or fitted, stated):

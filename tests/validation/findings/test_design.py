@@ -106,8 +106,8 @@ def test_spread_configurations_in_the_order_of_a_path_are_fine(judged) -> None:
     assert judged(q[np.argsort(q[:, 0])]) == {}
 
 
-def test_half_of_the_range_is_a_warning_where_far_more_is_expected(judged) -> None:
+def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) -> None:
     q = np.random.default_rng(2).uniform(-1.0, 1.0, (60, 6))
     finding = judged(q)["small-range"]
     assert finding.severity == "warning"
-    assert "less than 50 % of the range; over the workspace errors" in finding.message
+    assert "less than 40 % of the range; over the workspace errors" in finding.message

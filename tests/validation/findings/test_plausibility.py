@@ -156,7 +156,7 @@ def test_a_distance_that_the_measurements_contradict() -> None:
     right = replace(BALLS, distances=(ruler,))
     assert not found(rows, right)
     wrong = replace(BALLS, distances=(replace(ruler, value=APART + 6.1e-3),))
-    missed = DistanceSetup(("a", "b"), APART + 1e-3, 1e-5)
+    missed = DistanceSetup(("a", "b"), APART + 1.8e-3, 2e-4)
     (finding,) = found(rows, wrong)
     assert (finding.code, finding.severity) == ("known-distance", "error")
     assert finding.evidence["between"] == "a - b"

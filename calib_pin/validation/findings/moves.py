@@ -239,13 +239,13 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
         case: The case; what its fit has set aside is looked at as well.
     """
     problem = case.fit.problem
-    if problem.parameters.free.sum() > OPTIONS.unknowns or case.fit.rms < EXACT:
+    # Trials fit the robot's errors only where measurements tell them.
+    fit = case.fit if case.fit.redundant else replace(case.fit, whole=False)
+    if problem.parameters.free.sum() > OPTIONS.unknowns or fit.rms < EXACT:
         return None
     job = Job.of(case.data).sample(OPTIONS.measurements)
     plain = replace(problem, data=job.data, units=np.zeros(0))
-    theta, whole = case.fit.theta, case.fit.whole
-    first = Trial(plain, theta, job, (), job.rank, whole=whole)
-    if not _suspicious(first, case.nominal):
+    if not _suspicious(Trial(plain, case.fit.theta, job, (), job.rank), case.nominal):
         return None
     trials = list(_settled(plain, job, ()))
     while 0 < len(trials) <= OPTIONS.moves:
@@ -263,12 +263,12 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
     ):
         trials.pop()
     first, last = trials[0], trials[-1]
-    if _few_aside(case) and case.fit.rms <= OPTIONS.settled * last.rms:
+    if _few_aside(case) and fit.rms <= OPTIONS.settled * last.rms:
         return None
     if last.rms <= OPTIONS.left * first.rms:
         return first, last
     # Outliers look like small moves; of these the fit without outliers leaves no more.
-    settled = last.rms <= OPTIONS.settled * case.fit.rms
+    settled = last.rms <= OPTIONS.settled * fit.rms
     small = settled and len(trials) > 1
     small = small and all(b.plain(a) for a, b in pairwise(trials))
     return (first, last) if small else None

@@ -56,7 +56,7 @@ def identify(
     from calib_pin.planning.suggestions import calibrated_setup, suggestions
     from calib_pin.report.accuracy import judged
     from calib_pin.report.identification import identified
-    from calib_pin.report.trust import findings
+    from calib_pin.report.trust import below, findings
     from calib_pin.validation.assessment import identify as structural
     from calib_pin.validation.result import Identification
 
@@ -100,7 +100,8 @@ def identify(
         document = identification_document(found, better, verdict, reason, faults)
         typer.echo(encode(document).decode(), nl=False)
     else:
-        doubts = [] if verdict in TRUSTED else [judged(reason, verdict)]
+        said = judged(below(reason, faults), verdict)
+        doubts = [] if verdict in TRUSTED else [said]
         told = identified(found, fitted=bool(measurements), suggestions=better)
         show([*doubts, *findings(faults, reason), *told])
     return 0 if verdict in TRUSTED else 2

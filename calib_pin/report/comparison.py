@@ -19,7 +19,7 @@ from calib_pin.report.tables import (
     sizes,
     uncertain,
 )
-from calib_pin.report.trust import findings
+from calib_pin.report.trust import below, findings
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import Accuracy
 from calib_pin.validation.comparison import (
@@ -40,7 +40,8 @@ def comparison_report(found: Comparison) -> Iterator[Block]:
     pair = (("A", found.first), ("B", found.second))
     for label, record in pair:
         if record.verdict not in TRUSTED:
-            said = f"{label} ({record.provenance.file}): {record.reason}"
+            reason = below(record.reason, record.findings)
+            said = f"{label} ({record.provenance.file}): {reason}"
             yield judged(said, record.verdict)
     yield _verdict(found)
     yield from findings(faults(found), "")

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
@@ -82,3 +83,21 @@ def test_no_gain_replaces_the_robot_of_an_earlier_run(here, run, judged):
     again = run("calibrate out/nominal.urdf rows.csv --setup setup.yaml -o out --force")
     assert again.status == 0
     assert Path("out/nominal.urdf").read_bytes() == nominal
+
+
+@pytest.mark.parametrize("command", ["calibrate", "identify", "evaluate"])
+def test_lines_that_undo_a_fault_stand_once(here, run, command):
+    with Path("rows.csv").open(newline="") as file:
+        names, *rows = csv.reader(file)
+    column = names.index("joint2")
+    for row in rows:
+        row[column] = str(-float(row[column]))
+    with Path("reversed.csv").open("w", newline="") as file:
+        csv.writer(file).writerows([names, *rows])
+    result = run(f"{command} arm.urdf reversed.csv --setup setup.yaml")
+    assert result.status == 2
+    first, _, rest = result.out.partition("Lines for the setup file\n")
+    assert first.startswith("UNTRUSTED: joint 'joint2' is reversed: so read, ")
+    assert "state the lines below" in " ".join(first.split())
+    assert rest.startswith("  joints:\n    joint2: {joint: joint2, sign: -1}\n")
+    assert result.out.count("sign: -1") == 1

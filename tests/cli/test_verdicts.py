@@ -2,15 +2,16 @@
 
 from __future__ import annotations
 
-import csv
 import json
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 import pytest
 
+import calib_pin
 import calib_pin.calibration
 from calib_pin.validation.result import CalibrationResult
 
@@ -87,13 +88,10 @@ def test_no_gain_replaces_the_robot_of_an_earlier_run(here, run, judged):
 
 @pytest.mark.parametrize("command", ["calibrate", "identify", "evaluate"])
 def test_lines_that_undo_a_fault_stand_once(here, run, command):
-    with Path("rows.csv").open(newline="") as file:
-        names, *rows = csv.reader(file)
-    column = names.index("joint2")
-    for row in rows:
-        row[column] = str(-float(row[column]))
-    with Path("reversed.csv").open("w", newline="") as file:
-        csv.writer(file).writerows([names, *rows])
+    chain = calib_pin.load_chain("arm.urdf", tip="tool")
+    rows = calib_pin.read_measurements("rows.csv", chain).only
+    signs = np.where(np.array(rows.joints) == "joint2", -1.0, 1.0)
+    calib_pin.write_measurements("reversed.csv", replace(rows, q=rows.q * signs))
     result = run(f"{command} arm.urdf reversed.csv --setup setup.yaml")
     assert result.status == 2
     first, _, rest = result.out.partition("Lines for the setup file\n")

@@ -45,6 +45,8 @@ def joint_sets(
         setup: The setup.
         read: Reads the files with other maps of joints.
     """
+    if not Path(files[0]).is_file():
+        return  # A pipe cannot be read again.
     table = read_table(files[0], head=True)
     sources = joint_sources(chains, setup.joints)
     for exchanged in _exchanges(table, chains, setup, sources)[:MOST]:

@@ -73,7 +73,7 @@ def _links(
     files: Sequence[str | Path], chains: Chains, setup: Setup
 ) -> Iterator[_Found]:
     """Links that joints move which are no part of the chain, but columns of a file."""
-    if chains.names != ("",):
+    if chains.names != ("",) or not Path(files[0]).is_file():
         return
     chain, robot = chains[""], chains.robot
     with Path(files[0]).open("rb") as file:

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import csv
+import os
 from dataclasses import replace
 
 import numpy as np
@@ -11,6 +12,7 @@ import pytest
 import calib_pin
 from calib_pin.cli.files import open_chains, open_measurements, other_readings
 from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.io.joint_sets import joint_sets
 from calib_pin.setup import FrameSetup, JointMap, Setup
 
 SETUP = Setup(base="base_link", tip="tool0")
@@ -110,3 +112,9 @@ def test_maps_of_joints_are_kept(told, measured) -> None:
 
 def test_columns_that_overflow_are_no_joints(told, measured) -> None:
     assert told(measured.q, {"count": np.full(len(measured.q), 1e300)}) == {}
+
+
+def test_a_pipe_is_not_read_again(tmp_path) -> None:
+    os.mkfifo(tmp_path / "pipe")
+    chains = open_chains("example:ur10_robot", SETUP)
+    assert list(joint_sets([tmp_path / "pipe"], chains, SETUP, pytest.fail)) == []

@@ -217,7 +217,7 @@ class Case:
         if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
             return True
         known = self.fitted is not None and self._largest_correction <= REBUILT
-        return self._errors(self.nominal) > (ABSURD if known else FOREIGN)
+        return self.errors_nominal > (ABSURD if known else FOREIGN)
 
     @property
     def _largest_correction(self) -> float:
@@ -235,6 +235,11 @@ class Case:
         grazes its plane errs by far more than they do.
         """
         return self._errors(self.fit.theta)
+
+    @cached_property
+    def errors_nominal(self) -> float:
+        """The same of the registered nominal robot."""
+        return self._errors(self.nominal)
 
     def _errors(self, theta: Floats) -> float:
         problem = self.fit.problem

@@ -22,6 +22,7 @@ from calib_pin.errors import CalibPinError
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
+from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
@@ -71,7 +72,6 @@ LEAST = 12
 UNLIKELY = 14.0
 """Logarithm of the likelihood ratio, beyond that of the number of explanations tried,
 from which one of them is no chance."""
-
 
 Family = Callable[[Case], Iterable[Hypothesis]]
 """The explanations of one kind that are worth a trial in a case."""
@@ -127,12 +127,19 @@ class _Search:
     @cached_property
     def first(self) -> float:
         """Error of the nominal robot on measurements as they are read now."""
-        return self._nominal(())
+        return min(self._nominal(()), self._known(self.case.errors_nominal))
 
     @cached_property
     def first_fitted(self) -> float:
         """Error of a robot whose errors were fitted to them."""
-        return self._fitted(())
+        return min(self._fitted(()), self._known(self.case.errors_left))
+
+    def _known(self, errors: float) -> float:
+        """Errors in expected sizes, if a whole fit knows them; trials may get lost."""
+        if self.case.fitted is None:
+            return np.inf
+        unit = self.case.fit.problem.layout.quantities[0].unit
+        return errors * expected_size(unit) / self._unit
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
@@ -226,12 +233,15 @@ class _Search:
         _, k = min(trials, default=(np.inf, len(self.known)))
         return self._of_fits(self.known[k : k + 1], FITTED)
 
-    def _of_fits(
-        self, faults: Sequence[Hypothesis], limit: float
-    ) -> Explanation | None:
-        """Faults with which a fit leaves far less."""
+    def _of_fits(self, faults: Sequence[Hypothesis], most: float) -> Explanation | None:
+        """Faults with which a fit leaves far less.
+
+        Contacts draw a robot together, the more so the less is known of it.
+        """
+        if any(declared(model).contact for model in self.data.models):
+            return None
         left = self._fitted(faults) if faults else np.inf
-        return self._decided(faults, self.first_fitted, left, limit, fitted=True)
+        return self._decided(faults, self.first_fitted, left, most, fitted=True)
 
     def _decided(
         self,
@@ -284,10 +294,7 @@ class _Search:
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
         stated = {k: v for h in faults for k, v in h.setup.items()}
         setup = replace(setup, **stated) if stated else setup
-        return make_problem(chains, self._some(faults), setup)
-
-    def _some(self, faults: Sequence[Hypothesis]) -> Observations:
-        return read_so(self.data, faults).sample(ROWS)
+        return make_problem(chains, read_so(self.data, faults).sample(ROWS), setup)
 
     def _nominal(self, faults: Sequence[Hypothesis]) -> float:
         """Error of the registered nominal robot, rms in standard deviations."""

@@ -19,20 +19,21 @@ from dataclasses import dataclass, replace
 import numpy as np
 import pinocchio as pin
 
-from calib_pin.estimation.directions import half_covariance, projected
+from calib_pin.estimation.directions import projected
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
-from calib_pin.estimation.nominal import analyze_structure, growth
-from calib_pin.estimation.row_blocks import KnownDistances
+from calib_pin.estimation.nominal import growth
 from calib_pin.estimation.statistics.systematic import sampled
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
-from calib_pin.setup import DistanceSetup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_offsets import offset_within
+from calib_pin.validation.findings.known_distances import (
+    contradicted,
+    known_distances,
+)
 
 
 @dataclass(frozen=True)
@@ -61,12 +62,6 @@ class PlausibilityOptions:
             where unmodeled errors of 3 to 10 mrad, seen by a draw-wire encoder from
             few configurations, had moved joints by 22 to 46 expected sizes, they grew
             1.6 to 3.3 times.
-        contradicted: By how much measurements may contradict a known distance before
-            the trust goes [m]. The errors that no parameter describes do: two sockets
-            of a plate, 50 mm apart, come out up to 1.1 mm wrong at places where a real
-            robot was not calibrated.
-        missed: From which there is a warning [m], and
-        beyond: from which there is one, in errors left, rms.
         measurements: Measurements that are looked at; more do not make it clearer.
     """
 
@@ -76,9 +71,6 @@ class PlausibilityOptions:
     large: float = 10.0
     implausible: float = 25.0
     bought: float = 4.0
-    contradicted: float = 2e-3
-    missed: float = 3e-4
-    beyond: float = 3.0
     measurements: int = 600
 
 
@@ -106,7 +98,7 @@ def plausibility(case: Case) -> tuple[Finding, ...]:
     grown = tuple(_scale(fitted, linear))
     return (
         # One wrong distance among several stretches the robot, too.
-        *_distances(fitted, case.fit.errors),
+        *contradicted(fitted, case.fit.errors),
         *grown,
         # A robot that has grown has large corrections everywhere.
         *(() if grown else _corrections(case, fitted, linear)),
@@ -227,7 +219,7 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     lengths = []
-    if known := _known(fitted):
+    if known := known_distances(fitted):
         ends = " - ".join(known.stated[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
@@ -235,93 +227,6 @@ def _yardstick(fitted: Fit) -> str:
     # The setup states the others, and can be checked first.
     lengths += sorted(filter(None, stated), key=lambda words: words == INSTRUMENT)
     return ", ".join([*lengths, "the unit of the lengths in the URDF"])
-
-
-def _known(fitted: Fit) -> KnownDistances:
-    problem = fitted.problem
-    return KnownDistances.of(
-        problem.setup.distances, problem.references, problem.given.names
-    )
-
-
-def _distances(
-    fitted: Fit, errors: float, robust: Fit | None = None
-) -> Iterator[Finding]:
-    """The known distance that the measurements contradict most, if they do.
-
-    Of a distance with the whitened residual v that decides the part h of itself, the
-    measurements alone say v sigma / (1 - h) else, and the normalized residual is
-    w = v / sqrt(1 - h). The one of the largest w is the wrong one, and what it makes
-    of the others says nothing (data snooping, Baarda 1968).
-
-    Args:
-        fitted: The fit.
-        errors: Errors that are left, rms [unit of the first quantity].
-        robust: The one that has set all measurements of an end aside, if it is without.
-    """
-    known = _known(fitted)
-    if not len(known):
-        return
-    v = known.residual(fitted.theta)
-    left = _decided_by_others(fitted, known.jacobian(fitted.theta))
-    if fitted.robust.squared is not None and left.min() <= ROUNDING:
-        # All measurements of an end are set aside, for one of both must be wrong.
-        yield from _distances(fitted.robust.squared, errors, fitted)
-        return
-    w = np.abs(v) / np.sqrt(left)
-    k = int(np.argmax(w))
-    stated = known.stated[k]
-    apart = float(v[k] * stated.sigma / left[k])
-    metric = fitted.problem.layout.quantities[0].unit == "m"
-    least = max(OPTIONS.missed, OPTIONS.beyond * errors if metric else 0.0)
-    if abs(apart) < min(least, OPTIONS.contradicted) or w[k] < OPTIONS.significant:
-        return
-    # A wrong distance takes all measurements for coarse ones.
-    if not _scaled_without(robust or fitted, stated):
-        return
-    ends, (unit, factor) = " - ".join(stated.between), DISPLAY["m"]
-    yield Finding(
-        "known-distance",
-        "error" if abs(apart) > OPTIONS.contradicted else "warning",
-        f"the measurements contradict the known distance {ends}: without it they find "
-        f"{factor * (stated.value + apart):.1f} {unit} instead of "
-        f"{factor * stated.value:.1f} {unit} ({w[k]:.0f} standard deviations)",
-        {
-            "between": ends,
-            "value": stated.value,
-            "sigma": stated.sigma,
-            "found": stated.value + apart,
-            "normalized_residual": float(w[k]),
-        },
-        "measure this distance again, or state its true sigma",
-    )
-
-
-def _decided_by_others(fitted: Fit, J: Floats) -> Floats:
-    """Part 1 - h of each known distance that is not decided by itself, shape (D,).
-
-    J is that of the whitened distances, shape (D, P).
-    """
-    # By noise alone, or what a distance decides would be more than all.
-    _, result, moved = fitted.held
-    half = half_covariance(result.jac, moved, fitted.problem.parameters)
-    h = np.sum((J @ half) ** 2, axis=1)
-    return np.asarray(np.maximum(1.0 - h, ROUNDING))
-
-
-def _scaled_without(fitted: Fit, distance: DistanceSetup) -> bool:
-    """Whether the scale is known without a distance; else it is what gives it.
-
-    Contacts alone draw a robot together, so what they say of the scale is no check.
-    """
-    setup, parameters = fitted.problem.setup, fitted.problem.parameters
-    others = tuple(d for d in setup.distances if d is not distance)
-    problem = replace(
-        fitted.problem, setup=replace(setup, distances=others), expected=None
-    )
-    # What is touched must be where the tool can touch it.
-    about = np.where(parameters.nuisance, fitted.before, 0.0)
-    return analyze_structure(problem, about, np.random.default_rng(0))[0].scaled
 
 
 def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:

@@ -127,19 +127,12 @@ class _Search:
     @cached_property
     def first(self) -> float:
         """Error of the nominal robot on measurements as they are read now."""
-        return min(self._nominal(()), self._known(self.case.errors_nominal))
+        return self._nominal(())
 
     @cached_property
     def first_fitted(self) -> float:
         """Error of a robot whose errors were fitted to them."""
-        return min(self._fitted(()), self._known(self.case.errors_left))
-
-    def _known(self, errors: float) -> float:
-        """Errors in expected sizes, if a whole fit knows them; trials may get lost."""
-        if self.case.fitted is None:
-            return np.inf
-        unit = self.case.fit.problem.layout.quantities[0].unit
-        return errors * expected_size(unit) / self._unit
+        return self._fitted(())
 
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
@@ -185,7 +178,7 @@ class _Search:
         if told and len(close) > 1:
             left, faults = min(close, key=lambda pair: _rounded(self._fitted(pair[1])))
         found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
-        told = told and not any(fault.chains for fault in faults)
+        told = told and not any(h.chains or h.reading.without for h in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
 
     def _needed(
@@ -199,7 +192,8 @@ class _Search:
             if without < left / DECISIVE and not fault.gross:
                 # Large errors of the robot hide it: its fit tells, if anything.
                 fit = self._fitted(faults)
-                needless = needless or self._fitted(rest) < CLOSE * fit
+                if np.isfinite(fit):
+                    needless = self._fitted(rest) < CLOSE * fit
             if needless:
                 return self._needed(without, rest)
         return left, faults
@@ -230,7 +224,11 @@ class _Search:
             for k, fault in enumerate(self.known)
             if not (fault.gross or fault.chains)
         ]
-        _, k = min(trials, default=(np.inf, len(self.known)))
+        least, k = min(trials, default=(np.inf, len(self.known)))
+        # What leaves none out explains more.
+        every = [t for t in trials if not self.known[t[1]].reading.without]
+        left, reading = min(every, default=(np.inf, k))
+        k = reading if left < CLOSE * least else k
         return self._of_fits(self.known[k : k + 1], FITTED)
 
     def _of_fits(self, faults: Sequence[Hypothesis], most: float) -> Explanation | None:
@@ -252,21 +250,23 @@ class _Search:
         *,
         fitted: bool,
     ) -> Explanation | None:
+        unit = self.case.fit.problem.layout.quantities[0].unit
+        one = expected_size(unit) / self._unit
+        if self.case.fitted is not None:
+            # A trial may get lost where the whole fit does not.
+            known = self.case.errors_left if fitted else self.case.errors_nominal
+            before = min(before, one * known)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
         most = limit * before
         if np.isinf(before):
-            unit = self.case.fit.problem.layout.quantities[0].unit
-            least = DOUBTFUL if fitted else FOREIGN
-            most = least * expected_size(unit) / self._unit
+            most = one * (DOUBTFUL if fitted else FOREIGN)
         if not faults or not after < most:
             return None
         ratio = self._ratio(faults, before, after)
         if ratio < self._chance:
             return None
-        factor = self._unit
-        return Explanation(
-            tuple(faults), factor * before, factor * after, ratio, self.tried, fitted
-        )
+        sizes = self._unit * before, self._unit * after
+        return Explanation(tuple(faults), *sizes, ratio, self.tried, fitted)
 
     def _ratio(
         self, faults: Sequence[Hypothesis], before: float, after: float

@@ -27,8 +27,11 @@ the noise 3.5 and more.
 SMOOTH = 0.05
 """Squared steps between neighbors of a path, by those between any two configurations.
 
-Random ones have 1, four repetitions of each in a row 0.25.
+Random ones have 1.
 """
+
+FEWEST = 10
+"""Fewest configurations of a path."""
 
 RANGE = 2.0 * np.pi
 """Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
@@ -128,8 +131,10 @@ def _elsewhere(case: Case) -> str:
 
 
 def _smooth(q: Floats) -> bool:
-    """Whether configurations follow one another closely."""
-    if not q.shape[1] or len(q) < 2:
+    """Whether configurations, repeated or not, follow one another closely."""
+    changed = np.any(np.diff(q, axis=0) != 0.0, axis=1)
+    q = q[np.append(True, changed)]
+    if not q.shape[1] or len(q) < FEWEST:
         return False
     steps = np.mean(np.diff(q, axis=0) ** 2, axis=0)
     return float(np.mean(steps / (2.0 * q.var(axis=0)))) < SMOOTH

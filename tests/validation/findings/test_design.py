@@ -111,3 +111,9 @@ def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) ->
     finding = judged(q)["small-range"]
     assert finding.severity == "warning"
     assert "less than 40 % of the range; over the workspace errors" in finding.message
+
+
+def test_few_configurations_are_no_path(judged) -> None:
+    q = np.repeat(np.random.default_rng(2).uniform(-np.pi, np.pi, (6, 6)), 20, axis=0)
+    assert "few-configurations" in judged(q)
+    assert "one-path" not in judged(q)

@@ -31,7 +31,7 @@ Random ones have 1.
 """
 
 FEWEST = 10
-"""Fewest configurations of a path."""
+"""Fewest configurations that can be too much alike."""
 
 RANGE = 2.0 * np.pi
 """Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
@@ -63,7 +63,8 @@ def design(case: Case) -> Iterator[Finding]:
     free = np.array([joint not in chains.mimics for joint in chains.joints])
     moved = free & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
-    elsewhere = _elsewhere(case)
+    # Of fewer configurations more is wrong than where they are.
+    elsewhere = _elsewhere(case) if case.data.configurations >= FEWEST else ""
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
         yield Finding(
             "one-path",
@@ -134,7 +135,7 @@ def _smooth(q: Floats) -> bool:
     """Whether configurations, repeated or not, follow one another closely."""
     changed = np.any(np.diff(q, axis=0) != 0.0, axis=1)
     q = q[np.append(True, changed)]
-    if not q.shape[1] or len(q) < FEWEST:
+    if not q.shape[1] or len(q) < 2:
         return False
     steps = np.mean(np.diff(q, axis=0) ** 2, axis=0)
     return float(np.mean(steps / (2.0 * q.var(axis=0)))) < SMOOTH

@@ -174,7 +174,7 @@ def _result(
         distances=typed(tuple[FoundDistance, ...], document.get("distances", ())),
         findings=typed(tuple[Finding, ...], document.get("findings", ())),
         provenance=Provenance(
-            command=tuple(made.get("command", ())),
+            command=typed(tuple[str, ...], made.get("command", ())),
             created=typed(str, made.get("created", "")),
             seconds=float(solver.get("seconds") or np.nan),
             versions={k: v for k, v in made.items() if k not in MADE},

@@ -198,6 +198,7 @@ for _ in range(200):
         (edit("verdict", "status", to="fine"), "'fine' is no verdict"),
         (edit("verdict", "reason", to={}), "{} stands"),
         (edit("provenance", to=7), "int"),
+        (edit("provenance", "command", to=["calib-pin", True]), "True stands"),
     ],
 )
 def test_damaged_and_edited_files(change, message, document, refused):

@@ -12,7 +12,7 @@ from dataclasses import replace
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
-from calib_pin.errors import OptionError
+from calib_pin.errors import InputError, OptionError
 from calib_pin.estimation.configurations import observable_configurations
 from calib_pin.estimation.directions import nuisance_basis
 from calib_pin.estimation.identifiability import Structure, structure
@@ -119,11 +119,19 @@ def structure_at(
 
     Returns:
         The structure, and the whitened Jacobian with the rows of the priors, (M, P).
+
+    Raises:
+        InputError: If the measured values have no derivative.
     """
     J = jacobian_at(problem, theta, at)
     count = sum(len(some.q) for some in at)
     alike = _omitted(problem, [some.key for some in at])
     shown = problem.parameters.without(alike)
+    if not np.isfinite(J).all():
+        raise InputError(
+            "the measured values have no derivative, as a distance of zero has none; "
+            "check the base and tip links"
+        )
     found = structure(J[: len(J) - problem.further.priors], shown, count)
     scaled = scale_deviation(problem, theta, at, J) < UNKNOWN
     return replace(found, scaled=scaled, alike=alike), J

@@ -160,7 +160,12 @@ def _solids(
 ) -> pin.GeometryModel:
     """The collision geometry of a URDF, without pairs."""
     urdf = locate_robot(robot.file).resolve()
-    root = ElementTree.fromstring(robot.source)
+    try:
+        root = ElementTree.fromstring(robot.source)
+    except ElementTree.ParseError as error:
+        # Pinocchio is more lenient.
+        reason = f"its collision geometry cannot be read: {error}"
+        raise _link_error(robot, "", reason, "well-formed XML") from None
     # Pinocchio would read meshes in this process, so it gets spheres in their place.
     surfaces: dict[str, pin.coal.CollisionGeometry] = {}
     for link in root.iterfind("link"):

@@ -242,6 +242,8 @@ def _tip(entry: Mapping[str, Any], joints: int) -> TipAccuracy:
     older = np.zeros((0, joints)), np.zeros((0, 3)), *means
     samples = entry.get("samples") or dict(zip(SAMPLES, older, strict=True))
     q, points, position, orientation = (np.array(samples[k], float) for k in SAMPLES)
+    if len({len(q), len(points), len(position), len(orientation)}) > 1 and len(q):
+        raise ValueError("the lists of 'samples' are not of one length")
     if not np.abs(points).max(initial=0.0) <= LARGEST_LENGTH:
         raise ValueError(f"points are more than {LARGEST_LENGTH:g} m away")
     curve = entry.get("by_count", dict.fromkeys(CURVE, ()))

@@ -116,6 +116,10 @@ def gauss_newton(
     status = Status.ITERATIONS if np.isfinite(cost) else Status.NOT_FINITE
     passed = [cost]
     while status is Status.ITERATIONS and iteration < max_iterations:
+        if not np.isfinite(J).all():
+            # A distance of zero has a cost, and no derivative.
+            status = Status.NOT_FINITE
+            break
         step = _Step(J @ basis, r, rank_tolerance)
         limit = max(tolerance * way, OPTIONS.shortest), tolerance * cost
         trial = _search(step, cost_of, x, basis, damping, limit, damped, complete)

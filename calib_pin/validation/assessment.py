@@ -22,6 +22,7 @@ from calib_pin.observations import BlockKey
 from calib_pin.parameters import ParameterSet
 from calib_pin.setup import Setup
 from calib_pin.solvers import LeastSquaresResult
+from calib_pin.solvers.status import Status
 from calib_pin.validation.result import (
     Correlation,
     CoupledGroup,
@@ -78,6 +79,8 @@ def registration_reason(problem: Problem, result: LeastSquaresResult) -> str:
         problem: The problem whose nuisances were fitted.
         result: Outcome of the fit.
     """
+    if result.status is Status.NOT_FINITE:
+        return result.status.advice
     parameters = problem.parameters
     A = (result.jac * parameters.scales)[:, parameters.free & parameters.nuisance]
     rank = int(np.linalg.matrix_rank(A)) if A.size else 0

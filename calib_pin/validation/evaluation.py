@@ -116,8 +116,9 @@ def _findings(
     """
     try:
         case = Case.of_robot(chains, rows, setup, others)
-    except CalibPinError:
-        return ()  # They are too few, or name what only the calibration knows.
+    except (CalibPinError, np.linalg.LinAlgError):
+        # They are too few, or have no derivative, or only the calibration knows more.
+        return ()
     found = find(case)
     return (*found.causes, *found.others)
 

@@ -267,6 +267,17 @@ def test_missing_meshes(
     assert capfd.readouterr() == ("", "")
 
 
+def test_a_prefix_that_nobody_declares(
+    chain_in: Callable[..., Chain], refused: Callable[..., Any]
+) -> None:
+    """Pinocchio reads it, the parser of its shapes does not."""
+    text = urdf(sphere(0.1), sphere(0.1))
+    chain = chain_in(text.replace("</robot>", "<a:b/></robot>"))
+    reason = "its collision geometry cannot be read: unbound prefix"
+    with refused(RobotError, file=chain.robot.file, reason=reason):
+        load_collisions(chain)
+
+
 def test_meshes_that_cannot_be_read(
     chain_in: Callable[..., Chain],
     file_of: Callable[..., Path],

@@ -189,6 +189,7 @@ for _ in range(200):
         (edit("predicted", to=[1, 2]), "list indices"),
         (edit("predicted", "position", to=10**400), "stands in the place"),
         (edit("predicted", "samples", "points", 0, 0, to=1e9), "100 m away"),
+        (edit("predicted", "samples", "position", 0, to=...), "not of one length"),
         (edit("statistics", to=...), "'statistics' is missing"),
         (edit("statistics", "sigma0", to="one"), "'one' stands"),
         (edit("measurements", "training", to=...), "'training' is missing"),

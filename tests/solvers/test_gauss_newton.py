@@ -160,6 +160,13 @@ def test_start_that_is_not_finite() -> None:
     assert result.status is Status.NOT_FINITE
 
 
+def test_start_without_a_derivative() -> None:
+    """A distance of zero has a cost."""
+    flat = np.ones(2), np.full((2, 1), np.nan)
+    found = gauss_newton(lambda x: flat, lambda x: 1.0, np.zeros(1), np.eye(1))
+    assert (found.status, found.cost) == (Status.NOT_FINITE, 1.0)
+
+
 def test_a_wrong_jacobian_stalls() -> None:
     problem = Linear(np.eye(2), np.array([1.0, 2.0]))
     result = gauss_newton(

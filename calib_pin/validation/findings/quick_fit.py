@@ -96,11 +96,14 @@ class QuickFit:
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
+            LinAlgError: If their errors have no derivative where the robot is.
         """
         trial = cls(located(problem), np.zeros(len(problem.parameters)), **more)
         free, scales = problem.parameters.free, problem.parameters.scales
         for step in range(steps if trial.redundant else 0):
             A, b = trial.system
+            if not np.isfinite(A).all():
+                raise np.linalg.LinAlgError("the errors have no derivative")
             theta = trial.theta.copy()
             theta[free] -= scales[free] * np.linalg.lstsq(A, b, rcond=1e-10)[0]
             stepped = replace(trial, theta=theta)

@@ -21,7 +21,7 @@ from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
 from calib_pin.setup import JointMap, Setup
 from calib_pin.validation.findings.case import JointSet
-from calib_pin.validation.findings.setup_lines import lines_of
+from calib_pin.validation.findings.setup_lines import lines_of, restated
 
 NEAR = 0.05
 """Distance of a column from that of a joint, rms in standard deviations of it, below
@@ -51,17 +51,12 @@ def joint_sets(
     sources = joint_sources(chains, setup.joints)
     for exchanged in _exchanges(table, chains, setup, sources)[:MOST]:
         maps = dict(_maps(sources, exchanged))
-        others = {c: m for c, m in setup.joints.items() if m.joint not in _joints(maps)}
         try:
-            data = read({**others, **maps})
+            data = read(restated(setup.joints, maps))
         except CalibPinError:
             continue
         stated = {"joints": {column: lines_of(given) for column, given in maps.items()}}
         yield JointSet(tuple(exchanged.values()), data, stated)
-
-
-def _joints(maps: Mapping[str, JointMap]) -> set[str]:
-    return {given.joint for given in maps.values()}
 
 
 def _exchanges(
@@ -70,12 +65,16 @@ def _exchanges(
     """Other columns in place of those that are joints, one dictionary for each set."""
     kinds = {c: kind for source in sources for c, kind in source.kinds.items()}
     used = {c: _numbers(table, c, kind) for c, kind in kinds.items()}
+    by_unit = {kind.si: kind for kind in kinds.values()}.values()
     near = defaultdict[str, list[str]](list)
-    for name in spare_columns(table, chains, setup.joints):
+    spare = spare_columns(table, chains, setup.joints)
+    for name in (name for name in spare if name not in reserved()):
+        # A column is read once, however many joints have its kind.
+        read = {kind.si: _numbers(table, name, kind) for kind in by_unit}
         far = {}
         for column, here in used.items():
-            there = _numbers(table, name, kinds[column])
-            if here is not None and there is not None and name not in reserved():
+            there = read[kinds[column].si]
+            if here is not None and there is not None:
                 with np.errstate(over="ignore"):  # What means something else.
                     rms = float(np.sqrt(np.mean((there - here) ** 2)))
                 far[column] = rms / max(float(here.std()), 1e-300)

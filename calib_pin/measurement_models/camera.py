@@ -309,8 +309,8 @@ class CameraModel(DeclaredModel):
             ends = ends and (invert(ends[1]), invert(ends[0]))
         if ends is None:
             raise InputError(
-                f"{len(data)} measurements of the model 'camera' are too few to locate "
-                "the camera; give 'frames' in a setup file (--setup)"
+                "the camera cannot be located from the measurements of the model "
+                f"'camera' ({len(data)}); give 'frames' in a setup file (--setup)"
             )
         return base or pin.SE3(ends[0]), tool or pin.SE3(ends[1])
 

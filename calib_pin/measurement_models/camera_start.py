@@ -45,7 +45,7 @@ THIN = 1e-3
 """Part of the extent of a set of points that tells nothing of this direction."""
 
 DEGENERATE = 1e-9
-"""Part of the largest singular value that is rounding."""
+"""Part of the largest singular value that is rounding, and extent that is [m]."""
 
 
 @dataclass(frozen=True)
@@ -187,7 +187,7 @@ def pose_of_points(points: Floats, rays: Floats) -> Floats | None:
         True
     """
     center, axes, extent = _extent(points)
-    if len(points) < 4 or extent[1] <= THIN * extent[0]:
+    if len(points) < 4 or extent[1] <= max(THIN * extent[0], DEGENERATE):
         return None
     local = (points - center) @ axes.T
     found: list[tuple[float, Floats]] = []

@@ -152,7 +152,8 @@ def identification(
     if robot.shape[1] == 0:
         raise OptionError(
             "no parameter of the robot can be estimated: all of them are fixed or "
-            "unobservable"
+            "unobservable",
+            file=problem.setup.file or problem.chains.robot.file,
         )
     basis = problem.parameters.scales[:, None] * np.column_stack([nuisances, robot])
     rows = IdentificationRows(problem, basis, nuisances.shape[1], aims)

@@ -316,11 +316,11 @@ class Search:
         chosen = tuple(subset.chosen)
         if np.isfinite(self.selection(chosen).cost):
             return chosen
-        size, allowed = self.table.shape[2], "more candidates"
+        size, allowed = self.table.shape[2], "more candidates (--candidates)"
         while len(subset.chosen) < min(len(self.table), self.count + size):
             subset.add(subset.best_to_add()[0])
             if np.isfinite(self.selection(subset.chosen).cost):
-                allowed = f"{len(subset.chosen)} or more"
+                allowed = f"{len(subset.chosen)} or more (--count, --add)"
                 break
         few = "1 configuration" if self.count == 1 else f"{self.count} configurations"
         raise OptionError(

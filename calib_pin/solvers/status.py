@@ -52,7 +52,7 @@ class Status(Enum):
                 "run to its end for a better result."
             ),
             Status.NOT_FINITE: (
-                "The cost is not a finite number at the start; check the first guess, "
-                "in a fit the frames, in a search whether anything is feasible."
+                "The cost or its derivative is not a finite number; check the first "
+                "guess, in a fit the frames, in a search whether anything is feasible."
             ),
         }[self]

@@ -158,7 +158,7 @@ MESSAGES: list[tuple[str, Mapping[str, str], str]] = [
         f"{PLAN} --count 3 --ignore-collisions --candidates 100",
         {},
         "3 configurations cannot determine the 11 identifiable parameters; "
-        "allowed: 4 or more",
+        "allowed: 4 or more (--count, --add)",
     ),
     (
         f"{PLAN} --count 8 --limits joint1=-90:90",

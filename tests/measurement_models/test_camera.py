@@ -498,7 +498,7 @@ def test_too_few_rows(mount: str) -> None:
     model = model_of(mount, GRID[:1])
     T, target = views(model, 1)
     data = data_of(model, T, target)
-    with pytest.raises(InputError, match=r"^1 measurements of the model 'camera'"):
+    with pytest.raises(InputError, match=r"^the camera cannot .* \(1\)"):
         model.register(T, data, None, None)
 
 

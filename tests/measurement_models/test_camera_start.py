@@ -82,6 +82,12 @@ def test_points_that_do_not_tell_a_pose(points: Floats) -> None:
     assert pose_of_points(points, rays) is None
 
 
+def test_points_that_are_one_by_rounding() -> None:
+    rng = np.random.default_rng(0)
+    points = 1e-17 * rng.normal(size=(12, 3))
+    assert pose_of_points(points, rng.uniform(-0.5, 0.5, (12, 2))) is None
+
+
 def test_points_that_cannot_be_seen() -> None:
     # What is seen of them no camera sees that they are all in front of.
     rays = rays_of(GRID + np.array([0.0, 0.0, 0.3]))

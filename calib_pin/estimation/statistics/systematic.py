@@ -145,7 +145,8 @@ def systematic(
         directions: The directions that were moved.
 
     Returns:
-        The effects, or None where nothing shows or all of them are estimated.
+        The effects, or None where nothing shows, all of them are estimated, or the
+        nominal robot is where nothing can be measured.
     """
     effects = _candidates(problem)
     spare = distinct_values(problem) - directions.count
@@ -159,6 +160,8 @@ def systematic(
     half = half_covariance(jac, directions.basis, problem.parameters)
     X = np.zeros((len(fun), len(effects.names)))
     X[: len(measured)] = effects.rows(sample, theta)
+    if not np.isfinite(X).all():
+        return None  # The nominal robot is far away, behind the camera, say.
     groups = grouped(sample, np.column_stack([jac @ half, X, fun]))
     return _significant(sample, effects, groups)
 

@@ -8,13 +8,14 @@ import numpy as np
 import pytest
 
 import calib_pin
+from calib_pin.estimation.directions import Directions
 from calib_pin.estimation.fit import fit
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.estimation.problem import Problem
 from calib_pin.estimation.statistics.systematic import MOST, _candidates, systematic
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Observations
-from calib_pin.setup import FrameSetup, Payload, Setup
+from calib_pin.setup import CameraSetup, FrameSetup, Payload, PointSetup, Setup
 
 TOOL = FrameSetup((0.05, 0.08, 0.12), (0.2, -0.3, 0.1))
 
@@ -109,3 +110,21 @@ def test_effects_leave_no_more_than_is_found() -> None:
         squares = 2.0 * problem.cost(fitted.theta)
         noise = found.noise[0] * (problem.count - fitted.rank)
         assert left <= MOST * (squares - noise) * (1.0 + 1e-6)
+
+
+def test_a_nominal_robot_behind_the_camera_tells_no_effects() -> None:
+    """A fit to wrong measurements has lifted the robot before the camera."""
+    camera = CameraSetup("world", (900.0, 900.0), (640.0, 500.0))
+    below = FrameSetup((0.0, 0.0, -2.5), (0.0, 0.0, 0.0))
+    points = {"a": PointSetup((0.05, 0.08, 0.12)), "b": PointSetup((0.1, 0.0, 0.1))}
+    setup = Setup(camera=camera, targets=points, base_frame=below)
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, "camera", setup)
+    theta = np.zeros(len(problem.parameters))
+    theta[problem.parameters.index("joint_1.placement.z")] = 5.0
+    rng = np.random.default_rng(0)
+    rows = calib_pin.simulate(problem, theta, rng, count=60, noise=1.0)
+    seen = replace(problem, data=rows)
+    assert not np.isfinite(seen.residual(np.zeros(len(theta)))).all()
+    none = np.zeros((len(theta), 0))
+    assert systematic(seen, theta, Directions(none, none, none)) is None

@@ -6,14 +6,12 @@ that were held out, and judges it; then the same for the geometry that a URDF ca
 
 from __future__ import annotations
 
-from collections.abc import Sequence
 from dataclasses import replace
 
 import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import OptionError, nearest
-from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fit import FittedModel, fit_model
 from calib_pin.estimation.formulation import chains_of, geometric_setup, make_parts
 from calib_pin.estimation.tip_accuracy import tip_accuracy
@@ -28,7 +26,7 @@ from calib_pin.validation.calibrated_model import CalibratedModel
 from calib_pin.validation.findings import explained
 from calib_pin.validation.findings.case import NONE, Others
 from calib_pin.validation.held_out import HeldOut, check
-from calib_pin.validation.judgement import Judgement, judge
+from calib_pin.validation.judgement import Judgement, judge, quantity_errors
 from calib_pin.validation.measurement_errors import MeasurementErrors
 from calib_pin.validation.model_errors import ModelErrors, fitted_errors, registered
 from calib_pin.validation.model_selection import select_model
@@ -42,6 +40,7 @@ from calib_pin.validation.summaries import (
     Statistics,
     Validation,
 )
+from calib_pin.validation.verdict import unexplained
 
 
 @serial_blas
@@ -117,6 +116,9 @@ def calibrate(
         else:
             tell = portion(named(progress, "fit"), 0.0, share)
             model = fit_model(chains, training, setup, seed, tell)
+        fitted = fitted_errors(model, training)
+        # Fits to parts of what no robot explains are slow, and say nothing.
+        hopeless = held is None and not ladder and _unexplained(model, fitted)
         held_out = check(
             chains,
             training,
@@ -125,11 +127,10 @@ def calibrate(
             seed,
             validation=held,
             method=method,
-            validate=validate,
+            validate=validate and not hopeless,
             parts=None if selected is None else selected.parts,
             progress=checking,
         )
-    fitted = fitted_errors(model, training)
     tell = named(progress, "joint readings")
     judgement = judge(chains, model, fitted, held_out, seed, tell, others)
     files = [*data.files.distinct, *(further.files.distinct if further else ())]
@@ -142,7 +143,7 @@ def calibrate(
         seed,
         files=tuple(filter(None, dict.fromkeys(files))),
         selection=None if selected is None else selected.selection,
-        urdf=_urdf(chains, training, model, held, seed, validate, judgement.causes),
+        urdf=_urdf(chains, training, model, held, seed, validate, judgement),
     )
 
 
@@ -224,6 +225,13 @@ def _result(
     )
 
 
+def _unexplained(model: FittedModel, fitted: ModelErrors) -> bool:
+    """Whether far more errors are left than the geometry of a robot explains."""
+    errors = fitted.counted(model.fit.problem.data.weight)
+    quantities = model.problem.layout.quantities
+    return bool(unexplained(model.fit, quantity_errors(quantities, errors)))
+
+
 def _require_ends(
     chains: Chains, setup: Setup, training: Observations, held: Observations | None
 ) -> None:
@@ -265,15 +273,18 @@ def _urdf(
     held: Observations | None,
     seed: int,
     validate: bool,
-    causes: Sequence[Finding],
+    judgement: Judgement,
 ) -> UrdfResult | None:
     """The geometry alone, judged like a calibration of its own.
 
-    None where the calibration is nothing but geometry.
+    None where the calibration is nothing but geometry; without a model where that is
+    not to be trusted.
     """
     if all(part.error.geometric for part in model.problem.parts.values()):
         return None
     fitted = model.fit
+    if judgement.status == "untrusted":
+        return UrdfResult(None, (), "the calibration is untrusted")
     setup = geometric_setup(chains, training, fitted.problem.setup)
     if not setup.parameters:
         return UrdfResult(None, (), "nothing of this calibration has a place in a URDF")
@@ -285,11 +296,11 @@ def _urdf(
         chains, training, setup, geometry, seed, validation=held, validate=validate
     )
     errors = fitted_errors(geometry, training)
-    judgement = judge(chains, geometry, errors, held_out, seed, causes=causes)
+    own = judge(chains, geometry, errors, held_out, seed, seek=False)
     return UrdfResult(
         CalibratedModel.create(geometry.problem, geometry.theta),
-        judgement.errors,
-        "" if judgement.status == "good" else judgement.reason,
+        own.errors,
+        "" if own.status == "good" else own.reason,
     )
 
 

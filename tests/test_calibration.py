@@ -257,6 +257,20 @@ def test_rows_of_something_else_are_not_trusted() -> None:
     assert "check the base and tip links" in result.reason
 
 
+def test_what_no_robot_explains_is_fitted_once() -> None:
+    chain, rows = measured(40)
+    shuffled = rows.values[np.random.default_rng(0).permutation(40)]
+    mixed_up = replace(rows, values=shuffled)
+    both = Setup(parameters=("joint-offset", "transmission"), tool_frame=TOOL)
+    result = calib_pin.calibrate(chain, mixed_up, both)
+    assert (result.verdict, result.validation.method) == ("untrusted", "none")
+    assert result.urdf is not None and result.urdf.model is None
+    assert result.urdf.reason == "the calibration is untrusted"
+    # Rows that are given for it are looked at all the same.
+    result = calib_pin.calibrate(chain, mixed_up, both, holdout=0.3)
+    assert (result.verdict, result.validation.method) == ("untrusted", "holdout")
+
+
 def test_a_reversed_joint_is_not_trusted() -> None:
     chain, rows = measured(60)
     q = rows.q * [1, 1, -1, 1, 1, 1]

@@ -2,7 +2,7 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from itertools import starmap
 from math import erf
@@ -37,8 +37,7 @@ MEASURED, SAMPLES = 100, 300
 class Judgement:
     """A verdict with what it is based on; see `CalibrationResult`.
 
-    Accuracies are those to expect, without the predicted uncertainty of tips; causes
-    are those among the findings from which errors follow that no robot explains.
+    Accuracies are those to expect, without the predicted uncertainty of tips.
     """
 
     status: str
@@ -46,7 +45,6 @@ class Judgement:
     errors: tuple[QuantityErrors, ...]
     findings: tuple[Finding, ...]
     accuracies: Mapping[str, ToolAccuracy]
-    causes: tuple[Finding, ...]
 
 
 def judge(
@@ -57,7 +55,7 @@ def judge(
     seed: int,
     progress: Progress | None = None,
     others: Others = NONE,
-    causes: Sequence[Finding] | None = None,
+    seek: bool = True,
 ) -> Judgement:
     """Judge a fitted model.
 
@@ -69,7 +67,8 @@ def judge(
         seed: Seed of configurations.
         progress: Told how far the search for explanations is.
         others: Other readings of the files.
-        causes: Faults of the measurements that were found with another model.
+        seek: Whether to seek faults of the measurements that no robot explains; they
+            have been sought with another model otherwise.
     """
     fitted, data = model.fit, model.fit.problem.data
     chains = Chains.of(chains)
@@ -89,7 +88,7 @@ def judge(
             for name, part in model.problem.by_chain.items()
         }
     case = Case.of(fitted, chains, validation, progress, others, accuracies)
-    found = find(case, causes)
+    found = find(case, seek)
     findings = (*found.causes, *held_out.findings, *found.others)
     groups = data.groups()
     aside = 1.0 - len(np.unique(groups[counting])) / max(groups.max() + 1, 1)
@@ -104,7 +103,7 @@ def judge(
             found.causes,
         )
     )
-    return Judgement(status, reason, errors, findings, accuracies, found.causes)
+    return Judgement(status, reason, errors, findings, accuracies)
 
 
 def _expected(

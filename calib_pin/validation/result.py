@@ -159,8 +159,9 @@ class UrdfResult:
     """The geometry alone, of a calibration that is more than a URDF can hold.
 
     Attributes:
-        model: The robot calibrated by its geometry; None without parameters of it.
-        errors: Accuracy by quantity, judged like that of the calibration.
+        model: The robot calibrated by its geometry; None without parameters of it, and
+            where the whole calibration is untrusted.
+        errors: Accuracy by quantity, judged like that of the calibration; empty then.
         reason: Why there must be no URDF; empty where it is good.
     """
 

@@ -9,7 +9,7 @@ looks good are sought in every fit, by a few further columns of its Jacobian
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
+from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
 from typing import TypeVar
@@ -28,7 +28,8 @@ from calib_pin.validation.findings.case import DOUBTFUL, NONE, Case, Others
 from calib_pin.validation.findings.coarse_values import coarse_values
 from calib_pin.validation.findings.design import design
 from calib_pin.validation.findings.drift import drift
-from calib_pin.validation.findings.explanations import Family, explain, finding
+from calib_pin.validation.findings.explanations import Family, explain
+from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.joint_columns import joint_columns
 from calib_pin.validation.findings.joint_motions import joint_motion
 from calib_pin.validation.findings.joint_offsets import joint_offset
@@ -95,15 +96,15 @@ class Found:
 
 
 @serial_blas
-def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
+def find(case: Case, seek: bool = True) -> Found:
     """The faults of measurements and of what was fitted to them.
 
     Args:
         case: The case.
-        sought: Causes that have been found with another fit to the measurements; None
-            where nobody has sought them.
+        seek: Whether to seek faults that change how measurements are read; they have
+            been sought with another fit otherwise.
     """
-    sought = _sought(case) if sought is None else sought
+    sought = _sought(case) if seek else ()
     causes = tuple(found for found in sought if found.severity == "error")
     kinds = FACTS if causes else CONSEQUENCES + FACTS
     others = [] if causes else [*sought]
@@ -111,12 +112,9 @@ def find(case: Case, sought: Sequence[Finding] | None = None) -> Found:
     if any(found.code == "joint-offset" for found in others):
         # The origin has taken it over.
         others = [found for found in others if found.code != "large-correction"]
-    ends = {
-        end
-        for found in others
-        if found.code == "known-distance"
-        for end in str(found.evidence["between"]).split(" - ")
-    }
+    wrong = {f.evidence["between"] for f in others if f.code == "known-distance"}
+    distances = [d.between for d in case.setup.distances]
+    ends = {end for both in distances if " - ".join(both) in wrong for end in both}
     # The measurements of an end do not fit a wrong distance.
     others = [
         found
@@ -163,9 +161,10 @@ def explained(
 def _sought(case: Case) -> tuple[Finding, ...]:
     """Faults that change how measurements are read, the likeliest explanation alone."""
     sets = _told(joint_sets, case)
-    if any(found.setup for found in sets):
+    better = [found for found in sets if found.setup]
+    if better:
         # What one column lags behind another is no lag of its joint.
-        return tuple(found for found in sets if found.setup)[:1]
+        return (min(better, key=lambda found: _left([found])),)
     sure = _tried(joint_motion, case) or _tried(joint_offset, case)
     if sure is not None:
         # A nominal robot that is read wrong makes plateaus of its own.

@@ -83,12 +83,12 @@ class Problem(Measured):
     @property
     def count(self) -> int:
         """Number of values that are known: measured ones, known distances, priors."""
-        return self.values + len(self._distances) + len(self._priors)
+        return self.values + len(self.known_distances) + len(self._priors)
 
     @cached_property
     def further(self) -> Blocks:
         """The residual rows behind those of the measurements."""
-        known = self._distances, self.expected, self._priors
+        known = self.known_distances, self.expected, self._priors
         return Blocks([block for block in known if block is not None and len(block)])
 
     def errors(self, theta: Floats) -> Floats:
@@ -202,7 +202,7 @@ class Problem(Measured):
         parameters = self.parameters
         tied = np.isfinite([*parameters.bounds, parameters.priors]).any(axis=0)
         tied |= ~parameters.free | ~parameters.nuisance
-        tied[self._distances.columns[self._distances.columns >= 0]] = True
+        tied[self.known_distances.columns[self.known_distances.columns >= 0]] = True
         return station_parameters(indices, ~tied)
 
     @property
@@ -235,7 +235,7 @@ class Problem(Measured):
         self._eliminated[theta.tobytes()] = stations
 
     @cached_property
-    def _distances(self) -> KnownDistances:
+    def known_distances(self) -> KnownDistances:
         """Known distances between points that the instruments know."""
         return KnownDistances.of(
             self.setup.distances, self.references, self.given.names

@@ -216,16 +216,8 @@ class Case:
         """
         if not self.errors_left <= (DOUBTFUL if self.informed else FOREIGN):
             return True
-        known = self.fitted is not None and self._largest_correction <= REBUILT
+        known = self.fitted is not None and self.fit.largest_correction <= REBUILT
         return self.errors_nominal > (ABSURD if known else FOREIGN)
-
-    @property
-    def _largest_correction(self) -> float:
-        """The largest correction of the robot, in expected sizes."""
-        parameters = self.fit.problem.parameters
-        robot = ~parameters.nuisance
-        sizes = np.abs(self.fit.theta / parameters.scales)[robot]
-        return float(sizes.max(initial=0.0))
 
     @cached_property
     def errors_left(self) -> float:

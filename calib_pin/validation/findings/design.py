@@ -135,7 +135,5 @@ def _smooth(q: Floats) -> bool:
     """Whether configurations, repeated or not, follow one another closely."""
     changed = np.any(np.diff(q, axis=0) != 0.0, axis=1)
     q = q[np.append(True, changed)]
-    if not q.shape[1] or len(q) < 2:
-        return False
     steps = np.mean(np.diff(q, axis=0) ** 2, axis=0)
     return float(np.mean(steps / (2.0 * q.var(axis=0)))) < SMOOTH

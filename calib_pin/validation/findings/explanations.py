@@ -10,8 +10,8 @@ fitted as well, for one explanation at a time.
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Iterator, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import replace
 from functools import cached_property
 from itertools import product
 
@@ -19,18 +19,21 @@ import numpy as np
 
 from calib_pin.compiled.threads import serial_blas
 from calib_pin.errors import CalibPinError
-from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.formulation import make_problem
 from calib_pin.estimation.problem import Problem, error_table
 from calib_pin.measurement_models import declared
 from calib_pin.observations import Observations
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.setup import Setup
-from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import DOUBTFUL, FOREIGN, Case
-from calib_pin.validation.findings.hypotheses import Hypothesis, read_so, setup_lines
+from calib_pin.validation.findings.hypotheses import (
+    FITTED,
+    Explanation,
+    Hypothesis,
+    read_so,
+)
 from calib_pin.validation.findings.quick_fit import QuickFit, located
-from calib_pin.validation.findings.setup_lines import merged, written
+from calib_pin.validation.findings.setup_lines import merged
 
 ROWS = 60
 """Measurements that explanations are tried on."""
@@ -57,11 +60,9 @@ it; and those without a fault of several, if that is not needed."""
 DECISIVE = 0.2
 """Part of the nominal robot's errors that all of them together may leave."""
 
-FITTED = 0.5
-"""Part of the errors of a fit that one of them may leave."""
-
 EXPLAINED = 0.02
-"""Part of the errors with which nothing more is sought."""
+"""Part of the errors with which nothing more is sought; of unknown ones, one expected
+size of an error."""
 
 KEPT = 0.75
 """Part of the measurements that counts: outliers may stand beside another fault."""
@@ -77,30 +78,6 @@ Family = Callable[[Case], Iterable[Hypothesis]]
 """The explanations of one kind that are worth a trial in a case."""
 
 
-@dataclass(frozen=True)
-class Explanation:
-    """Faults that explain the measurements together.
-
-    Attributes:
-        faults: The faults.
-        before: Errors as the measurements are read now, rms [unit of the quantity];
-            infinite where the robot cannot be located.
-        after: Errors if they are read so.
-        ratio: Logarithm of the likelihood ratio.
-        tried: Number of explanations that were tried.
-        fitted: Whether both are errors of a fit, or of the nominal robot.
-        harmless: Whether a fit finds the same errors of the robot without it.
-    """
-
-    faults: tuple[Hypothesis, ...]
-    before: float
-    after: float
-    ratio: float
-    tried: int
-    fitted: bool
-    harmless: bool = False
-
-
 @serial_blas
 def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
     """The explanation that leaves the least errors; None where none is decisive.
@@ -110,7 +87,10 @@ def explain(case: Case, families: Sequence[Family]) -> Explanation | None:
         families: Where explanations come from.
     """
     search = _Search(case, [h for family in families for h in family(case)])
-    return search.combined() or search.of_one_joint() or search.fitted()
+    found = search.combined() or search.of_one_joint() or search.fitted()
+    if found is None or not any(h.reading.without for h in found.faults):
+        return found
+    return search.of_all(found)
 
 
 class _Search:
@@ -119,9 +99,8 @@ class _Search:
     def __init__(self, case: Case, known: Sequence[Hypothesis]) -> None:
         self.case, self.known, self.tried = case, known, 0
         self.data = _picked(case.data.weighted(np.ones(len(case.data))))
-        setup = case.setup
         self.plain = replace(
-            setup, parameters=(), learned=None, fixed=(), bounds={}, prior={}
+            case.setup, parameters=(), learned=None, fixed=(), bounds={}, prior={}
         )
 
     @cached_property
@@ -137,6 +116,7 @@ class _Search:
     def combined(self) -> Explanation | None:
         """Faults with which the nominal robot fits far better."""
         size, first = self._nominal, self.first
+        enough = EXPLAINED * first if np.isfinite(first) else self._one
         beam: list[tuple[float, tuple[Hypothesis, ...]]] = [(first, ())]
         every, last = list(beam), first
         for k in range(MOST):
@@ -157,8 +137,7 @@ class _Search:
             every += beam
             every.sort(key=lambda pair: _rounded(pair[0]))
             left, faults = every[0]
-            explained = np.isfinite(first) and left < EXPLAINED * first
-            if explained or self._ratio(faults, last, left) < self._chance:
+            if left < enough or self._ratio(faults, last, left) < self._chance:
                 break
             last = left
         return self._best(every)
@@ -171,12 +150,17 @@ class _Search:
         A robot whose errors are fitted tells those that leave about the same, and is
         asked where what the nominal one leaves is too much.
         """
-        least, _ = every[0]
-        close = [self._needed(*pair) for pair in every if pair[0] <= CLOSE * least]
+        # What leaves no more than a robot errs explains all.
+        limit = max(CLOSE * every[0][0], self._one)
+        close = [self._needed(*p) for p in every if p[1] and p[0] <= limit] or every[:1]
+        # What leaves none out explains more.
+        close = [p for p in close if not any(h.reading.without for h in p[1])] or close
         left, faults = close[0]
         told = not any(fault.gross for _, kept in close for fault in kept)
         if told and len(close) > 1:
-            left, faults = min(close, key=lambda pair: _rounded(self._fitted(pair[1])))
+            # A fit that gets lost leaves no more than the nominal robot.
+            sizes = [min(self._fitted(kept), size) for size, kept in close]
+            left, faults = close[int(np.argmin([*map(_rounded, sizes)]))]
         found = self._decided(faults, self.first, left, DECISIVE, fitted=False)
         told = told and not any(h.chains or h.reading.without for h in faults)
         return found or (self._of_fits(faults, DECISIVE) if told else None)
@@ -225,18 +209,37 @@ class _Search:
             if not (fault.gross or fault.chains)
         ]
         least, k = min(trials, default=(np.inf, len(self.known)))
-        # What leaves none out explains more.
         every = [t for t in trials if not self.known[t[1]].reading.without]
         left, reading = min(every, default=(np.inf, k))
         k = reading if left < CLOSE * least else k
         return self._of_fits(self.known[k : k + 1], FITTED)
+
+    def of_all(self, found: Explanation) -> Explanation:
+        """A reading of all measurements, if one explains as much as leaving some out.
+
+        Of four corners, three keep their joints if the lines are shifted by one.
+        """
+        if self._contact:
+            return found
+        rest = (fault for fault in self.known if not fault.reading.without)
+        every = [fault for fault in rest if not (fault.gross or fault.chains)]
+        trials = [(self._fitted((f,), thorough=True), k) for k, f in enumerate(every)]
+        left, k = min(trials, default=(np.inf, 0))
+        if left > CLOSE * self._fitted(found.faults, thorough=True):
+            return found
+        best = self._decided([every[k]], self.first_fitted, left, FITTED, fitted=True)
+        return best or found
+
+    @property
+    def _contact(self) -> bool:
+        return any(declared(model).contact for model in self.data.models)
 
     def _of_fits(self, faults: Sequence[Hypothesis], most: float) -> Explanation | None:
         """Faults with which a fit leaves far less.
 
         Contacts draw a robot together, the more so the less is known of it.
         """
-        if any(declared(model).contact for model in self.data.models):
+        if self._contact:
             return None
         left = self._fitted(faults) if faults else np.inf
         return self._decided(faults, self.first_fitted, left, most, fitted=True)
@@ -250,16 +253,14 @@ class _Search:
         *,
         fitted: bool,
     ) -> Explanation | None:
-        unit = self.case.fit.problem.layout.quantities[0].unit
-        one = expected_size(unit) / self._unit
         if self.case.fitted is not None:
             # A trial may get lost where the whole fit does not.
             known = self.case.errors_left if fitted else self.case.errors_nominal
-            before = min(before, one * known)
+            before = min(before, self._one * known)
         # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
         most = limit * before
         if np.isinf(before):
-            most = one * (DOUBTFUL if fitted else FOREIGN)
+            most = self._one * (DOUBTFUL if fitted else FOREIGN)
         if not faults or not after < most:
             return None
         ratio = self._ratio(faults, before, after)
@@ -289,6 +290,12 @@ class _Search:
         first = problem.layout.component == 0
         return float(np.sqrt(np.mean(problem.given_sigma[first] ** 2)))
 
+    @property
+    def _one(self) -> float:
+        """Expected size of an error of a robot, in standard deviations."""
+        quantity = self.case.fit.problem.layout.quantities[0]
+        return expected_size(quantity.unit) / self._unit
+
     def _problem(self, faults: Sequence[Hypothesis], setup: Setup) -> Problem:
         """The problem of some measurements that are read so."""
         chains = next((h.chains for h in faults if h.chains), self.case.chains)
@@ -309,45 +316,15 @@ class _Search:
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf  # No beam meets its plane, say.
 
-    def _fitted(self, faults: Sequence[Hypothesis]) -> float:
+    def _fitted(self, faults: Sequence[Hypothesis], thorough: bool = False) -> float:
         """Error of a robot whose errors were fitted in a few steps."""
         self.tried += 1
         try:
             problem = self._problem(faults, replace(self.case.setup, learned=None))
-            fit = QuickFit.of(problem)
+            fit = QuickFit.of(problem, thorough=thorough)
         except (CalibPinError, np.linalg.LinAlgError):
             return np.inf
         return fit.rms if fit.redundant and np.isfinite(fit.rms) else np.inf
-
-
-def finding(case: Case, found: Explanation) -> Iterator[Finding]:
-    """The findings of an explanation, one of each fault.
-
-    Each has the lines of all, which belong together.
-    """
-    lines = setup_lines(case, found.faults)
-    quantity = case.fit.problem.layout.quantities[0]
-    unit, factor = DISPLAY[quantity.unit]
-    sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
-    robot = "of a fit" if found.fitted else "of the nominal robot"
-    fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
-    clear = found.after < FITTED * found.before and not found.harmless
-    for fault in found.faults:
-        yield Finding(
-            fault.code,
-            "error" if clear else "warning",
-            f"{fault.words}: so read, the {quantity.name} errors {robot} {fall} "
-            f"{sizes[1]}",
-            {
-                "rms_before": found.before,
-                "rms_after": found.after,
-                "log_likelihood_ratio": found.ratio,
-                "tried": float(found.tried),
-            },
-            fault.advice or f"state in the setup file: {written(lines)}",
-            {} if fault.advice else lines,
-            fault.figure,
-        )
 
 
 def _rounded(misfit: float) -> float:

@@ -1,18 +1,30 @@
-"""Faults of the data, and measurements as they are to be read if these are there."""
+"""Faults of the data, how to read these if they are there, and errors they explain."""
 
 from __future__ import annotations
 
-from collections.abc import Callable, Iterable, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass, field, replace
 from typing import Any
 
+import numpy as np
+
 from calib_pin.errors import InputError
+from calib_pin.estimation.evidence import Finding
 from calib_pin.kinematics.chains import Chains
 from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
 from calib_pin.setup import ReadingSetup
+from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.setup_lines import JointReading, lines_of, merged
+from calib_pin.validation.findings.setup_lines import (
+    JointReading,
+    lines_of,
+    merged,
+    written,
+)
+
+FITTED = 0.5
+"""Part of the errors of a fit that one of them may leave."""
 
 
 @dataclass(frozen=True)
@@ -121,3 +133,57 @@ def setup_lines(case: Case, faults: Sequence[Hypothesis]) -> dict[str, Any]:
     for fault in faults:
         lines |= fault.stated
     return lines
+
+
+@dataclass(frozen=True)
+class Explanation:
+    """Faults that explain the measurements together.
+
+    Attributes:
+        faults: The faults.
+        before: Errors as the measurements are read now, rms [unit of the quantity];
+            infinite where the robot cannot be located.
+        after: Errors if they are read so.
+        ratio: Logarithm of the likelihood ratio.
+        tried: Number of explanations that were tried.
+        fitted: Whether both are errors of a fit, or of the nominal robot.
+        harmless: Whether a fit finds the same errors of the robot without it.
+    """
+
+    faults: tuple[Hypothesis, ...]
+    before: float
+    after: float
+    ratio: float
+    tried: int
+    fitted: bool
+    harmless: bool = False
+
+
+def finding(case: Case, found: Explanation) -> Iterator[Finding]:
+    """The findings of an explanation, one of each fault.
+
+    Each has the lines of all, which belong together.
+    """
+    lines = setup_lines(case, found.faults)
+    quantity = case.fit.problem.layout.quantities[0]
+    unit, factor = DISPLAY[quantity.unit]
+    sizes = [f"{factor * size:.3g} {unit}" for size in (found.before, found.after)]
+    robot = "of a fit" if found.fitted else "of the nominal robot"
+    fall = f"fall from {sizes[0]} to" if np.isfinite(found.before) else "are"
+    clear = found.after < FITTED * found.before and not found.harmless
+    for fault in found.faults:
+        yield Finding(
+            fault.code,
+            "error" if clear else "warning",
+            f"{fault.words}: so read, the {quantity.name} errors {robot} {fall} "
+            f"{sizes[1]}",
+            {
+                "rms_before": found.before,
+                "rms_after": found.after,
+                "log_likelihood_ratio": found.ratio,
+                "tried": float(found.tried),
+            },
+            fault.advice or f"state in the setup file: {written(lines)}",
+            {} if fault.advice else lines,
+            fault.figure,
+        )

@@ -21,8 +21,8 @@ from calib_pin.measurement_models.readings import last_motions
 from calib_pin.observations import Indices, Observations
 from calib_pin.setup import ReadingSetup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import Explanation
-from calib_pin.validation.findings.hypotheses import Hypothesis, read_so
+from calib_pin.validation.findings.hypotheses import Explanation, Hypothesis, read_so
+from calib_pin.validation.findings.plausibility import OPTIONS
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import JointReading
 
@@ -55,6 +55,9 @@ STEPS = 12
 
 SETTLED = 0.1
 """Change of the part, in its standard deviations, after which no more are taken."""
+
+STILL = 0.99
+"""Part of the errors that the last step leaves at least: the robot must settle, too."""
 
 
 class Motion(NamedTuple):
@@ -195,10 +198,15 @@ def joint_motion(case: Case) -> Explanation | None:
         if not abs(part) < LARGEST:
             return None
         data = read_so(case.data, [motion.hypothesis(case, part)]).rows(columns.index)
-        fit = _refitted(fit, data)
-        if abs(score.values[0]) < SETTLED * score.deviations[0]:
+        before, fit = fit, _refitted(fit, data)
+        still = fit.rms > STILL * before.rms
+        if still and abs(score.values[0]) < SETTLED * score.deviations[0]:
             break
-    if not fit.rms**2 < LEFT * first.rms**2:
+    if (
+        not fit.rms**2 < LEFT * first.rms**2
+        or fit.largest_correction > OPTIONS.implausible
+    ):
+        # A robot of other lengths explains a prismatic joint that goes farther.
         return None
     return Explanation(
         (motion.hypothesis(case, part),),

@@ -18,8 +18,8 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.parameterizations.base import expected_size
 from calib_pin.validation.findings.case import DOUBTFUL, Case
-from calib_pin.validation.findings.explanations import DECISIVE, Explanation
-from calib_pin.validation.findings.hypotheses import read_so
+from calib_pin.validation.findings.explanations import DECISIVE
+from calib_pin.validation.findings.hypotheses import Explanation, read_so
 from calib_pin.validation.findings.joint_columns import offset_by
 from calib_pin.validation.findings.quick_fit import QuickFit
 

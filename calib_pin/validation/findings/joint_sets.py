@@ -13,7 +13,8 @@ from calib_pin.estimation.formulation import make_problem
 from calib_pin.observations import Indices, Measurements, Observations
 from calib_pin.units import DISPLAY
 from calib_pin.validation.findings.case import STEPS, Case
-from calib_pin.validation.findings.explanations import FITTED, UNLIKELY
+from calib_pin.validation.findings.explanations import UNLIKELY
+from calib_pin.validation.findings.hypotheses import FITTED
 from calib_pin.validation.findings.quick_fit import QuickFit
 from calib_pin.validation.findings.setup_lines import written
 

@@ -11,7 +11,6 @@ from calib_pin.estimation.directions import half_covariance
 from calib_pin.estimation.evidence import Finding
 from calib_pin.estimation.fitted import Fit
 from calib_pin.estimation.nominal import analyze_structure
-from calib_pin.estimation.row_blocks import KnownDistances
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.setup import DistanceSetup
 from calib_pin.units import DISPLAY
@@ -30,18 +29,10 @@ BEYOND = 3.0
 """The same in errors left, rms."""
 
 SIGNIFICANT = 4.5
-"""Standard deviations from which it is no chance."""
+"""Standard deviations from which it is no chance: by chance one in 150 000 is."""
 
 ROUNDING = 1e-12
-"""Least part of a distance that others decide; less is rounding."""
-
-
-def known_distances(fitted: Fit) -> KnownDistances:
-    """The known distances between references of a fit."""
-    problem = fitted.problem
-    return KnownDistances.of(
-        problem.setup.distances, problem.references, problem.given.names
-    )
+"""Least part of a distance that others decide, or of squares; less is rounding."""
 
 
 def contradicted(
@@ -59,7 +50,7 @@ def contradicted(
         errors: Errors that are left, rms [unit of the first quantity].
         robust: The one that has set all measurements of an end aside, if it is without.
     """
-    known = known_distances(fitted)
+    known = fitted.problem.known_distances
     if not len(known):
         return
     v = known.residual(fitted.theta)

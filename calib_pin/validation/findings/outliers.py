@@ -59,7 +59,7 @@ def outliers(case: Case) -> Iterator[Finding]:
         return
     rows = rest[np.argsort(np.argsort(data.in_order)[rest])].tolist()
     targets = {data.target[row] for row in rows}
-    if len(targets) == 1:
+    if len(targets) == 1 and any(targets):
         numbers["target"] = targets.pop()
     causes = [*dict.fromkeys(o.cause for o in out if o.row in rows and o.cause)]
     shared = f" ({', '.join(causes[:NAMED])})" if causes else ""

@@ -13,7 +13,7 @@ errors x of the robot, and on the growth s of all of its lengths, by
 
 from __future__ import annotations
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -28,11 +28,13 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import INSTRUMENT
 from calib_pin.parameterizations.base import ANGLE_SCALE, LENGTH_SCALE
+from calib_pin.setup import FrameSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.joint_offsets import offset_within
 from calib_pin.validation.findings.known_distances import (
+    ROUNDING,
+    SIGNIFICANT,
     contradicted,
-    known_distances,
 )
 
 
@@ -67,7 +69,7 @@ class PlausibilityOptions:
 
     largest_growth: float = 0.0075
     doubtful_growth: float = 0.004
-    significant: float = 4.5
+    significant: float = SIGNIFICANT
     large: float = 10.0
     implausible: float = 25.0
     bought: float = 4.0
@@ -75,9 +77,6 @@ class PlausibilityOptions:
 
 
 OPTIONS = PlausibilityOptions()
-
-ROUNDING = 1e-12
-"""Least part of a distance that others decide; less is rounding."""
 
 SIZES = np.geomspace(1.0, 100.0, 41)
 """Sizes of the robot's errors among which the likeliest is taken, in expected ones."""
@@ -219,7 +218,7 @@ def _yardstick(fitted: Fit) -> str:
     """The lengths on which the scale of these measurements rests."""
     problem = fitted.problem
     lengths = []
-    if known := known_distances(fitted):
+    if known := fitted.problem.known_distances:
         ends = " - ".join(known.stated[0].between)
         more = ", ..." if len(known) > 1 else ""
         lengths.append(f"the known distance {ends}{more}")
@@ -283,6 +282,8 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         said = f"the zero of joint '{name}' came out moved by {amount}"
         evidence = {"joint": name, "move" if prismatic else "turn": offset}
         check = "check the mastering of this joint, and its origin in the URDF"
+    elif any(frame.estimate is False for frame in _frames(case.setup, name, names)):
+        check += ", and the frame that the setup states there"
     yield Finding(
         "large-correction",
         "warning",
@@ -290,6 +291,17 @@ def _corrections(case: Case, fitted: Fit, linear: _Linear) -> Iterator[Finding]:
         evidence,
         check,
     )
+
+
+def _frames(
+    setup: Setup, name: str, chains: Sequence[Sequence[str]]
+) -> Sequence[FrameSetup]:
+    """Frames that are stated at an origin, or one away, which shares its errors."""
+    if any(name in origins[:2] for origins in chains):
+        return (setup.base_frame, *setup.stations.values())
+    if any(name in origins[-2:] for origins in chains):
+        return (setup.tool_frame, *setup.tools.values())
+    return ()
 
 
 def _sizes(fitted: Fit, x: Floats) -> Floats:

@@ -40,15 +40,21 @@ STEP = 1e-7
 known far better than that by which others are told."""
 
 
-def located(problem: Problem) -> Problem:
+def located(problem: Problem, thorough: bool = False) -> Problem:
     """A problem about roughly registered frames and references.
 
     The closed form is enough to tell a robot from none; without a measurement frame
     there may be nothing in closed form, and it is fitted.
+
+    Args:
+        problem: The problem.
+        thorough: Whether they are fitted in any case: of a camera the closed form is
+            off by dozens of pixels where there are few images.
     """
     zero = np.zeros(len(problem.parameters))
     parts, problem = problem.parts.values(), registered(problem, zero)
-    if any(part.measurement.declaration.external for part in parts):
+    external = any(part.measurement.declaration.external for part in parts)
+    if external and not thorough:
         return problem
     basis = nuisance_basis(problem.parameters)
     return problem.rebased(refine(problem, zero, basis, ROUGH, LOCATING).x)[0]
@@ -86,19 +92,31 @@ class QuickFit:
     whole: bool = field(default=False, kw_only=True)
 
     @classmethod
-    def of(cls, problem: Problem, steps: int = STEPS, **more: Any) -> Self:
+    def of(
+        cls,
+        problem: Problem,
+        steps: int = STEPS,
+        *,
+        thorough: bool = False,
+        **more: Any,
+    ) -> Self:
         """Register the nominal robot, and fit its errors where that says something.
+
+        The best step counts: none where all of them lead away.
 
         Args:
             problem: The problem.
-            steps: Most steps, of which each must leave less.
+            steps: Most steps, of which each beyond the first ones must leave less.
+            thorough: See `located`.
             **more: Further attributes.
 
         Raises:
             CalibPinError: If a part of the measurements cannot be registered.
             LinAlgError: If their errors have no derivative where the robot is.
         """
-        trial = cls(located(problem), np.zeros(len(problem.parameters)), **more)
+        problem = located(problem, thorough)
+        trial = cls(problem, np.zeros(len(problem.parameters)), **more)
+        best = trial
         free, scales = problem.parameters.free, problem.parameters.scales
         for step in range(steps if trial.redundant else 0):
             A, b = trial.system
@@ -112,7 +130,8 @@ class QuickFit:
             if step >= STEPS and not stepped.rms < SETTLED * trial.rms:
                 break
             trial = stepped
-        return trial
+            best = trial if trial.rms < best.rms else best
+        return best
 
     @cached_property
     def redundant(self) -> bool:
@@ -129,15 +148,18 @@ class QuickFit:
 
     @cached_property
     def system(self) -> tuple[Floats, Floats]:
-        """Columns of what is free, and residuals, with expected sizes below them."""
+        """Columns of what is free, and residuals, above known distances and sizes."""
         r, J = self.linear
-        parameters = self.problem.parameters
+        parameters, known = self.problem.parameters, self.problem.known_distances
         free = parameters.free & (parameters.nuisance | self.redundant | self.whole)
         robot = ~parameters.nuisance & free
         prior = np.diag(np.where(robot, 1.0 / SIZE, 0.0))[robot]
-        A = np.concatenate([J, prior])
+        # Without them contacts draw a robot together.
+        of_known = known.jacobian(self.theta) * parameters.scales
+        A = np.concatenate([J, of_known, prior])
         A[:, ~free] = 0.0
-        b = np.concatenate([r, prior @ (self.theta / parameters.scales)])
+        pulls = prior @ (self.theta / parameters.scales)
+        b = np.concatenate([r, known.residual(self.theta), pulls])
         return A[:, parameters.free], b
 
     @cached_property
@@ -161,6 +183,13 @@ class QuickFit:
         """Errors left, in standard deviations, of what unknowns do not use up."""
         r, _ = self.linear
         return float(np.sqrt(r @ r / self.left)) if self.left > 0 else np.inf
+
+    @property
+    def largest_correction(self) -> float:
+        """The largest correction of the robot, in expected sizes."""
+        parameters = self.problem.parameters
+        sizes = np.abs(self.theta / parameters.scales)[~parameters.nuisance]
+        return float(sizes.max(initial=0.0))
 
     @property
     def errors(self) -> float:

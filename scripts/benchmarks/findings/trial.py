@@ -24,7 +24,7 @@ from calib_pin.io.setup import read_setup
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import Measurements, Observations
 from calib_pin.setup import Setup
-from calib_pin.validation.findings.setup_lines import merged
+from calib_pin.validation.findings.setup_lines import merged, restated
 from calib_pin.validation.result import CalibrationResult
 
 SEEDS = 20
@@ -225,9 +225,7 @@ def stated(setup: Setup, finding: Finding) -> Setup:
     if "reading" in changed:
         changed["reading"] = merged((setup.reading, lines.reading))
     if "joints" in changed:
-        again = {given.joint for given in lines.joints.values()}
-        left = {c: m for c, m in setup.joints.items() if m.joint not in again}
-        changed["joints"] = {**left, **lines.joints}
+        changed["joints"] = restated(setup.joints, lines.joints)
     return replace(setup, **changed)
 
 

@@ -13,7 +13,8 @@ from calib_pin.measurement_models.readings import read_otherwise
 from calib_pin.observations import Observations
 from calib_pin.setup import FrameSetup, ReadingSetup, Setup
 from calib_pin.validation.findings.axes import axes
-from calib_pin.validation.findings.explanations import explain, finding
+from calib_pin.validation.findings.explanations import explain
+from calib_pin.validation.findings.hypotheses import finding
 
 Job = Callable[..., Any]
 

@@ -20,8 +20,13 @@ from calib_pin.observations import Observations
 from calib_pin.setup import AnchorSetup, FrameSetup, JointMap, Setup
 from calib_pin.validation import findings
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import Explanation, explain, finding
-from calib_pin.validation.findings.hypotheses import read_so, setup_lines
+from calib_pin.validation.findings.explanations import explain
+from calib_pin.validation.findings.hypotheses import (
+    Explanation,
+    finding,
+    read_so,
+    setup_lines,
+)
 from calib_pin.validation.findings.joint_columns import joint_columns
 
 KNOWN = FrameSetup((0.4, -0.2, 0.3), (0.1, 0.2, 0.3), estimate=False)

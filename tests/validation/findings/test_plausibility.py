@@ -201,6 +201,18 @@ def test_a_joint_that_is_mounted_askew_is_a_warning() -> None:
     assert "the zero of joint 'joint_3' came out moved by" in findings[0].message
 
 
+@pytest.mark.parametrize("end", ["base", "tool"])
+def test_a_frame_that_is_stated_wrongly_is_a_warning(end: str) -> None:
+    """Measurements confirm the origin that has to make up for it."""
+    rows = measured("pose", FRAMES, 5)
+    base = replace(BASE, xyz=(1.6, -0.4, 0.3), estimate=False)
+    tool = replace(TOOL, xyz=(0.05, 0.08, 0.22), estimate=False)
+    stated = Setup(base_frame=base) if end == "base" else Setup(tool_frame=tool)
+    (finding,) = found(rows, stated)
+    assert (finding.code, finding.severity) == ("large-correction", "warning")
+    assert "and the frame that the setup states there" in finding.remedy
+
+
 def test_errors_of_the_gears_move_no_joint_by_centimeters() -> None:
     """A draw wire near one configuration: joint 2 moves far, for a little less error.
 

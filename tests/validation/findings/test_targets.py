@@ -10,9 +10,10 @@ import calib_pin
 from calib_pin.estimation.formulation import nominal_problem
 from calib_pin.kinematics.chains import Chains
 from calib_pin.observations import Observations
-from calib_pin.setup import PointSetup, Setup
+from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
 from calib_pin.validation.findings.case import Case
 from calib_pin.validation.findings.explanations import explain
+from calib_pin.validation.findings.line_order import line_order
 from calib_pin.validation.findings.targets import targets
 
 ARM = calib_pin.load_chain("space6")
@@ -60,3 +61,31 @@ def test_one_target_contradicts_nothing() -> None:
     rows = measured(0.0).only
     alone = Observations.of(rows.rows(np.arange(0, 90, 3)))
     assert list(targets(case_of(alone))) == []
+
+
+def test_a_board_whose_lines_are_shifted_has_no_wrong_corner() -> None:
+    """Three of four corners keep their joints if the lines are shifted by one."""
+    board = {
+        name: PointSetup((0.1 + 0.05 * (k % 2), 0.05 * (k // 2), 0.15))
+        for k, name in enumerate("abcd")
+    }
+    camera = CameraSetup("world", (900.0, 910.0), (640.0, 500.0))
+    setup = Setup(camera=camera, targets=board)
+    away = FrameSetup((0.1, -0.2, 6.0), (0.3, -0.2, 0.4))
+    problem = nominal_problem(ARM, "camera", replace(setup, base_frame=away))
+    rng = np.random.default_rng(2)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    q = np.repeat(ARM.random_configurations(60, rng), 4, axis=0)
+    names = tuple("abcd" * 60)
+    rows = calib_pin.simulate(problem, theta, rng, q=q, target=names, noise=0.2).only
+    below = replace(
+        rows.rows(np.arange(1, 240)),
+        q=rows.q[:-1],
+        lines=np.arange(2, 241),
+        files=("m.csv",) * 239,
+    )
+    case = Case.of_robot(Chains.of(ARM), Observations.of(below), setup)
+    found = explain(case, (line_order, targets))
+    assert found is not None
+    assert [fault.reading.shift for fault in found.faults] == [1]
+    assert found.after < 0.4

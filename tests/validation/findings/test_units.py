@@ -15,7 +15,8 @@ from calib_pin.measurement_models.readings import read_otherwise, scaled
 from calib_pin.observations import Observations
 from calib_pin.setup import ConvertedSetup, ReadingSetup, Setup
 from calib_pin.validation.findings.case import Case
-from calib_pin.validation.findings.explanations import explain, finding
+from calib_pin.validation.findings.explanations import explain
+from calib_pin.validation.findings.hypotheses import finding
 from calib_pin.validation.findings.units import units, units_of_some
 
 Job = Callable[..., Any]

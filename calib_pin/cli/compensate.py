@@ -144,6 +144,7 @@ def compensate(
     asked = read_target_file(
         targets,
         model.chain,
+        columns=stated.columns or model.setup.columns,
         joints=stated.joints or model.setup.joints,
         base=None if frame == "base" else model.error.base.translation,
         notice=None if quiet else notice,

@@ -175,9 +175,14 @@ def open_calibration(
     require_joints_only(file, setup)
     model = read_calibration(name, notice=doubted)
     joints = setup.joints or model.setup.joints
+    columns = setup.columns or model.setup.columns
     models = "+".join(dict.fromkeys(key.model for key in model.parts))
     return model, replace(
-        model.setup, model=models, joints=joints, reading=setup.reading
+        model.setup,
+        model=models,
+        columns=columns,
+        joints=joints,
+        reading=setup.reading,
     )
 
 
@@ -189,9 +194,12 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
     """
     from calib_pin.setup import Setup
 
-    if file is not None and setup != Setup(joints=setup.joints, reading=setup.reading):
+    own = Setup(columns=setup.columns, joints=setup.joints, reading=setup.reading)
+    if file is not None and setup != own:
         raise OptionError(
-            "a calibration has its own setup", file=file, allowed="joints, reading"
+            "a calibration has its own setup",
+            file=file,
+            allowed="columns, joints, reading",
         )
 
 
@@ -236,6 +244,7 @@ def open_measurements(
             model=setup.model,
             station_per_file=station_per_file,
             unnamed=chain,
+            columns=setup.columns,
             joints=setup.joints,
             reading=setup.reading,
             notice=None if quiet else notice,

@@ -226,7 +226,11 @@ def plan(
             notice=None if quiet else notice,
             file=stated.file,
         )
-    poses = None if tests is None else read_configurations(tests, chains, stated.joints)
+    poses = (
+        None
+        if tests is None
+        else read_configurations(tests, chains, stated.joints, stated.columns)
+    )
     with progress_bar(quiet=quiet) as bar, _interruptible(bar) as progress:
         found = run(
             chains,

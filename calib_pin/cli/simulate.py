@@ -142,7 +142,7 @@ def simulate(
         raise OptionError("give either --count or --configurations")
     check_outputs((output, truth), (robot, setup, configurations, errors), force)
     if configurations is not None:
-        named = read_names(configurations, "chain").distinct
+        named = read_names(configurations, "chain", stated.columns).distinct
         keys = stated_blocks(stated, *named)
     chains = open_chains(robot, stated, keys)
     problem = nominal_problem(chains, keys, stated)
@@ -170,10 +170,15 @@ def simulate(
             tell_limits(chains)
             rows = measure(count=count)
         else:
-            q = read_configurations(configurations, chains, stated.joints)
-            target = read_names(configurations, "target")
-            payload = read_names(configurations, "payload")
-            places = {kind: read_names(configurations, kind) for kind in PLACES}
+            q = read_configurations(
+                configurations, chains, stated.joints, stated.columns
+            )
+            target = read_names(configurations, "target", stated.columns)
+            payload = read_names(configurations, "payload", stated.columns)
+            places = {
+                kind: read_names(configurations, kind, stated.columns)
+                for kind in PLACES
+            }
             if not any(map(len, (target, *places.values()))):
                 rows = measure(q=q, payload=payload)
             else:

@@ -161,7 +161,7 @@ def _solids(
     """The collision geometry of a URDF, without pairs."""
     urdf = locate_robot(robot.file).resolve()
     try:
-        root = ElementTree.fromstring(robot.source)
+        root = ElementTree.fromstring(parse_document(robot.source).plain)
     except ElementTree.ParseError as error:
         # Pinocchio is more lenient.
         reason = f"its collision geometry cannot be read: {error}"

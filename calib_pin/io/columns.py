@@ -49,6 +49,14 @@ def read_numbers(cells: Sequence[str]) -> NDArray[np.float64]:
     return np.array([known[cell] for cell in cells])
 
 
+def with_points(cells: Sequence[str]) -> list[str]:
+    """Cells whose numbers have a decimal comma, with a point instead."""
+    return [
+        cell.replace(",", ".") if "," in cell and _COMMA.fullmatch(cell) else cell
+        for cell in cells
+    ]
+
+
 def what_is_wrong(cell: str, value: float) -> str:
     """The reason why a cell cannot be used.
 
@@ -62,9 +70,12 @@ def what_is_wrong(cell: str, value: float) -> str:
         return "not positive"
     if np.isinf(value) or cell.lower().lstrip("+-") == "nan":
         return "not a finite number"
-    if re.fullmatch(r"[+-]?\d+,\d+", cell):
-        return "not a number (the decimal mark must be a point)"
+    if _COMMA.fullmatch(cell):
+        return "not a number (between commas the decimal mark must be a point)"
     return "not a number"
+
+
+_COMMA = re.compile(r"\s*[+-]?(\d+,\d*|,\d+)([eE][+-]?\d+)?\s*")
 
 
 def _number(cell: str) -> float:
@@ -143,16 +154,34 @@ class Column:
 
 
 class GrowingColumn:
-    """Numbers and words of a column, see `Column`, while the file is read."""
+    """Numbers and words of a column, see `Column`, while the file is read.
+
+    Attributes:
+        numbers: The numbers so far.
+        marks: Decimal marks of the numbers, of a file in which commas may be some: the
+            first number with each.
+    """
 
     def __init__(self) -> None:
         """A column without rows."""
         self.numbers = array("d")
+        self.marks = dict[str, int]()
         self._codes, self._words = array("q"), Numbering()
 
-    def extend(self, cells: Sequence[str]) -> None:
-        """Add rows."""
-        numbers = read_numbers(cells)
+    def extend(self, cells: Sequence[str], *, commas: bool = False) -> None:
+        """Add rows.
+
+        Args:
+            cells: Their untrimmed texts.
+            commas: Whether a decimal mark may be a comma.
+        """
+        numbers = read_numbers(with_points(cells) if commas else cells)
+        for mark in ",." if commas else "":
+            if mark not in self.marks and any(mark in cell for cell in cells):
+                found = (k for k, cell in enumerate(cells) if mark in cell)
+                first = next((k for k in found if np.isfinite(numbers[k])), None)
+                if first is not None:
+                    self.marks[mark] = len(self.numbers) + first
         without = ~np.isfinite(numbers)
         if self._words.known or without.any():
             codes = np.full(len(cells), -1)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import codecs
 import csv
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
@@ -11,6 +12,8 @@ from pathlib import Path
 from calib_pin.errors import InputError
 from calib_pin.io.files import read_blocks
 from calib_pin.progress import Progress
+
+_UTF_16 = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
 
 BLOCK = 1 << 17
 """Bytes that are read at a time: their cells fit into the cache of a processor (1 MB
@@ -84,7 +87,7 @@ class CsvText:
     Attributes:
         file: Path as the caller gave it.
         size: Number of its bytes.
-        data: These, where they cannot be read again; else None.
+        data: These in UTF-8, where they cannot be read again or are not; else None.
         separator: Separator of two cells.
     """
 
@@ -160,14 +163,22 @@ class CsvText:
 
 
 def open_csv(path: str | Path) -> CsvText:
-    """A CSV file; a pipe, which cannot be read twice, is read at once.
+    """A CSV file; a pipe, which cannot be read twice, and UTF-16 are read at once.
 
     Raises:
-        InputError: If there is no such file.
+        InputError: If there is no such file, or its byte order mark is wrong.
     """
-    if Path(path).is_file():
-        return CsvText(str(path), Path(path).stat().st_size)
-    data = b"".join(read_blocks(path, BLOCK, pipe=True))
+    if is_file := Path(path).is_file():
+        start = next(read_blocks(path, BLOCK), b"")
+        if not start.startswith(_UTF_16):
+            return CsvText(str(path), Path(path).stat().st_size)
+    data = b"".join(read_blocks(path, BLOCK, pipe=not is_file))
+    if data.startswith(_UTF_16):
+        try:
+            data = data.decode("utf-16").encode()
+        except UnicodeError:
+            reason = "not UTF-16 text, as its byte order mark says"
+            raise InputError(reason, file=path) from None
     return CsvText(str(path), len(data), data)
 
 
@@ -206,7 +217,7 @@ def _ragged(
     short = len(row) < len(header)
     reason = f"the row has {len(row)} cells, the header {len(header)} columns"
     if not short and len(row) > 1.5 * len(header):
-        reason += " (the decimal mark must be a point)"
+        reason += " (between commas the decimal mark must be a point)"
     return InputError(
         reason,
         file=file,

@@ -28,7 +28,7 @@ from calib_pin.io.joint_columns import (
     read_positions,
 )
 from calib_pin.io.measurement_blocks import check_names, check_places, read_blocks
-from calib_pin.io.table import read_table
+from calib_pin.io.table import Table, read_table, require_columns
 from calib_pin.io.written_columns import (
     column_name,
     measurement_columns,
@@ -55,6 +55,7 @@ def read_measurements(
     model: str | None = None,
     station_per_file: bool = False,
     unnamed: str | None = None,
+    columns: Mapping[str, str] = {},
     joints: Mapping[str, JointMap] = {},
     reading: ReadingSetup | None = None,
     sockets: Collection[str] = (),
@@ -76,6 +77,7 @@ def read_measurements(
             columns allow. None infers it from the columns.
         station_per_file: Whether each file is a station, called as the file is.
         unnamed: Chain of measurements that name none; default the only one of `chain`.
+        columns: What columns with foreign names are, ours to theirs.
         joints: How file columns become joints; others are taken by their own name.
         reading: How files are to be read where they are not as their columns say.
         sockets: Sockets that are known, for which one configuration is enough.
@@ -113,10 +115,13 @@ def read_measurements(
     if unnamed is None:
         unnamed = chains.names[0] if len(chains.names) == 1 else ""
     stations = _stations(files) if station_per_file else [None] * len(files)
-    parts: list[Measurements] = []
+    parts, tables = list[Measurements](), list[Table]()
     for k, (file, station) in enumerate(zip(files, stations, strict=True)):
         tell = portion(progress, k / len(files), 1.0 / len(files))
-        table = read_table(file, portion(tell, 0.0, CUT))
+        table = read_table(file, portion(tell, 0.0, CUT), columns=columns)
+        tables.append(table.rows(slice(0), ()))
+        if k + 1 == len(files):
+            require_columns(tables)
         parts += read_blocks(
             table,
             chains,
@@ -175,7 +180,10 @@ def _with_joints(parts: Sequence[Measurements], chains: Chains) -> list[Measurem
 
 
 def read_configurations(
-    path: str | Path, chain: Chain | Chains, joints: Mapping[str, JointMap] = {}
+    path: str | Path,
+    chain: Chain | Chains,
+    joints: Mapping[str, JointMap] = {},
+    columns: Mapping[str, str] = {},
 ) -> Floats:
     r"""Read only the joint positions of a CSV file; other columns are ignored.
 
@@ -183,6 +191,7 @@ def read_configurations(
         path: CSV file.
         chain: Chain whose joints the file holds, or several.
         joints: How file columns become joints; others are taken by their own name.
+        columns: What columns with foreign names are, ours to theirs.
 
     Returns:
         Joint positions, shape (N, n) [rad, m].
@@ -199,20 +208,25 @@ def read_configurations(
         ...     read_configurations(file, chain).tolist()
         [[0.0, 0.0, 0.0, 0.5, 0.0, 0.0]]
     """
-    return read_positions(read_table(path), chain, joint_sources(chain, joints))
+    table = read_table(path, columns=columns)
+    return read_positions(table, chain, joint_sources(chain, joints))
 
 
-def read_names(path: str | Path, column: str) -> Labels:
+def read_names(
+    path: str | Path, column: str, columns: Mapping[str, str] = {}
+) -> Labels:
     """Read only a column of names of a CSV file; empty where it has none.
 
     Args:
         path: CSV file.
         column: Name of the column, such as `target`.
+        columns: What columns with foreign names are, ours to theirs.
 
     Raises:
         InputError: If it is not such a file.
     """
-    return read_table(path).texts([column]).get(column, Labels.none())
+    table = read_table(path, columns=columns)
+    return table.texts([column]).get(column, Labels.none())
 
 
 def encode_configurations(

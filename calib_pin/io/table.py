@@ -10,7 +10,7 @@ from __future__ import annotations
 import re
 from array import array
 from collections.abc import Collection, Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 
@@ -24,9 +24,11 @@ from calib_pin.io.columns import (
     GrowingColumn,
     Kind,
     Numbering,
+    closest,
     read_numbers,
     split_header,
     what_is_wrong,
+    with_points,
 )
 from calib_pin.io.csv_text import CsvText, Stretch, open_csv
 from calib_pin.observations import Labels
@@ -44,6 +46,7 @@ class Table:
         unnamed: Number of columns with an empty header.
         lines: Line of each row, shape (N,).
         text: The file's text.
+        missing: Columns that it should have by the setup, ours to theirs.
     """
 
     file: str
@@ -52,6 +55,7 @@ class Table:
     unnamed: int
     lines: NDArray[np.int64]
     text: CsvText
+    missing: Mapping[str, str] = field(default_factory=dict)
 
     def __contains__(self, name: object) -> bool:
         """Whether there is a column of exactly this name."""
@@ -79,7 +83,7 @@ class Table:
             reason,
             file=self.file,
             line=self.header_line,
-            column=column,
+            column=column and self._told(column),
             allowed=allowed,
         )
 
@@ -91,7 +95,7 @@ class Table:
             reason,
             file=self.file,
             line=int(self.lines[row]),
-            column=name,
+            column=self._told(name),
             value=self.cell(name, row),
             allowed=allowed,
         )
@@ -116,6 +120,13 @@ class Table:
                 found[name] = Labels(column.words, column.codes)
         again = [name for name in names if name not in found]
         return found | self._cells_of_file(again) if again else found
+
+    def with_points(self, names: Collection[str]) -> dict[str, Labels]:
+        """As `cells`, decimal commas as points where a comma separates no cells."""
+        if self.text.separator == ",":
+            return self.cells(names)
+        cells = self.cells(names).items()
+        return {n: c.map(lambda text: with_points([text])[0]) for n, c in cells}
 
     def ignored(self, names: Collection[str]) -> str:
         """A sentence about columns without a meaning; empty if there are none."""
@@ -177,7 +188,12 @@ class Table:
         reason = f"{value:.6g} {kind.si} looks like the wrong unit"
         reason += f", {why}" if why else ""
         if unit in kind.smaller:
-            reason += f"; write the header as '{name} [{kind.smaller[unit]}]'"
+            theirs, smaller = self._theirs(name), kind.smaller[unit]
+            reason += (
+                f"; write the header as '{name} [{smaller}]'"
+                if theirs == name
+                else f"; state in the setup 'columns: {{{name}: {theirs} [{smaller}]}}'"
+            )
         return self.cell_error(reason, name, row, ", ".join(kind.units))
 
     def check_size(
@@ -226,6 +242,15 @@ class Table:
             for name, codes, number in zip(names, found, known, strict=True)
         }
 
+    def _theirs(self, name: str) -> str:
+        """The name of a column in the file, which the setup may say means ours."""
+        column = self.columns.get(name)
+        return name if column is None else split_header(column.header)[0]
+
+    def _told(self, name: str) -> str:
+        theirs = self._theirs(name)
+        return name if theirs == name else f"{theirs} ({name})"
+
     def _factor(self, name: str, kind: Kind) -> float:
         unit = self.columns[name].unit
         if unit is None:
@@ -240,23 +265,34 @@ class Table:
 
 
 def read_table(
-    path: str | Path, progress: Progress | None = None, *, head: bool = False
+    path: str | Path,
+    progress: Progress | None = None,
+    *,
+    head: bool = False,
+    columns: Mapping[str, str] = {},
 ) -> Table:
     """Read a CSV file with a header; comments and blank lines are skipped.
 
     Args:
-        path: UTF-8 file, with or without byte order mark, any line ends.
+        path: UTF-8 file, with or without byte order mark, or UTF-16 with one, any line
+            ends; commas, semicolons or tabs separate, and where it is no comma, the
+            decimal mark may be one.
         progress: Told the part of the lines that is read, 0 to 1.
         head: Whether the first lines are enough, some hundreds.
+        columns: What columns with foreign names are, ours to theirs; theirs may state
+            a unit in square brackets.
 
     Raises:
-        InputError: If the file is not comma-separated text with a header and rows of
-            the same length, or a column name occurs twice.
+        InputError: If the file is no such text with a header and rows of the same
+            length, a column name occurs twice, or decimal marks are of both kinds.
     """
     text = open_csv(path)
     file = text.file
     first, stretches = text.split(progress)
-    _check_separator(first)
+    separator = _separator(first)
+    if separator != text.separator:
+        text = replace(text, separator=separator)
+        first, stretches = text.split(progress)
     header, header_line = first.cells(0), first.numbers[0]
     # Columns may be named 1, 2, 3 (and mapped to joints), but not 0.25.
     if np.isfinite(read_numbers(header)).all() and any("." in cell for cell in header):
@@ -266,42 +302,115 @@ def read_table(
             file=file,
             line=header_line,
         )
-    lines, columns = array("q"), [GrowingColumn() for _ in header]
+    lines, grown = array("q"), [GrowingColumn() for _ in header]
     for stretch in islice(stretches, 1) if head else stretches:
         lines.extend(stretch.numbers)
-        for column, cells in zip(columns, stretch.columns(header), strict=True):
-            column.extend(cells)
+        for column, cells in zip(grown, stretch.columns(header), strict=True):
+            column.extend(cells, commas=separator != ",")
     if not lines:
         raise InputError("the file has a header but no rows", file=file)
+    _check_marks(header, grown, lines, file)
+    named, missing = _renamed(
+        _named(header, grown, file, header_line), columns, file, header_line
+    )
     return Table(
         file,
         header_line,
-        _named(header, columns, file, header_line),
+        named,
         sum(not split_header(cell)[0] for cell in header),
         np.frombuffer(lines, np.int64),
         text,
+        missing,
     )
 
 
-def _check_separator(first: Stretch) -> None:
-    """Name the separator of a file that is not comma-separated."""
+def require_columns(tables: Sequence[Table]) -> None:
+    """Refuse files of which none has a column that the setup names.
+
+    Raises:
+        InputError: If so.
+    """
+    missing = [table.missing for table in tables]
+    for ours, theirs in missing[0].items() if missing else ():
+        if all(ours in others for others in missing):
+            table = tables[0]
+            raise table.error(
+                f"'columns' in the setup takes '{ours}' from '{theirs}', and there is "
+                f"no such column{closest(theirs, list(table.columns))}"
+            )
+
+
+def _separator(first: Stretch) -> str:
+    """What separates the columns: a comma, a semicolon or a tab."""
     header = first.lines[0]
-    found = [
-        name
-        for mark, name in ((";", "semicolons"), ("\t", "tabs"))
-        if header.count(mark) > header.count(",")
-    ]
+    found = max(",;\t", key=header.count)
     names = re.sub(r"\[[^\[\]]*\]", "", header).split()
-    if not found and "," not in header and len(names) > 1:
-        # A single column may have a space in its name, but not in its numbers.
-        found = ["spaces"] * (len(first.lines[-1].split()) == len(names))
-    if found:
+    # A single column may have a space in its name, but not in its numbers.
+    alone = found not in header and len(names) > 1
+    if alone and len(first.lines[-1].split()) == len(names):
         raise InputError(
-            f"the columns are separated by {found[0]}, the separator must be a comma "
-            "(and the decimal mark a point)",
+            "the columns are separated by spaces, the separator must be a comma, a "
+            "semicolon or a tab",
             file=first.file,
             line=first.numbers[0],
         )
+    return found
+
+
+def _check_marks(
+    header: Sequence[str], grown: Sequence[GrowingColumn], lines: array[int], file: str
+) -> None:
+    """Refuse a column with decimal commas and points: some separate thousands."""
+    for cell, column in zip(header, grown, strict=True):
+        if len(column.marks) > 1:
+            comma, point = (lines[column.marks[mark]] for mark in ",.")
+            raise InputError(
+                f"a number has a decimal point here, and a comma in line {comma}",
+                file=file,
+                line=point,
+                column=split_header(cell)[0],
+                allowed="one decimal mark",
+            )
+
+
+def _renamed(
+    named: dict[str, Column], columns: Mapping[str, str], file: str, line: int
+) -> tuple[dict[str, Column], dict[str, str]]:
+    """Columns by what the setup says they are, and those that are not there."""
+    by_header = {column.header: name for name, column in named.items()}
+    taken, missing = dict[str, tuple[str, Column]](), dict[str, str]()
+    for ours, stated in columns.items():
+        name, unit = split_header(stated)
+        name, unit = (by_header[stated], None) if stated in by_header else (name, unit)
+        column = named.get(name)
+        if column is None:
+            if ours not in named:
+                missing[ours] = stated
+            continue
+        if name in taken:
+            raise InputError(
+                f"'columns' in the setup takes '{taken[name][0]}' and '{ours}' from it",
+                file=file,
+                line=line,
+                column=name,
+            )
+        if None not in (unit, column.unit) and unit != column.unit:
+            raise InputError(
+                f"the header says [{column.unit}], 'columns' in the setup [{unit}]",
+                file=file,
+                line=line,
+                column=name,
+            )
+        taken[name] = ours, replace(column, unit=column.unit or unit)
+    renamed = {ours for ours, _ in taken.values()}
+    # What has the name of another column's meaning keeps its place without it.
+    kept = {
+        f"{name} (of the file)" if name in renamed and name not in taken else name: c
+        for name, c in named.items()
+    }
+    return dict(
+        taken.get(name, (name, column)) for name, column in kept.items()
+    ), missing
 
 
 def _named(

@@ -66,6 +66,7 @@ def read_target_file(
     path: str | Path,
     chain: Chain,
     *,
+    columns: Mapping[str, str] = {},
     joints: Mapping[str, JointMap] = {},
     base: Floats | None = None,
     notice: Callable[[str], None] | None = None,
@@ -76,6 +77,7 @@ def read_target_file(
         path: CSV file with target positions (orientations are optional), all joint
             positions, or both.
         chain: Chain whose joints the file may hold.
+        columns: What columns with foreign names are, ours to theirs.
         joints: Mapping of file columns to joints; a joint without one is read from the
             column of its own name.
         base: Origin of the base of the chain in the frame of the targets, shape (3,)
@@ -97,7 +99,7 @@ def read_target_file(
         >>> targets.T[0, :3, 3].tolist(), targets.oriented
         ([0.9, 0.0, 0.25], False)
     """
-    table = read_table(path)
+    table = read_table(path, columns=columns)
     sources = joint_sources(chain, joints)
     oriented = any(name in table for name in ORIENTED)
     has_targets = oriented or any(name in table for name in POSITION)
@@ -165,7 +167,7 @@ def encode_commands(
     found = command_columns(targets, q, rows)
     if targets.T is None:
         all_columns = targets.table.columns
-        others = targets.table.cells(
+        others = targets.table.with_points(
             [name for name in all_columns if name not in found]
         )
         columns = dict(

@@ -27,6 +27,8 @@ _BYTE_ORDER_MARKS = (
     (codecs.BOM_UTF16_BE, "utf-16-be"),
 )
 _DECLARED = re.compile(rb"""<\?xml[^>]*?\sencoding\s*=\s*["']([\w.:-]+)["']""")
+_DECLARATION = re.compile(rb"<\?xml\s.*?\?>", re.DOTALL)
+_BEFORE = re.compile(rb"(?>\s++|<!--.*?-->)*+", re.DOTALL)
 _ATTRIBUTE = re.compile(rb"""\s+([^\s=]+)\s*=\s*("[^"]*"|'[^']*')""")
 _INDENT = re.compile(rb"(?:\r\n|\n|\r)[ \t]*\Z")
 
@@ -77,6 +79,15 @@ class Document:
     codec: str
     mark: bytes
     root: Element
+
+    @property
+    def plain(self) -> bytes:
+        """The data with blanks for the XML declaration, which may stand too late.
+
+        It speaks of the encoding of the file, and some generators put a blank line or a
+        comment before it.
+        """
+        return _undeclared(self.data)
 
     def encode(self, data: bytes) -> bytes:
         """Bytes of a file with this document's encoding."""
@@ -197,8 +208,22 @@ def _codec(body: bytes) -> str:
     """Encoding of a document without byte order mark."""
     if body[:2] in (b"<\0", b"\0<"):
         return "utf-16-le" if body[0] else "utf-16-be"
-    declared = _DECLARED.match(body)
+    declared = _DECLARED.match(body, _declaration(body))
     return declared[1].decode() if declared else "utf-8"
+
+
+def _declaration(data: bytes) -> int:
+    """Offset of the XML declaration, if there is one, behind blanks and comments."""
+    before = _BEFORE.match(data)
+    return before.end() if before else 0
+
+
+def _undeclared(data: bytes) -> bytes:
+    """A document with blanks for its XML declaration."""
+    if not (found := _DECLARATION.match(data, _declaration(data))):
+        return data
+    blank = re.sub(rb"[^\r\n]", b" ", found[0])
+    return data[: found.start()] + blank + data[found.end() :]
 
 
 def _decode(body: bytes, codec: str, file: str | None) -> str:
@@ -222,7 +247,6 @@ def _decode(body: bytes, codec: str, file: str | None) -> str:
 
 def _scan(data: bytes, file: str | None) -> Element:
     """Run expat over a document in UTF-8."""
-    # The argument overrides the declaration, which speaks of the original bytes.
     parser = expat.ParserCreate("utf-8")
     path: list[Element] = []
     top: list[Element] = []
@@ -265,7 +289,7 @@ def _scan(data: bytes, file: str | None) -> Element:
     parser.StartElementHandler = start
     parser.EndElementHandler = end
     try:
-        parser.Parse(data, True)
+        parser.Parse(_undeclared(data), True)
     except expat.ExpatError as error:
         reason = f"is not well-formed XML: {expat.ErrorString(error.code)}"
         raise RobotError(reason, file=file, line=error.lineno) from error

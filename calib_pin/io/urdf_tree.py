@@ -291,11 +291,9 @@ def _refused(
 def _build_model(
     document: Document, links: Mapping[str, Element], joints: Mapping[str, Element]
 ) -> pin.Model:
-    # The declaration may name the encoding of the file, and this is UTF-8 by now.
-    text = re.sub(r"\A<\?xml.*?\?>", "", document.data.decode(), flags=re.DOTALL)
     try:
         with captured_stderr() as printed:
-            model = pin.buildModelFromXML(text)
+            model = pin.buildModelFromXML(document.plain.decode())
     except Exception as failure:  # Whatever C++ throws.
         errors = re.search(r"Error:\s+(.*?)\s+at line", printed[0], re.DOTALL)
         reason = f"Pinocchio cannot read it: {errors[1] if errors else failure}"

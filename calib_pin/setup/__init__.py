@@ -220,6 +220,8 @@ class MeasurementSetup(Section):
         board: The board that it looks at, instead of targets one by one: they are
             known, and named by their numbers, 0 1 2 ..., row by row.
         distances: Known distances between such points.
+        columns: What columns with foreign names are: ours to theirs, which may state
+            the unit in square brackets.
         joints: Joint map by file column; empty where columns are URDF joint names.
         reading: How files are to be read where they are not as their columns say.
     """
@@ -234,6 +236,7 @@ class MeasurementSetup(Section):
     camera: CameraSetup | None = None
     board: BoardSetup | None = None
     distances: tuple[DistanceSetup, ...] = ()
+    columns: Mapping[str, Text] = field(default_factory=dict)
     joints: Mapping[str, JointMap] = field(default_factory=dict)
     reading: ReadingSetup = field(default_factory=ReadingSetup)
 

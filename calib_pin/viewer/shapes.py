@@ -17,6 +17,7 @@ from scipy.sparse.csgraph import connected_components
 from calib_pin.errors import InputError
 from calib_pin.io.meshes import MeshReader
 from calib_pin.io.urdf import locate_mesh, locate_robot
+from calib_pin.io.urdf_bytes import parse_document
 from calib_pin.kinematics.chain import Robot
 from calib_pin.kinematics.spatial import Floats
 
@@ -163,7 +164,7 @@ def robot_shapes(
         package_dirs: Folders of packages, see `io.urdf.locate_mesh`.
         progress: Told the part that is done, 0 to 1.
     """
-    root = fromstring(robot.source)
+    root = fromstring(parse_document(robot.source).plain)
     links = root.findall("link")
     urdf = locate_robot(robot.file).resolve()
     colors = {m.get("name", ""): _rgb(m) for m in root.iterfind("material")}

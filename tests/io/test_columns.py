@@ -77,7 +77,11 @@ def test_cells_that_add_up_are_not_shifted():
         ("-1.0", -1.0, "not positive"),
         ("1e999", np.inf, "not a finite number"),
         ("-NaN", np.nan, "not a finite number"),
-        ("1,5", np.nan, "not a number (the decimal mark must be a point)"),
+        (
+            "1,5",
+            np.nan,
+            "not a number (between commas the decimal mark must be a point)",
+        ),
         ("ball", np.nan, "not a number"),
     ],
 )

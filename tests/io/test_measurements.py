@@ -650,13 +650,15 @@ J = "lift,elbow,wrist"
         (b"lift,elbow\n0,0\n0,\xe9", dict(line=3, reason="not UTF-8")),
         (b"lift\x00,elbow\n0,0\n", dict(reason="not a text file")),
         (
-            "# c\nlift;elbow;wrist;x\n0,1;2;3;4\n",
+            "# c\nlift;elbow;wrist;distance\n0,1;2;3;4,5\n0;2;3;1.5\n",
             dict(
-                line=2,
-                reason=("semicolons", "separator must be a comma", "decimal mark"),
+                line=4,
+                column="distance",
+                reason=("decimal point here", "comma in line 3"),
+                allowed="one decimal mark",
             ),
         ),
-        ("lift\telbow\n0\t0\n", dict(line=1, reason=("tabs", "must be a comma"))),
+        ("lift;elbow;wrist;x\n0,1;2;3,4\n", dict(line=2, reason="3 cells")),
         (
             "lift elbow [deg] wrist\n0 0 0\n",
             dict(line=1, reason=("spaces", "must be a comma")),

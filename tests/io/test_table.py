@@ -13,7 +13,7 @@ from calib_pin.errors import InputError
 from calib_pin.io import csv_text
 from calib_pin.io.columns import LENGTH, PURE
 from calib_pin.io.csv_text import CsvText
-from calib_pin.io.table import Table, read_table
+from calib_pin.io.table import Table, read_table, require_columns
 
 ODD = (
     *(
@@ -136,3 +136,67 @@ def test_a_file_that_changed_after_it_was_read(table):
         now = replace(found, text=CsvText("a.csv", len(text), text.encode()))
         with pytest.raises(InputError, match=r"has changed|is empty"):
             now.texts(["x"])
+
+
+LOG = "Zeit;Ort;X (mm);Y [mm]\n0,5;Wand, links;1,25;-,5e3\n1;v1.5;3;-7\n"
+
+
+@pytest.mark.parametrize("encoding", ["utf-8", "utf-8-sig", "utf-16", "utf-16-be"])
+@pytest.mark.parametrize("mark", [";", "\t"])
+def test_foreign_files_are_read_as_the_setup_says(tmp_path, encoding, mark):
+    file = tmp_path / "log.csv"
+    text = LOG.replace(";", mark)
+    bom = "\ufeff" * (encoding == "utf-16-be")
+    file.write_bytes((bom + text).encode(encoding))
+    names = {"x": "X (mm) [mm]", "y": "Y [mm]", "target": "Ort", "time": "Zeit"}
+    table = read_table(file, columns=names)
+    assert list(table.columns) == ["time", "target", "x", "y"]
+    assert table.numbers("x", LENGTH).tolist() == [0.00125, 0.003]
+    assert table.numbers("y", LENGTH).tolist() == [-0.5, -0.007]
+    assert list(table.texts(["target"])["target"]) == ["Wand, links", "v1.5"]
+    assert list(table.with_points(["time"])["time"]) == ["0.5", "1"]
+    assert table.cell("x", 0) == "1,25"
+
+
+def test_a_column_that_has_the_name_of_another_meaning_keeps_its_place(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_text("x,y,X\n1,2,3\n")
+    table = read_table(file, columns={"x": "X", "z": "Z"})
+    assert table.numbers("x", LENGTH).tolist() == [3.0]
+    assert table.ignored([n for n in table.columns if n != "x"]).endswith("x, y")
+    assert table.missing == {"z": "Z"}
+
+
+@pytest.mark.parametrize(
+    ("columns", "said"),
+    [
+        ({"x": "XX"}, "takes 'x' from 'XX', and there is no such column"),
+        ({"x": "X (m)"}, "did you mean 'X (mm)'?"),
+        ({"x": "Y", "y": "Y"}, "takes 'x' and 'y' from it"),
+        ({"y": "Y [m]"}, "the header says [mm], 'columns' in the setup [m]"),
+    ],
+)
+def test_wrong_columns_are_told(tmp_path, columns, said):
+    file = tmp_path / "log.csv"
+    file.write_text(LOG)
+    with pytest.raises(InputError) as caught:
+        require_columns([read_table(file, columns=columns)])
+    assert said in str(caught.value)
+    assert caught.value.line == 1
+
+
+def test_a_wrong_unit_of_a_foreign_column_is_mended_in_the_setup(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_text(LOG)
+    table = read_table(file, columns={"x": "X (mm)"})
+    with pytest.raises(InputError) as caught:
+        table.check_size("x", table.numbers("x", LENGTH), LENGTH, 0.5)
+    assert "state in the setup 'columns: {x: X (mm) [mm]}'" in str(caught.value)
+    assert caught.value.column == "X (mm) (x)"
+
+
+def test_wrong_utf_16_is_told(tmp_path):
+    file = tmp_path / "log.csv"
+    file.write_bytes(b"\xff\xfex\x00,")
+    with pytest.raises(InputError, match="not UTF-16 text"):
+        read_table(file)

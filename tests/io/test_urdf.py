@@ -1112,3 +1112,21 @@ def test_numbers_of_links_that_would_be_dropped(old, new, line, value, bad, urdf
 
 def test_wide_text_is_no_xml(bad):
     bad('<robot name="r"><link name="a"/></robot>'.encode("utf-32"), reason="utf-16-le")
+
+
+@pytest.mark.parametrize(
+    "before", [b"\n", b"<!-- by a generator -->\n", b" <!-- a --> "]
+)
+def test_a_declaration_that_comes_late_is_no_fault(before):
+    chain = Chain(parse_robot(ARM, "arm"), "a", "c")
+    late = before + ARM
+    written = edit_origins(late, {"j": pin.SE3(np.eye(3), np.array([0.0, 0.0, 0.5]))})
+    assert written.startswith(before + b"<?xml")
+    q = np.zeros((1, 1))
+    moved = Chain(parse_robot(written, "arm"), "a", "c").poses(q) - chain.poses(q)
+    assert np.linalg.norm(moved[0, :3, 3]) == pytest.approx(0.5, abs=1e-12)
+
+
+def test_many_comments_take_no_time():
+    with pytest.raises(RobotError, match="not well-formed"):
+        parse_robot(b"<!-- a -->" * 100_000 + b"<!-- x", "arm")

@@ -150,6 +150,8 @@ class _Search:
         A robot whose errors are fitted tells those that leave about the same, and is
         asked where what the nominal one leaves is too much.
         """
+        if self._contact and not every[0][0] < self._most(self.first, DECISIVE)[1]:
+            return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
         limit = max(CLOSE * every[0][0], self._one)
         close = [self._needed(*p) for p in every if p[1] and p[0] <= limit] or every[:1]
@@ -253,14 +255,7 @@ class _Search:
         *,
         fitted: bool,
     ) -> Explanation | None:
-        if self.case.fitted is not None:
-            # A trial may get lost where the whole fit does not.
-            known = self.case.errors_left if fitted else self.case.errors_nominal
-            before = min(before, self._one * known)
-        # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
-        most = limit * before
-        if np.isinf(before):
-            most = self._one * (DOUBTFUL if fitted else FOREIGN)
+        before, most = self._most(before, limit, fitted)
         if not faults or not after < most:
             return None
         ratio = self._ratio(faults, before, after)
@@ -268,6 +263,19 @@ class _Search:
             return None
         sizes = self._unit * before, self._unit * after
         return Explanation(tuple(faults), *sizes, ratio, self.tried, fitted)
+
+    def _most(
+        self, before: float, limit: float, fitted: bool = False
+    ) -> tuple[float, float]:
+        """Errors as the measurements are read now, and those that may be left."""
+        if self.case.fitted is not None:
+            # A trial may get lost where the whole fit does not.
+            known = self.case.errors_left if fitted else self.case.errors_nominal
+            before = min(before, self._one * known)
+        if np.isfinite(before):
+            return before, limit * before
+        # Where nothing tells what a wrong reading leaves, it must be errors of a robot.
+        return before, self._one * (DOUBTFUL if fitted else FOREIGN)
 
     def _ratio(
         self, faults: Sequence[Hypothesis], before: float, after: float

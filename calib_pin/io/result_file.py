@@ -115,6 +115,7 @@ def read_written(path: str | Path) -> tuple[CalibrationResult, Json]:
         document, model = read_model(file, read)
         with reading(file):
             result = _result(document, model, str(file), read)
+            read_suggestions(document)
     return result, document
 
 

@@ -181,6 +181,8 @@ for _ in range(200):
         (edit("parameters", 7, "groups", to=[[1]]), "[1] stands"),
         (edit("parameters", 7, "groups", to=1), "int"),
         (edit("identifiability", to=[]), "list indices"),
+        (edit("identifiability", "remedies", to=[{}]), "is missing"),
+        (edit("identifiability", "remedies", to=[1]), "int"),
         (edit(*COUPLED, to={"a": 1}), "string indices"),
         (edit(*COUPLED, 0, "terms", to=...), "'terms' is missing"),
         (edit(*COUPLED, 0, "terms", 0, "coefficient", to=1e300), "stands in the"),

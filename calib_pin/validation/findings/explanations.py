@@ -44,6 +44,10 @@ NEIGHBORS = 2000
 MOST = 3
 """Faults that may occur at once."""
 
+ALIKE = 30
+"""Sets of faults that leave about the least, of which fits are asked; of true faults
+there are few, and where there are more, none explains anything."""
+
 WIDTH = 3
 """Explanations that are kept to be combined with others."""
 
@@ -154,7 +158,8 @@ class _Search:
             return None  # Fits are not asked, and are slow.
         # What leaves no more than a robot errs explains all.
         limit = max(CLOSE * every[0][0], self._one)
-        close = [self._needed(*p) for p in every if p[1] and p[0] <= limit] or every[:1]
+        near = [p for p in every if p[1] and p[0] <= limit][:ALIKE]
+        close = [self._needed(*p) for p in near] or every[:1]
         # What leaves none out explains more.
         close = [p for p in close if not any(h.reading.without for h in p[1])] or close
         left, faults = close[0]

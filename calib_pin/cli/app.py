@@ -12,6 +12,7 @@ from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.compare import compare
 from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
+from calib_pin.cli.export import export
 from calib_pin.cli.identify import identify
 from calib_pin.cli.plan import plan
 from calib_pin.cli.report import report
@@ -27,6 +28,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     simulate: "Simulate measurements of a robot with known errors.",
     plan: "Choose optimal calibration configurations.",
     compensate: "Find joint commands that reach targets on the real robot.",
+    export: "Write a calibration as other software loads it.",
     compare: "Print the difference between two calibrations of a robot.",
     report: "Write the page and figures of a calibration again.",
     view: "Show a robot, its errors and a plan in the browser.",

@@ -7,7 +7,6 @@ The text of a number is in the file, and is read from there where it is asked fo
 
 from __future__ import annotations
 
-import re
 from array import array
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import dataclass, field, replace
@@ -30,7 +29,13 @@ from calib_pin.io.columns import (
     what_is_wrong,
     with_points,
 )
-from calib_pin.io.csv_text import CsvText, Stretch, open_csv
+from calib_pin.io.csv_text import CsvText, open_csv
+from calib_pin.io.header import (
+    check_marks,
+    named_columns,
+    renamed,
+    separator_of,
+)
 from calib_pin.observations import Labels
 from calib_pin.progress import Progress
 
@@ -289,7 +294,7 @@ def read_table(
     text = open_csv(path)
     file = text.file
     first, stretches = text.split(progress)
-    separator = _separator(first)
+    separator = separator_of(first)
     if separator != text.separator:
         text = replace(text, separator=separator)
         first, stretches = text.split(progress)
@@ -309,9 +314,9 @@ def read_table(
             column.extend(cells, commas=separator != ",")
     if not lines:
         raise InputError("the file has a header but no rows", file=file)
-    _check_marks(header, grown, lines, file)
-    named, missing = _renamed(
-        _named(header, grown, file, header_line), columns, file, header_line
+    check_marks(header, grown, lines, file)
+    named, missing = renamed(
+        named_columns(header, grown, file, header_line), columns, file, header_line
     )
     return Table(
         file,
@@ -338,95 +343,3 @@ def require_columns(tables: Sequence[Table]) -> None:
                 f"'columns' in the setup takes '{ours}' from '{theirs}', and there is "
                 f"no such column{closest(theirs, list(table.columns))}"
             )
-
-
-def _separator(first: Stretch) -> str:
-    """What separates the columns: a comma, a semicolon or a tab."""
-    header = first.lines[0]
-    found = max(",;\t", key=header.count)
-    names = re.sub(r"\[[^\[\]]*\]", "", header).split()
-    # A single column may have a space in its name, but not in its numbers.
-    alone = found not in header and len(names) > 1
-    if alone and len(first.lines[-1].split()) == len(names):
-        raise InputError(
-            "the columns are separated by spaces, the separator must be a comma, a "
-            "semicolon or a tab",
-            file=first.file,
-            line=first.numbers[0],
-        )
-    return found
-
-
-def _check_marks(
-    header: Sequence[str], grown: Sequence[GrowingColumn], lines: array[int], file: str
-) -> None:
-    """Refuse a column with decimal commas and points: some separate thousands."""
-    for cell, column in zip(header, grown, strict=True):
-        if len(column.marks) > 1:
-            comma, point = (lines[column.marks[mark]] for mark in ",.")
-            raise InputError(
-                f"a number has a decimal point here, and a comma in line {comma}",
-                file=file,
-                line=point,
-                column=split_header(cell)[0],
-                allowed="one decimal mark",
-            )
-
-
-def _renamed(
-    named: dict[str, Column], columns: Mapping[str, str], file: str, line: int
-) -> tuple[dict[str, Column], dict[str, str]]:
-    """Columns by what the setup says they are, and those that are not there."""
-    by_header = {column.header: name for name, column in named.items()}
-    taken, missing = dict[str, tuple[str, Column]](), dict[str, str]()
-    for ours, stated in columns.items():
-        name, unit = split_header(stated)
-        name, unit = (by_header[stated], None) if stated in by_header else (name, unit)
-        column = named.get(name)
-        if column is None:
-            if ours not in named:
-                missing[ours] = stated
-            continue
-        if name in taken:
-            raise InputError(
-                f"'columns' in the setup takes '{taken[name][0]}' and '{ours}' from it",
-                file=file,
-                line=line,
-                column=name,
-            )
-        if None not in (unit, column.unit) and unit != column.unit:
-            raise InputError(
-                f"the header says [{column.unit}], 'columns' in the setup [{unit}]",
-                file=file,
-                line=line,
-                column=name,
-            )
-        taken[name] = ours, replace(column, unit=column.unit or unit)
-    renamed = {ours for ours, _ in taken.values()}
-    # What has the name of another column's meaning keeps its place without it.
-    kept = {
-        f"{name} (of the file)" if name in renamed and name not in taken else name: c
-        for name, c in named.items()
-    }
-    return dict(
-        taken.get(name, (name, column)) for name, column in kept.items()
-    ), missing
-
-
-def _named(
-    header: Sequence[str], columns: Sequence[GrowingColumn], file: str, line: int
-) -> dict[str, Column]:
-    result: dict[str, Column] = {}
-    for place, (cell, column) in enumerate(zip(header, columns, strict=True)):
-        name, unit = split_header(cell)
-        if not name:
-            continue
-        if name in result:
-            raise InputError(
-                f"two columns are '{name}': '{result[name].header}', '{cell.strip()}'",
-                file=file,
-                line=line,
-                column=name,
-            )
-        result[name] = column.grown(cell.strip(), unit, place)
-    return result

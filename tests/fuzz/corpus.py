@@ -190,6 +190,34 @@ limits: {joint1: [-2.0, 2.0], "joint*": [-2.4, 2.4]}
     "  distortion: [-0.02, 0.01], size: [1280, 960]}\n"
     "board: {type: charuco, columns: 4, rows: 3, square: 0.05}\n"
     "stations: {cell: {xyz: [0, 0, 0]}}\n",
+    "log.csv": "Zeit;J1;J2;J3;J4;X (mm);Y [mm];Z [mm]\n"
+    "0;10,5;-12;20;3;700,5;-12,25;400\n1,5;20,5;12;-20;-3;650;12,25;450,125\n"
+    "2,5;-20,5;22;-30;33;550;100;500\n3;5;-5;40;13;600;0;480\n",
+    "log.yaml": HEAD + "model: position\ncolumns:\n  x: X (mm) [mm]\n  y: Y\n"
+    "  z: Z [mm]\n" + "".join(f"  joint{k}: J{k} [deg]\n" for k in range(1, 5)),
+    "motors.json": "{"
+    + ", ".join(
+        f'"joint{k}": {{"id": {k}, "drive_mode": 0, "homing_offset": -{k}00, '
+        f'"range_min": {700 + k}, "range_max": 3{k}00}}'
+        for k in range(1, 5)
+    )
+    + "}",
+    "r.xml": "<robot>"
+    + "".join(
+        f'<transmission name="t{k}"><plugin>transmission_interface/SimpleTransmission'
+        f'</plugin><actuator name="a{k}" role="a"/><joint name="joint{k}" role="j">'
+        f"<mechanical_reduction>{k}00.5</mechanical_reduction><offset>0.{k}</offset>"
+        "</joint></transmission>"
+        for k in range(1, 5)
+    )
+    + "</robot>",
+    "k.yaml": """kinematics:
+  joint1: {x: 0, y: 0, z: 0.4, roll: 0, pitch: 0, yaw: 0}
+  joint2: {x: 0.1, y: 0, z: 0, roll: -1.470796327, pitch: 0, yaw: 0}
+  joint3: {x: 0.5, y: -0.05, z: 0, roll: 0, pitch: 0, yaw: 0}
+  joint4: {x: 0.4, y: 0, z: 0, roll: 1.570796327, pitch: 0, yaw: 0}
+  hash: calib_12
+""",
     "targets.csv": "x,y,z\n0.7,0.1,0.4\n0.6,-0.2,0.5\n0.5,0.3 ,0.6\n",
     "motion.csv": "# a path\njoint1,joint2,joint3,joint4,speed\n"
     "0,0.1,0.5,0,fast\n0.05,0.12,0.5,0.1,slow\n0.1,0.14,0.52,0.2,slow\n",
@@ -295,6 +323,11 @@ JOBS = (
         "compare done/calibration.json later/calibration.json", "done/calibration.json"
     ),
     Job("report done -o out", "done/calibration.json done/measurements.csv"),
+    Job("evaluate arm.urdf log.csv --setup log.yaml", "log.csv log.yaml", 4),
+    Job("export done --format mjcf -o out", "done/calibration.json"),
+    Job("export done --format lerobot --template motors.json -o out", "motors.json"),
+    Job("export done --format ros2-control --template r.xml -o out", "r.xml"),
+    Job("export done --format xarm-kinematics --template k.yaml -o out", "k.yaml", 2),
 )
 
 

@@ -1,0 +1,168 @@
+"""Denavit-Hartenberg tables of the corrected chain, standard and modified, as CSV.
+
+    standard   A_i = Rz(theta_i) Tz(d) Tx(a) Rx(alpha) Ry(beta)
+    modified   A_i = Tx(a) Rx(alpha) Ry(beta) Rz(theta_i) Tz(d)
+
+(Denavit and Hartenberg, 1955; Craig, 1986) with `theta_i = theta + q_i`, or `d + q_i`
+of a prismatic joint. Between axes that are parallel or nearly so the common normal is
+anywhere, and `d` would be meters; there it is zero and beta tilts the next axis (Hayati
+and Mirmirani, 1985). Elsewhere beta is zero.
+"""
+
+from __future__ import annotations
+
+import csv
+import io
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+import pinocchio as pin
+
+from calib_pin.io.exchange.axes import along, axis_frames
+from calib_pin.io.exchange.base import Encoded, Exported, Format, placed, rpy
+from calib_pin.kinematics.spatial import Floats
+
+PARALLEL = np.deg2rad(1.0)
+"""Angle between axes below which beta stands for d."""
+
+NUMBERS = ("theta", "d", "a", "alpha", "beta")
+"""Of a joint [rad, m]."""
+
+FRAME = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Of the frames at both ends [m, rad]."""
+
+
+def encode(exported: Exported, _: Path | None) -> Encoded:
+    """Both tables, each with the frames before its first and behind its last joint."""
+    chain = exported.chain
+    axes = axis_frames(chain)
+    tip = pin.SE3(chain.poses(np.zeros((1, len(axes))))[0])
+    text = io.StringIO(newline="")
+    for line in (__doc__ or "").splitlines():
+        text.write(f"# {line}".rstrip() + "\n")
+    text.write(
+        "# base and tip: the frames before the first and behind the last joint\n"
+    )
+    writer = csv.writer(text, lineterminator="\n")
+    writer.writerow(["convention", "joint", "type", *NUMBERS, *FRAME])
+    for convention in ("standard", "modified"):
+        first, rows, last = _table(axes, tip, convention)
+        for name, frame in (("base", first), ("tip", last)):
+            cells = [*frame.translation.tolist(), *rpy(frame.rotation)]
+            if name == "tip":
+                for joint, kind, row in zip(
+                    chain.joints, chain.revolute, rows, strict=True
+                ):
+                    written = "revolute" if kind else "prismatic"
+                    writer.writerow([convention, joint, written, *row, *[""] * 6])
+            writer.writerow([convention, name, "frame", *[""] * 5, *cells])
+    data = text.getvalue().encode()
+    for convention in ("standard", "modified"):
+        exported.require_same(
+            lambda q, convention=convention: _poses(data, convention, q),  # type: ignore[misc]
+            f"the {convention} table",
+        )
+    return Encoded(data)
+
+
+def _table(
+    axes: Sequence[tuple[Floats, Floats]], tip: pin.SE3, convention: str
+) -> tuple[pin.SE3, list[list[float]], pin.SE3]:
+    """Base frame, parameters by joint, and tip frame."""
+    frame = first = along(*axes[0], pin.SE3.Identity())
+    rows = []
+    if convention == "modified":
+        before = [0.0, 0.0, 0.0]
+        for k in range(len(axes)):
+            after = axes[k + 1] if k + 1 < len(axes) else None
+            theta, d, a, alpha, beta, frame = _step(frame, after)
+            rows.append([theta, d, before[0], before[1], before[2]])
+            before = [a, alpha, beta]
+        # Everything behind the last joint stands in the tip frame.
+        return first, rows, frame.actInv(tip)
+    for k in range(len(axes)):
+        after = axes[k + 1] if k + 1 < len(axes) else None
+        theta, d, a, alpha, beta, frame = _step(frame, after)
+        rows.append([theta, d, a, alpha, beta])
+    return first, rows, frame.actInv(tip)
+
+
+def _step(
+    frame: pin.SE3, after: tuple[Floats, Floats] | None
+) -> tuple[float, float, float, float, float, pin.SE3]:
+    """From a frame on an axis to the next axis; nothing behind the last one."""
+    if after is None:
+        return 0.0, 0.0, 0.0, 0.0, 0.0, frame
+    point, axis = (
+        frame.rotation.T @ v for v in (after[0] - frame.translation, after[1])
+    )
+    cross = np.hypot(axis[0], axis[1])
+    if abs(cross) > np.sin(PARALLEL):
+        # x along the common normal, away from this axis where it has a length.
+        theta = float(np.arctan2(axis[0], -axis[1]))
+        x = np.array([np.cos(theta), np.sin(theta), 0.0])
+        if x @ point < 0.0:
+            theta = float(np.arctan2(-axis[0], axis[1]))
+            x = -x
+        alpha = float(np.arctan2(axis @ np.cross(x, [0.0, 0.0, 1.0]), axis[2]))
+        a, beta = float(x @ point), 0.0
+        # Foot of the common normal on this axis.
+        foot = axis * ((point[0] * axis[0] + point[1] * axis[1]) / cross**2)
+        d = float((point - foot)[2])
+    else:
+        # Where the next axis meets the plane across this one.
+        met = point - axis * (point[2] / axis[2])
+        a, d = float(np.hypot(met[0], met[1])), 0.0
+        theta = float(np.arctan2(met[1], met[0])) if a > 1e-9 else 0.0
+        turned = pin.utils.rotate("z", theta).T @ axis
+        # Rx(alpha) Ry(beta) z = (sin b, -sin a cos b, cos a cos b)
+        beta = float(np.arctan2(turned[0], np.hypot(turned[1], turned[2])))
+        alpha = float(np.arctan2(-turned[1], turned[2]))
+    step = _standard([theta, d, a, alpha, beta])
+    return theta, d, a, alpha, beta, frame * step
+
+
+def _turn(axis: str, angle: float) -> pin.SE3:
+    return pin.SE3(pin.utils.rotate(axis, float(angle)), np.zeros(3))
+
+
+def _move(x: float, z: float) -> pin.SE3:
+    return pin.SE3(np.eye(3), np.array([x, 0.0, z]))
+
+
+def _standard(row: Sequence[float]) -> pin.SE3:
+    theta, d, a, alpha, beta = row
+    return _turn("z", theta) * _move(a, d) * _turn("x", alpha) * _turn("y", beta)
+
+
+def _modified(row: Sequence[float]) -> pin.SE3:
+    theta, d, a, alpha, beta = row
+    tilted = _move(a, 0.0) * _turn("x", alpha) * _turn("y", beta)
+    return tilted * _turn("z", theta) * _move(0.0, d)
+
+
+def _poses(data: bytes, convention: str, q: Floats) -> Floats:
+    """Forward kinematics of one of the tables as it reads back."""
+    lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
+    rows = [row for row in csv.DictReader(lines) if row["convention"] == convention]
+    ends = {
+        row["joint"]: placed(
+            [float(row[key]) for key in FRAME[:3]],
+            [float(row[key]) for key in FRAME[3:]],
+        )
+        for row in (rows[0], rows[-1])
+    }
+    matrix = _standard if convention == "standard" else _modified
+    poses = np.empty((len(q), 4, 4))
+    for pose, positions in zip(poses, q, strict=True):
+        T = ends["base"]
+        for row, position in zip(rows[1:-1], positions, strict=True):
+            numbers = [float(row[key]) for key in NUMBERS]
+            numbers[row["type"] == "prismatic"] += position
+            T = T * matrix(numbers)
+        pose[:] = (T * ends["tip"]).homogeneous
+    return poses
+
+
+DH = Format("dh", ".csv", "Denavit-Hartenberg tables, standard and modified", encode)

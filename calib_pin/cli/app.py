@@ -14,6 +14,7 @@ from calib_pin.cli.compensate import compensate
 from calib_pin.cli.evaluate import evaluate
 from calib_pin.cli.export import export
 from calib_pin.cli.identify import identify
+from calib_pin.cli.join import join
 from calib_pin.cli.plan import plan
 from calib_pin.cli.report import report
 from calib_pin.cli.robots import robots
@@ -26,6 +27,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     identify: "Print which parameters are identifiable.",
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",
     simulate: "Simulate measurements of a robot with known errors.",
+    join: "Join two logs by time to a measurement file.",
     plan: "Choose optimal calibration configurations.",
     compensate: "Find joint commands that reach targets on the real robot.",
     export: "Write a calibration as other software loads it.",

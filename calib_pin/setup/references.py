@@ -52,9 +52,9 @@ Focal = Annotated[
     Pair,
     Vector(
         2,
-        "[f_x, f_y], both positive and in px, such as [1200, 1200]",
+        "[f_x, f_y], in px, 1 to 100000, such as [1200, 1200]",
         "px",
-        above=0.0,
+        least=1.0,
         limit=WIDEST,
     ),
 ]

@@ -870,24 +870,24 @@ def test_halves_of_characters(tmp_path, refused):
                     dict(
                         line=3,
                         value="900",
-                        allowed="[f_x, f_y], both positive and in px",
+                        allowed="[f_x, f_y], in px, 1 to 100000",
                     ),
                 ),
                 (
                     "focal: [900, 0]",
-                    dict(line=3, value="[900, 0]", allowed="both positive"),
+                    dict(line=3, value="[900, 0]", allowed="1 to 100000"),
                 ),
                 (
                     "focal: [900, -1]",
-                    dict(line=3, value="[900, -1]", allowed="both positive"),
+                    dict(line=3, value="[900, -1]", allowed="1 to 100000"),
                 ),
                 (
                     "focal: [900, 1e6]",
-                    dict(line=3, value="[900, 1e6]", allowed="both positive"),
+                    dict(line=3, value="[900, 1e6]", allowed="1 to 100000"),
                 ),
                 (
                     "focal: [900, .nan]",
-                    dict(line=3, value="[900, .nan]", allowed="both positive"),
+                    dict(line=3, value="[900, .nan]", allowed="1 to 100000"),
                 ),
                 (
                     "center: [1, 2, 3]",

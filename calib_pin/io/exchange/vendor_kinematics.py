@@ -32,6 +32,9 @@ ALIKE = 0.05
 """Largest difference of the nominal robot and the user's own file, rms [m]: factories
 correct by millimeters."""
 
+FARTHEST = 1e5
+"""Largest number of an origin [m, rad]; offsets that cancel may be large."""
+
 BASES = (pin.SE3.Identity(), placed([0, 0, 0], [0, 0, np.pi]))
 """Where the first origin may be in the base link."""
 
@@ -121,8 +124,17 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
     numbers = []
     for key in NUMBERS:
         number = entry.get(key)
-        if isinstance(number, bool) or not isinstance(number, int | float):
-            raise tree.error(f"'{key}' of '{name}' is not a number", (ROOT, name, key))
+        if (
+            isinstance(number, bool)
+            or not isinstance(number, int | float)
+            or not abs(number) < FARTHEST
+        ):
+            raise tree.error(
+                f"'{key}' of '{name}' is not a number that can be",
+                (ROOT, name, key),
+                value=number,
+                allowed=f"a number below {FARTHEST:g}",
+            )
         numbers.append(float(number))
     return placed(numbers[:3], numbers[3:])
 

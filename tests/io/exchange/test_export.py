@@ -168,6 +168,10 @@ def test_a_numbered_vendor_loads_its_kinematics(exported, tmp_path):
             lambda k: k.update(wrist_2=("a", *k["wrist_2"][1:])),
             "'x' of 'wrist_2' is not",
         ),
+        (
+            lambda k: k.update(wrist_2=(1e9, *k["wrist_2"][1:])),
+            "a number below 100000",
+        ),
     ],
 )
 def test_templates_of_others_are_refused(exported, tmp_path, change, said):

@@ -1,0 +1,132 @@
+"""`calib-pin join`: a measurement file of two logs, by time."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Annotated
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.files import check_outputs, open_setup, require_file
+from calib_pin.cli.printing import notice, progress_bar, say, say_written, stage
+
+SECONDS = "a time in seconds, more than 0 and at most 60"
+
+
+def join(
+    joints: Annotated[
+        Path,
+        typer.Argument(
+            metavar="JOINTS", help="Log of the joints: a column of times, and theirs."
+        ),
+    ],
+    measurements: Annotated[
+        Path,
+        typer.Argument(
+            metavar="MEASUREMENTS", help="Log of the instrument, by its own clock."
+        ),
+    ],
+    output: Annotated[
+        Path, options.output("-o --output CSV", "Measurement file to write.")
+    ],
+    setup: Annotated[
+        Path | None,
+        options.option(
+            "Logs",
+            "--setup FILE",
+            "Setup file: 'columns' says which foreign names are ours.",
+        ),
+    ] = None,
+    settle: Annotated[
+        float,
+        options.option(
+            "Logs",
+            "--settle S",
+            "Time that the joints stand before a reading counts; default 0.5.",
+            options.number(float, "--settle", SECONDS, 1e-3, 60.0),
+        ),
+    ] = 0.5,
+    tolerance: Annotated[
+        float,
+        options.option(
+            "Logs",
+            "--tolerance S",
+            "Longest time without a sample of the joints; default 0.5.",
+            options.number(float, "--tolerance", SECONDS, 1e-3, 60.0),
+        ),
+    ] = 0.5,
+    keep: Annotated[
+        bool,
+        options.option(
+            "Logs",
+            "--keep",
+            "Keep every reading, instead of one mean for each standstill.",
+        ),
+    ] = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+) -> int:
+    """Join the log of a robot and that of an instrument to a measurement file.
+
+    Readings count where the joints stood still; those in motion are dropped and
+    counted. The offset of both clocks is estimated from the motions between, if the
+    instrument measured during some. The standard deviation of a mean is the scatter of
+    single readings.
+    """
+    from calib_pin.errors import InputError
+    from calib_pin.io.files import write_files
+    from calib_pin.io.logs import encode_joined, read_joint_log, read_reading_log
+    from calib_pin.observations.joining import join as joined_logs
+
+    stated = open_setup(setup)
+    for path in (joints, measurements):
+        require_file(path)
+    check_outputs([output], [joints, measurements, setup], force)
+    with progress_bar(quiet=quiet) as bar:
+        positions = read_joint_log(joints, stated.columns, stage(bar, "joints"))
+        readings = read_reading_log(
+            measurements,
+            stated.columns,
+            None if quiet else notice,
+            stage(bar, "readings"),
+        )
+        try:
+            found = joined_logs(positions.log, readings.log, settle, tolerance)
+            if not found.standstills:
+                raise InputError("no reading falls into a standstill of the joints")
+        except InputError as error:
+            raise InputError(
+                error.reason, file=f"{joints}, {measurements}", allowed=error.allowed
+            ) from error
+        data = encode_joined(found, positions, readings, keep=keep)
+    clock, used = (
+        found.clock,
+        sum(len(standstill.readings) for standstill in found.standstills),
+    )
+    lines = [
+        f"{len(found.standstills)} standstills with {used} readings"
+        + (f", {found.empty} without" if found.empty else ""),
+        f"dropped: {found.moving} readings in motion or beside a standstill"
+        + (
+            f", {found.scattered} far from their standstill's others"
+            * bool(found.scattered)
+        ),
+    ]
+    sigma = f"{1e3 * clock.sigma:.1f} ms"
+    if clock.motions:
+        lines.append(
+            f"the clock of {measurements} is {clock.ahead:+.4f} s ahead, known to "
+            f"{sigma} from {clock.motions} motions"
+        )
+    else:
+        lines.append(
+            f"the clock of {measurements} is taken to be {clock.ahead:+.2f} s ahead: "
+            f"nothing was measured in motion, and the standstills tell it to {sigma}"
+        )
+    with write_files({output: data}, force=force):
+        if not quiet:
+            say("".join(f"{line}\n" for line in lines))
+    if not quiet:
+        say_written([f"wrote {output}"])
+    return 0

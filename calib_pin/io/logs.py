@@ -1,0 +1,291 @@
+"""Logs that are joined by time: CSV files in, a measurement file out."""
+
+from __future__ import annotations
+
+from collections.abc import Callable, Mapping, Sequence
+from dataclasses import dataclass
+from datetime import datetime
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from calib_pin.errors import InputError
+from calib_pin.io.columns import ANGLE, LENGTH, PURE, Floats, Kind, closest
+from calib_pin.io.measured_columns import (
+    NAMES,
+    ORIENTED,
+    measured,
+    orientation_columns,
+    read_quaternions,
+)
+from calib_pin.io.measurements import encode_table
+from calib_pin.io.table import Table, read_table
+from calib_pin.kinematics.spatial import from_quaternion, so3_log
+from calib_pin.measurement_models.declaration import ROTATION_VECTOR
+from calib_pin.observations.joining import Joined, Log, Standstill, scatter
+from calib_pin.progress import Progress
+
+TIME = Kind("s", {"s": 1.0, "ms": 1e-3, "us": 1e-6, "ns": 1e-9}, {}, np.inf)
+
+TIMES = ("time", "timestamp", "stamp", "zeit", "t")
+"""Names of a column of times, in any case, where none is called `time`."""
+
+QUATERNION = ("qx", "qy", "qz", "qw")
+
+
+@dataclass(frozen=True)
+class JointLog:
+    """Joint positions by time.
+
+    Attributes:
+        log: Time and positions [s; rad, m].
+        headers: Headers of the columns, with their units.
+        factors: Factors that bring their numbers to SI units, shape (n,).
+    """
+
+    log: Log
+    headers: tuple[str, ...]
+    factors: Floats
+
+
+@dataclass(frozen=True)
+class ReadingLog:
+    """Measured values by time.
+
+    Attributes:
+        log: Time and values in SI units; an orientation as a quaternion.
+        columns: Their names.
+        texts: Further columns by name, N strings each.
+    """
+
+    log: Log
+    columns: tuple[str, ...]
+    texts: Mapping[str, Sequence[str]]
+
+
+def read_joint_log(
+    path: str | Path,
+    columns: Mapping[str, str] = {},
+    progress: Progress | None = None,
+) -> JointLog:
+    """The joints of a log: its columns of numbers but the time.
+
+    Args:
+        path: CSV file.
+        columns: Columns with foreign names, ours to theirs.
+        progress: Told the part that is done, 0 to 1.
+
+    Raises:
+        InputError: If it has no time or nothing else, or the time goes back.
+    """
+    table = read_table(path, progress, columns=columns)
+    stamp = _time_column(table)
+    time = _times(table, stamp)
+    others = {n: c for n, c in table.columns.items() if n != stamp and n not in NAMES}
+    names = [n for n, c in others.items() if np.isfinite(c.numbers).all()]
+    if not names:
+        raise table.error("there are no columns of joints beside the time")
+    kinds = [_kind(table.columns[name].unit) for name in names]
+    factors = [
+        kind.units.get(table.columns[name].unit or "", 1.0)
+        for name, kind in zip(names, kinds, strict=True)
+    ]
+    values = [table.numbers(n, kind) for n, kind in zip(names, kinds, strict=True)]
+    headers = (
+        f"{n} [{table.columns[n].unit}]" if table.columns[n].unit else n for n in names
+    )
+    return JointLog(
+        Log(time, np.column_stack(values)), tuple(headers), np.array(factors)
+    )
+
+
+def read_reading_log(
+    path: str | Path,
+    columns: Mapping[str, str] = {},
+    notice: Callable[[str], None] | None = None,
+    progress: Progress | None = None,
+) -> ReadingLog:
+    """The measured values of a log.
+
+    Args:
+        path: CSV file.
+        columns: Columns with foreign names, ours to theirs.
+        notice: Called with a sentence that lists columns without a meaning.
+        progress: Told the part that is done, 0 to 1.
+
+    Raises:
+        InputError: If it has no time or no measured values, or the time goes back.
+    """
+    table = read_table(path, progress, columns=columns)
+    stamp = _time_column(table)
+    time = _times(table, stamp)
+    own = [n for n in table.columns if n in measured() and n not in ORIENTED]
+    values = [table.numbers(name, _measured_kind(table, name)) for name in own]
+    if any(name in table for name in ORIENTED):
+        way = orientation_columns(table)
+        values += [*read_quaternions(table, way).T]
+        own += QUATERNION
+    if not own:
+        raise table.error(
+            "there are no measured columns"
+            + closest("x", [name for name in table.columns if name != stamp]),
+            allowed="x, y, z, distance, u, v or an orientation; 'columns' in the setup "
+            "says which they are",
+        )
+    used = {stamp, *own, *NAMES, *ORIENTED, "temperature"}
+    ignored = table.ignored([name for name in table.columns if name not in used])
+    if ignored and notice is not None:
+        notice(ignored)
+    texts = table.texts([name for name in NAMES if name in table])
+    return ReadingLog(
+        Log(time, np.column_stack(values)),
+        tuple(own),
+        {name: [*cells] for name, cells in texts.items()},
+    )
+
+
+def encode_joined(
+    joined: Joined, joints: JointLog, readings: ReadingLog, *, keep: bool
+) -> bytes:
+    """A measurement file of two logs.
+
+    Args:
+        joined: The standstills and their readings.
+        joints: The log of the joints.
+        readings: The log of the readings.
+        keep: Whether every reading is a row, or the mean of a standstill with the
+            scatter of all as its standard deviation.
+    """
+    rows = [*_rows(joined.standstills, keep)]
+    standstills = [joined.standstills[k] for k, _ in rows]
+    q = np.array([standstill.q for standstill in standstills]) / joints.factors
+    table: dict[str, Sequence[object] | NDArray[np.float64]] = {
+        header: q[:, k] for k, header in enumerate(joints.headers)
+    }
+    picked = [used for _, used in rows]
+    table |= _values(readings, picked)
+    if not keep:
+        table |= _sigmas(joined.standstills, readings)
+    for name, cells in readings.texts.items():
+        table[name] = [cells[used[0]] for used in picked]
+    time = [
+        float(readings.log.time[used].mean()) - joined.clock.ahead for used in picked
+    ]
+    table["time"] = np.array(time)
+    return encode_table(table, _comments(joined))
+
+
+def _comments(joined: Joined) -> list[str]:
+    used = sum(len(standstill.readings) for standstill in joined.standstills)
+    return [f"joined by time: {len(joined.standstills)} standstills, {used} readings"]
+
+
+def _rows(
+    standstills: Sequence[Standstill], keep: bool
+) -> list[tuple[int, NDArray[np.int64]]]:
+    """The standstill and the readings of each row."""
+    if not keep:
+        return [(k, standstill.readings) for k, standstill in enumerate(standstills)]
+    return [
+        (k, standstill.readings[i : i + 1])
+        for k, standstill in enumerate(standstills)
+        for i in range(len(standstill.readings))
+    ]
+
+
+def _values(
+    readings: ReadingLog, picked: Sequence[NDArray[np.int64]]
+) -> dict[str, NDArray[np.float64]]:
+    """Means of the values, of a quaternion that of its rotations."""
+    means = np.array([_mean(readings, used) for used in picked])
+    return {name: means[:, k] for k, name in enumerate(readings.columns)}
+
+
+def _mean(readings: ReadingLog, used: NDArray[np.int64]) -> Floats:
+    values = readings.log.values[used].copy()
+    if QUATERNION[0] in readings.columns:
+        k = readings.columns.index(QUATERNION[0])
+        turned = values[:, k : k + 4]
+        turned[turned @ turned[0] < 0.0] *= -1.0
+        mean = values.mean(axis=0)
+        mean[k : k + 4] /= np.linalg.norm(mean[k : k + 4])
+        return np.asarray(mean)
+    return np.asarray(values.mean(axis=0))
+
+
+def _sigmas(
+    standstills: Sequence[Standstill], readings: ReadingLog
+) -> dict[str, NDArray[np.float64]]:
+    """Standard deviations of the residual components; none where nothing scatters."""
+    values, names = readings.log.values, [*readings.columns]
+    found = dict(zip(names, scatter(standstills, values), strict=True))
+    if QUATERNION[0] in names:
+        k = names.index(QUATERNION[0])
+        turned = np.zeros((len(values), 3))
+        for standstill in standstills:
+            mean = _mean(readings, standstill.readings)[k : k + 4]
+            R = from_quaternion(values[standstill.readings][:, k : k + 4])
+            turned[standstill.readings] = so3_log(from_quaternion(mean).T @ R)
+        away = scatter(standstills, turned)
+        found = {n: s for n, s in found.items() if n not in QUATERNION}
+        found |= dict(zip(ROTATION_VECTOR, away, strict=True))
+    if not all(size > 0.0 for size in found.values()):
+        return {}
+    return {f"sigma_{n}": np.full(len(standstills), size) for n, size in found.items()}
+
+
+def _time_column(table: Table) -> str:
+    if "time" in table:
+        return "time"
+    known = {name.lower(): name for name in reversed([*table.columns])}
+    for name in TIMES:
+        if name in known:
+            return known[name]
+    raise table.error(
+        "there is no column 'time'",
+        allowed=f"one of {', '.join(TIMES)}, or 'columns: {{time: NAME}}' in the setup",
+    )
+
+
+def _times(table: Table, name: str) -> Floats:
+    """Ascending times [s], of dates since the first one's midnight."""
+    column = table.columns[name]
+    if column.words and not np.isfinite(column.numbers).any():
+        time = _dates(table, name)
+    else:
+        time = table.numbers(name, TIME)
+    back = np.diff(time) <= 0.0
+    if back.any():
+        raise table.cell_error(
+            "the time does not go on here", name, int(np.argmax(back)) + 1
+        )
+    if len(time) < 3:
+        raise InputError("is too short to be joined by time", file=table.file)
+    return time
+
+
+def _dates(table: Table, name: str) -> Floats:
+    cells = table.texts([name])[name]
+    stamps = []
+    for row, text in enumerate(cells):
+        try:
+            stamps.append(datetime.fromisoformat(text.replace(",", ".")).timestamp())
+        except ValueError:
+            reason = "not a time"
+            raise table.cell_error(
+                reason, name, row, "seconds, or a date such as 2026-01-31T12:00:00.5"
+            ) from None
+    return np.array(stamps)
+
+
+def _kind(unit: str | None) -> Kind:
+    """The kind of a column of joints, by its unit."""
+    return next((k for k in (ANGLE, LENGTH) if unit in k.units), PURE)
+
+
+def _measured_kind(table: Table, name: str) -> Kind:
+    unit = table.columns[name].unit
+    if name in ("u", "v"):
+        return Kind("px", {"px": 1.0}, {}, np.inf)
+    return ANGLE if unit in ANGLE.units else LENGTH

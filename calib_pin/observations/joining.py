@@ -1,0 +1,347 @@
+"""Two logs by time: where the robot stood still, and what was measured there.
+
+A robot's log says when its joints stood; an instrument's log, by a clock of its own,
+what it read. While the robot moves between two standstills, everything that is measured
+is a smooth function of the way that the joints have gone. The one log tells that way,
+so the other one's clock is the one with which polynomials of it fit best: linear
+least squares for the polynomials of all motions and, by Gauss-Newton, one offset. At
+0.2 m/s and 0.05 mm of noise a single reading tells it to 0.25 ms.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter1d, minimum_filter1d
+from scipy.signal import correlate
+
+from calib_pin.errors import InputError
+from calib_pin.kinematics.spatial import Floats
+
+STILL = 1e-4
+"""Way of a joint in half a second that still counts as standing [rad, m]."""
+
+EDGE = 0.1
+"""Time before a motion is seen in which readings do not count [s]."""
+
+NOISES = 6.0
+"""Standard deviations of the noise beyond which a value has moved."""
+
+ORDER = 6
+"""Order of the polynomials of a motion."""
+
+READINGS = 3
+"""Readings of a motion for each coefficient from which it tells the clock."""
+
+ALIKE = 0.6
+"""Correlation of both logs' motions from which they are of one recording."""
+
+COARSE = 0.02
+"""Step of the first search for the clock [s]."""
+
+LEAST = 0.1
+"""Part of the joints' sampling time to which the clock is known at best."""
+
+MARGIN = 0.2
+"""Time before and behind a motion that belongs to it [s]."""
+
+FAR = 6.0
+"""Robust standard deviations from a standstill's median from which a reading is out."""
+
+SURE = 3.0
+"""Standard deviations of the clock that a reading keeps from a standstill's ends."""
+
+
+@dataclass(frozen=True)
+class Log:
+    """Values by time.
+
+    Attributes:
+        time: Ascending, shape (N,) [s].
+        values: Shape (N, k) [SI units].
+    """
+
+    time: Floats
+    values: Floats
+
+
+@dataclass(frozen=True)
+class Clock:
+    """The clock of the readings against that of the joints.
+
+    Attributes:
+        ahead: Time of a reading minus that of the joints at the same instant [s].
+        sigma: Its standard deviation [s].
+        motions: Number of motions that tell it; 0 where only the standstills do: it is
+            anywhere in an interval of this standard deviation then.
+    """
+
+    ahead: float
+    sigma: float
+    motions: int
+
+
+@dataclass(frozen=True)
+class Standstill:
+    """A time in which all joints stood, and the readings in it.
+
+    Attributes:
+        start: When they had stood for long enough [s, clock of the joints].
+        end: When they moved again.
+        q: Means of the joints, shape (n,).
+        readings: Rows of the readings that count.
+    """
+
+    start: float
+    end: float
+    q: Floats
+    readings: NDArray[np.int64]
+
+
+@dataclass(frozen=True)
+class Joined:
+    """Both logs together.
+
+    Attributes:
+        clock: The clock of the readings.
+        standstills: Stands with a reading, in order.
+        empty: Number of standstills without one.
+        moving: Number of readings during a motion, or too close to one.
+        scattered: Number of readings in a standstill that are far from its others.
+    """
+
+    clock: Clock
+    standstills: tuple[Standstill, ...]
+    empty: int
+    moving: int
+    scattered: int
+
+
+def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
+    """Find the readings of each standstill.
+
+    Args:
+        joints: Positions of the joints.
+        readings: Measured values; their clock may be any.
+        settle: Time that joints stand before readings count [s].
+        gap: Longest time without a sample of the joints [s].
+
+    Raises:
+        InputError: If the joints never stand, or the logs are of no common time.
+    """
+    motion = _Motion(joints, settle, gap)
+    if not motion.standstills:
+        raise InputError(
+            f"the joints never stand still for {settle:g} s", allowed="standstills"
+        )
+    clock = motion.clock(readings)
+    time = readings.time - clock.ahead
+    guard = SURE * clock.sigma if clock.motions else 0.0
+    standstills, empty, used, scattered = [], 0, 0, 0
+    for start, end in motion.standstills:
+        (rows,) = np.nonzero((time >= start + guard) & (time <= end - guard))
+        kept = rows[_together(readings.values[rows])]
+        scattered += len(rows) - len(kept)
+        used += len(rows)
+        if not len(kept):
+            empty += 1
+            continue
+        inside = (joints.time >= start) & (joints.time <= end)
+        standstills.append(
+            Standstill(start, end, joints.values[inside].mean(axis=0), kept)
+        )
+    return Joined(clock, tuple(standstills), empty, len(time) - used, scattered)
+
+
+def _together(values: Floats) -> NDArray[np.bool_]:
+    """Readings of a standstill that are not far from its median, shape (N,)."""
+    if len(values) < 4:
+        return np.ones(len(values), bool)
+    away = np.abs(values - np.median(values, axis=0))
+    size = 1.4826 * np.median(away, axis=0)
+    return np.asarray(np.all(away <= FAR * size + 1e-12, axis=1))
+
+
+class _Motion:
+    """The motion of a robot: where it standstills, and how far its joints have gone."""
+
+    def __init__(self, joints: Log, settle: float, gap: float) -> None:
+        time, values = joints.time, joints.values
+        steps = np.diff(time)
+        self.step = float(np.median(steps))
+        grid = np.arange(time[0], time[-1] + 0.5 * self.step, self.step)
+        q = np.column_stack([np.interp(grid, time, column) for column in values.T])
+        changes = np.abs(np.diff(q, axis=0))
+        # Second differences see no smooth motion; a quarter of those of a normal
+        # deviate is below 0.78 of its sigma.
+        noise = np.quantile(np.abs(np.diff(q, 2, axis=0)), 0.25, axis=0) / 0.78
+        self.settle = settle
+        width = max(round(settle / self.step), 2)
+        allowed = STILL * max(settle / 0.5, 1.0) + NOISES * noise
+        high = maximum_filter1d(q, width, axis=0, mode="nearest")
+        low = minimum_filter1d(q, width, axis=0, mode="nearest")
+        quiet = np.all(high - low <= allowed, axis=1)
+        far = np.searchsorted(time, grid)
+        before = time[np.maximum(far - 1, 0)]
+        quiet &= time[np.minimum(far, len(time) - 1)] - before <= gap
+        # A window that is quiet is so from its first to its last sample.
+        edges = np.flatnonzero(np.diff(np.concatenate([[0], quiet, [0]])))
+        half = 0.5 * width * self.step
+        edge = max(EDGE, 3.0 * self.step)
+        ends = (
+            (grid[a] + half, min(grid[b - 1] + half, grid[-1]) - edge)
+            for a, b in edges.reshape(-1, 2)
+        )
+        self.standstills = [(float(a), float(b)) for a, b in ends if b > a]
+        standing = np.zeros(len(grid), bool)
+        for a, b in edges.reshape(-1, 2):
+            standing[max(a - width // 2, 0) : b + width // 2] = True
+        self.grid, self.moving = grid, ~standing
+        gone = np.sqrt(np.sum(changes**2, axis=1)) * self.moving[1:]
+        self.way: Floats = np.concatenate([[0.0], np.cumsum(gone)])
+        self.speed: Floats = np.gradient(self.way, self.step)
+
+    def clock(self, readings: Log) -> Clock:
+        """The clock of readings by motions, or else by the standstills alone."""
+        ahead = self._coarse(readings)
+        if ahead is not None:
+            found = self._fine(readings, ahead)
+            if found is not None:
+                return found
+        return self._by_standstills(readings)
+
+    def _coarse(self, readings: Log) -> float | None:
+        """The offset with which both move at the same times; None if neither tells."""
+        time, values = readings.time, readings.values
+        gaps = np.diff(time)
+        dense = gaps < 1.0
+        if dense.mean() < 0.5 or not self.moving.any():
+            return None
+        size = values.std(axis=0)
+        scaled = values / np.where(size > 0.0, size, 1.0)
+        rates = np.sqrt(np.sum(np.diff(scaled, axis=0) ** 2, axis=1)) / gaps
+        step = max(COARSE, self.step)
+        first = np.arange(self.grid[0], self.grid[-1], step)
+        second = np.arange(time[0], time[-1], step)
+        by_joints = np.interp(first, self.grid, np.sqrt(self.speed))
+        middle = 0.5 * (time[1:] + time[:-1])
+        by_readings = np.interp(second, middle, np.sqrt(rates))
+        a, b = by_joints - by_joints.mean(), by_readings - by_readings.mean()
+        if not (a.any() and b.any()):
+            return None
+        found = correlate(b, a, mode="full")
+        ones = correlate(b**2, np.ones(len(a))), correlate(np.ones(len(b)), a**2)
+        shared = correlate(np.ones(len(b)), np.ones(len(a)))
+        enough = shared >= 0.5 * min(len(a), len(b))
+        scale = np.sqrt(np.maximum(ones[0] * ones[1], 1e-300))
+        likeness = np.where(enough, found / scale, -1.0)
+        best = int(np.argmax(likeness))
+        if likeness[best] < ALIKE:
+            return None
+        lag = best - (len(a) - 1)
+        return float(second[0] - first[0] + lag * step)
+
+    def _fine(self, readings: Log, ahead: float) -> Clock | None:
+        """The offset with which readings are smooth functions of the way."""
+        for _ in range(30):
+            found = [
+                told
+                for start, end in self._motions()
+                if (told := self._told(readings, ahead, start, end)) is not None
+            ]
+            if not found:
+                return None
+            slopes, weights, squares, dof = np.array(found).T
+            moved = float(slopes.sum() / weights.sum())
+            ahead += np.clip(moved, -0.2, 0.2)
+            if abs(moved) < 1e-6:
+                break
+        each = slopes / weights
+        own = np.sqrt(squares.sum() / max(dof.sum(), 1.0) / weights.sum())
+        spread = np.sqrt(np.sum(weights**2 * (each - moved) ** 2)) / weights.sum()
+        least = LEAST * self.step
+        return Clock(float(ahead), float(max(own, spread, least)), len(found))
+
+    def _motions(self) -> list[tuple[float, float]]:
+        """Start and end of each motion between two standstills."""
+        pairs = zip(self.standstills[:-1], self.standstills[1:], strict=True)
+        return [(a[1], b[0]) for a, b in pairs]
+
+    def _told(
+        self, readings: Log, ahead: float, start: float, end: float
+    ) -> tuple[float, float, float, float] | None:
+        """A motion's part: slope, weight, square sum and degrees of freedom."""
+        time = readings.time - ahead
+        rows = slice(*np.searchsorted(time, [start - MARGIN, end + MARGIN]))
+        t, y = time[rows], readings.values[rows]
+        inside = np.count_nonzero((t > start) & (t < end))
+        if inside < READINGS * (ORDER + 1):
+            return None
+        way = np.interp(t, self.grid, self.way)
+        length = way[-1] - way[0]
+        if not length > 0.0:
+            return None
+        x = 2.0 * (way - way[0]) / length - 1.0
+        V = np.polynomial.chebyshev.chebvander(x, ORDER)
+        c = np.linalg.lstsq(V, y, rcond=None)[0]
+        rest = y - V @ c
+        rate = 2.0 * np.interp(t, self.grid, self.speed) / length
+        by_way = np.polynomial.chebyshev.chebder(c)
+        slope = np.polynomial.chebyshev.chebval(x, by_way).T * rate[:, None]
+        # A clock that is further ahead puts readings earlier on their way.
+        d = -slope
+        d = d - V @ np.linalg.lstsq(V, d, rcond=None)[0]
+        noise = np.maximum(np.mean(rest**2, axis=0), 1e-300)
+        weight = float(np.sum(d**2 / noise))
+        if not weight > 0.0:
+            return None
+        square = float(np.sum(rest**2 / noise))
+        free = float(y.size - V.shape[1] * y.shape[1] - 1)
+        return float(np.sum(d * rest / noise)), weight, square, free
+
+    def _by_standstills(self, readings: Log) -> Clock:
+        """The offset nearest zero with which most readings are in standstills."""
+        # The instrument need not have waited.
+        sooner, later = self.settle + 2.0 * COARSE, EDGE + 2.0 * COARSE
+        starts, ends = np.array(self.standstills).T + np.array([[-sooner], [later]])
+        longest = float((ends - starts).max())
+        offsets = np.arange(-longest, longest + COARSE, COARSE)
+        offsets = offsets[np.argsort(np.abs(offsets), kind="stable")]
+
+        def inside(ahead: float) -> int:
+            t = readings.time - ahead
+            k = np.searchsorted(starts, t, side="right") - 1
+            return int(np.count_nonzero((k >= 0) & (t <= ends[np.maximum(k, 0)])))
+
+        counts = np.array([inside(ahead) for ahead in offsets])
+        best = float(offsets[np.argmax(counts)])
+        if not counts.max():
+            raise InputError(
+                "the logs have no common time: no reading falls into a standstill of "
+                "the joints, and their motions are not alike"
+            )
+        # The offsets around the nearest one that are as good.
+        order = np.sort(offsets)
+        good = counts[np.argsort(offsets)] == counts.max()
+        at = int(np.searchsorted(order, best))
+        first = at - int(np.argmin(np.append(good[at::-1], False))) + 1
+        last = at + int(np.argmin(np.append(good[at:], False))) - 1
+        low, high = float(order[first]), float(order[last])
+        # Nothing moves it from zero needlessly.
+        ahead = 0.0 if low <= 0.0 <= high else 0.5 * (low + high)
+        return Clock(ahead, (high - low + COARSE) / np.sqrt(12.0), 0)
+
+
+def scatter(standstills: Sequence[Standstill], values: Floats) -> Floats:
+    """Standard deviation of a reading about the mean of its standstill, shape (k,).
+
+    Zero where no standstill has two readings.
+    """
+    rest = [values[s.readings] - values[s.readings].mean(axis=0) for s in standstills]
+    dof = sum(len(r) - 1 for r in rest)
+    if dof < 1:
+        return np.zeros(values.shape[1])
+    return np.asarray(np.sqrt(np.sum(np.concatenate(rest) ** 2, axis=0) / dof))

@@ -18,13 +18,15 @@ def join(
     joints: Annotated[
         Path,
         typer.Argument(
-            metavar="JOINTS", help="Log of the joints: a column of times, and theirs."
+            metavar="JOINTS",
+            help="Log of the joints: CSV with a column of times, or a bag of ROS.",
         ),
     ],
     measurements: Annotated[
         Path,
         typer.Argument(
-            metavar="MEASUREMENTS", help="Log of the instrument, by its own clock."
+            metavar="MEASUREMENTS",
+            help="Log of the instrument, by its own clock: CSV or a bag.",
         ),
     ],
     output: Annotated[
@@ -56,6 +58,19 @@ def join(
             options.number(float, "--tolerance", SECONDS, 1e-3, 60.0),
         ),
     ] = 0.5,
+    topic: Annotated[
+        str | None,
+        options.option(
+            "Logs",
+            "--topic NAME",
+            "Topic of MEASUREMENTS if it is a bag, of transforms the child frame; "
+            "default the only one.",
+        ),
+    ] = None,
+    joint_topic: Annotated[
+        str | None,
+        options.option("Logs", "--joint-topic NAME", "Topic of JOINTS if it is a bag."),
+    ] = None,
     keep: Annotated[
         bool,
         options.option(
@@ -72,9 +87,16 @@ def join(
     Readings count where the joints stood still; those in motion are dropped and
     counted. The offset of both clocks is estimated from the motions between, if the
     instrument measured during some. The standard deviation of a mean is the scatter of
-    single readings.
+    single readings. A bag with CalibrationData (robot_calibration) is given twice.
     """
     from calib_pin.errors import InputError
+    from calib_pin.io.exchange.rosbag import (
+        holds_calibration_data,
+        is_bag,
+        read_calibration_data,
+        read_joint_bag,
+        read_reading_bag,
+    )
     from calib_pin.io.files import write_files
     from calib_pin.io.logs import encode_joined, read_joint_log, read_reading_log
     from calib_pin.observations.joining import join as joined_logs
@@ -83,13 +105,27 @@ def join(
     for path in (joints, measurements):
         require_file(path)
     check_outputs([output], [joints, measurements, setup], force)
+    if joints == measurements and is_bag(joints) and holds_calibration_data(joints):
+        positions, readings, found = read_calibration_data(joints, topic)
+        data = encode_joined(found, positions, readings, keep=True)
+        with write_files({output: data}, force=force):
+            pass
+        if not quiet:
+            say_written([f"{len(found.standstills)} samples", f"wrote {output}"])
+        return 0
     with progress_bar(quiet=quiet) as bar:
-        positions = read_joint_log(joints, stated.columns, stage(bar, "joints"))
-        readings = read_reading_log(
-            measurements,
-            stated.columns,
-            None if quiet else notice,
-            stage(bar, "readings"),
+        positions = (
+            read_joint_bag(joints, joint_topic)
+            if is_bag(joints)
+            else read_joint_log(joints, stated.columns, stage(bar, "joints"))
+        )
+        tell = None if quiet else notice
+        readings = (
+            read_reading_bag(measurements, topic)
+            if is_bag(measurements)
+            else read_reading_log(
+                measurements, stated.columns, tell, stage(bar, "readings")
+            )
         )
         try:
             found = joined_logs(positions.log, readings.log, settle, tolerance)

@@ -1,0 +1,255 @@
+"""Bags of ROS as logs: joint states, poses and points, and calibration data.
+
+Bags of both generations are read: folders with `metadata.yaml`, `.mcap`, `.db3`,
+`.bag`. `robot_calibration_msgs/CalibrationData`, of the ROS package robot_calibration,
+holds the joints and what sensors saw of each sample: nothing is left to be joined.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Sequence
+from contextlib import contextmanager
+from importlib.util import find_spec
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from calib_pin.errors import InputError, OptionError, enumerated
+from calib_pin.io.logs import QUATERNION, JointLog, ReadingLog
+from calib_pin.observations.joining import Clock, Joined, Log, Standstill
+
+SUFFIXES = (".mcap", ".db3", ".bag")
+
+JOINTS = "sensor_msgs/msg/JointState"
+DATA = "robot_calibration_msgs/msg/CalibrationData"
+POINT = "geometry_msgs/msg/PointStamped"
+POSES = ("geometry_msgs/msg/PoseStamped", "geometry_msgs/msg/TransformStamped")
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+READINGS = (POINT, *POSES, TRANSFORMS)
+
+POSITION = ("x", "y", "z")
+
+TYPES = {
+    DATA: "sensor_msgs/JointState joint_states\n"
+    "robot_calibration_msgs/Observation[] observations",
+    "robot_calibration_msgs/msg/Observation": "string sensor_name\n"
+    "geometry_msgs/PointStamped[] features\n"
+    "robot_calibration_msgs/ExtendedCameraInfo ext_camera_info\n"
+    "sensor_msgs/PointCloud2 cloud\nsensor_msgs/Image image",
+    "robot_calibration_msgs/msg/ExtendedCameraInfo": "sensor_msgs/CameraInfo "
+    "camera_info\ndiagnostic_msgs/KeyValue[] parameters",
+}
+"""Messages of robot_calibration, which bags need not describe."""
+
+
+def is_bag(path: str | Path) -> bool:
+    """Whether a path is that of a bag: by its suffix, or a folder with metadata."""
+    path = Path(path)
+    try:
+        return path.suffix in SUFFIXES or (path / "metadata.yaml").is_file()
+    except (OSError, ValueError):
+        return False
+
+
+def read_joint_bag(path: str | Path, topic: str | None = None) -> JointLog:
+    """The joint states of a bag.
+
+    Args:
+        path: The bag.
+        topic: The topic; None for the only one.
+
+    Raises:
+        InputError: If it cannot be read, or has not one such topic.
+        OptionError: If the extra is missing.
+    """
+    times, rows, names = [], [], None
+    for time, message in _messages(path, topic, (JOINTS,)):
+        names = names or [*message.name]
+        stated = dict(zip(message.name, message.position, strict=False))
+        if set(names) <= stated.keys():
+            times.append(time)
+            rows.append([stated[name] for name in names])
+    if not names:
+        raise InputError("holds no joint states", file=path)
+    log = _ordered(path, times, rows)
+    return JointLog(log, tuple(names), np.ones(len(names)))
+
+
+def read_reading_bag(path: str | Path, topic: str | None = None) -> ReadingLog:
+    """The points or poses of a bag.
+
+    Args:
+        path: The bag.
+        topic: The topic, of transforms the child frame; None for the only one.
+
+    Raises:
+        InputError: If it cannot be read, or has not one such topic.
+        OptionError: If the extra is missing.
+    """
+    times, rows, kinds = [], [], set()
+    for time, message in _messages(path, topic, READINGS):
+        kinds.add(message.__msgtype__)
+        times.append(time)
+        rows.append(_numbers(message))
+    if not rows:
+        raise InputError("holds no points or poses", file=path)
+    if len(kinds) > 1:
+        raise InputError("its topic holds messages of several kinds", file=path)
+    columns = POSITION if kinds == {POINT} else POSITION + QUATERNION
+    return ReadingLog(_ordered(path, times, rows), columns, {})
+
+
+def holds_calibration_data(path: str | Path) -> bool:
+    """Whether a bag holds calibration data."""
+    with _opened(path) as reader:
+        return any(c.msgtype == DATA for c in reader.connections)
+
+
+def read_calibration_data(
+    path: str | Path, topic: str | None = None
+) -> tuple[JointLog, ReadingLog, Joined]:
+    """The samples of a bag of calibration data, joined as they are.
+
+    A feature is the point `<sensor>-<number>`, and of a single one nothing is said.
+
+    Raises:
+        InputError: If it cannot be read, or holds no features.
+        OptionError: If the extra is missing.
+    """
+    samples, names = [], None
+    for time, message in _messages(path, topic, (DATA,)):
+        state = message.joint_states
+        names = names or [*state.name]
+        stated = dict(zip(state.name, state.position, strict=False))
+        if not set(names) <= stated.keys():
+            raise InputError("its samples are of different joints", file=path)
+        points = [
+            (f"{seen.sensor_name}-{k}", feature.point)
+            for seen in message.observations
+            for k, feature in enumerate(seen.features)
+        ]
+        samples.append((time, [stated[name] for name in names], points))
+    samples = [sample for sample in samples if sample[2]]
+    if names is None or not samples:
+        raise InputError("its calibration data hold no features", file=path)
+    stamps, targets, values = list[float](), list[str](), list[list[float]]()
+    stands = list[Standstill]()
+    for time, q, points in samples:
+        rows = np.arange(len(values), len(values) + len(points))
+        stands.append(Standstill(time, time, np.array(q, float), rows))
+        for target, point in points:
+            stamps.append(time)
+            targets.append(target)
+            values.append([point.x, point.y, point.z])
+    log = Log(np.array(stamps), np.array(values, float))
+    known = set(targets)
+    texts = {"target": targets} if len(known) > 1 else {}
+    q_log = Log(
+        np.array([time for time, _, _ in samples]), np.array([q for _, q, _ in samples])
+    )
+    return (
+        JointLog(q_log, tuple(names), np.ones(len(names))),
+        ReadingLog(log, POSITION, texts),
+        Joined(Clock(0.0, 0.0, 0), tuple(stands), 0, 0, 0),
+    )
+
+
+@contextmanager
+def _opened(path: str | Path) -> Iterator[Any]:
+    """A reader of a bag; whatever is wrong with the bag is told in a line."""
+    if find_spec("rosbags") is None:
+        raise OptionError(
+            "bags need rosbags, which is missing: pip install 'calib-pin[ros]'",
+            file=path,
+        )
+    from rosbags.highlevel import AnyReader
+    from rosbags.typesys import Stores, get_types_from_msg, get_typestore
+
+    if not Path(path).exists():
+        raise InputError("no such file", file=path)
+    store = get_typestore(Stores.ROS2_HUMBLE)
+    for name, text in TYPES.items():
+        store.register(get_types_from_msg(text, name))
+    try:
+        with AnyReader([Path(path)], default_typestore=store) as reader:
+            yield reader
+    except InputError:
+        raise
+    except Exception as error:  # Of the library, sqlite, lz4, struct, and what not.
+        lines = str(error).splitlines() or [type(error).__name__]
+        reason = f"cannot be read as a bag: {lines[0]}"
+        raise InputError(reason, file=path) from error
+
+
+def _messages(
+    path: str | Path, topic: str | None, kinds: Sequence[str]
+) -> Iterator[tuple[float, Any]]:
+    """Time [s] and content of the messages of a topic, or of a child frame."""
+    with _opened(path) as reader:
+        found = [c for c in reader.connections if c.msgtype in kinds]
+        moving = [c for c in found if c.msgtype == TRANSFORMS]
+        frames = {
+            stamped.child_frame_id: None
+            for connection, _, raw in (reader.messages(moving) if moving else ())
+            for stamped in reader.deserialize(raw, connection.msgtype).transforms
+        }
+        topics = {c.topic: None for c in found if c.msgtype != TRANSFORMS} | frames
+        words = " or ".join(sorted({kind.split("/")[-1] for kind in kinds}))
+        if topic is not None and topic not in topics:
+            raise InputError(
+                f"has no topic '{topic}' of {words}",
+                file=path,
+                allowed=", ".join(topics) or None,
+            )
+        if topic is None and len(topics) != 1:
+            told = enumerated([*topics]) if topics else "none"
+            raise InputError(
+                f"has {len(topics)} topics of {words}: {told}",
+                file=path,
+                allowed="one, named by --topic or --joint-topic",
+            )
+        name = topic if topic is not None else next(iter(topics))
+        chosen = [
+            c
+            for c in found
+            if (c.msgtype == TRANSFORMS if name in frames else c.topic == name)
+        ]
+        for connection, stamp, raw in reader.messages(chosen):
+            message = reader.deserialize(raw, connection.msgtype)
+            if connection.msgtype == TRANSFORMS:
+                for stamped in message.transforms:
+                    if stamped.child_frame_id == name:
+                        yield _time(stamped, stamp), stamped
+            else:
+                yield _time(message, stamp), message
+
+
+def _time(message: Any, stamp: int) -> float:
+    """When a message was made [s]; where it does not say, when it was recorded."""
+    header = getattr(message, "header", None) or message.joint_states.header
+    seconds = float(header.stamp.sec) + 1e-9 * float(header.stamp.nanosec)
+    return seconds if seconds > 0.0 else 1e-9 * stamp
+
+
+def _numbers(message: Any) -> list[float]:
+    if message.__msgtype__ == POINT:
+        p = message.point
+        return [p.x, p.y, p.z]
+    if message.__msgtype__ == POSES[0]:
+        p, r = message.pose.position, message.pose.orientation
+    else:
+        p, r = message.transform.translation, message.transform.rotation
+    return [p.x, p.y, p.z, r.x, r.y, r.z, r.w]
+
+
+def _ordered(
+    path: str | Path, times: Sequence[float], rows: Sequence[Sequence[float]]
+) -> Log:
+    """A log by time; what was recorded twice counts once."""
+    time, values = np.array(times), np.array(rows, float)
+    time, first = np.unique(time, return_index=True)
+    values = values[first]
+    if len(time) < 3 or not np.isfinite(values).all():
+        raise InputError("holds too little, or numbers that are none", file=path)
+    return Log(time, values)

@@ -226,16 +226,20 @@ class Case:
         Neither what was set aside counts, nor the largest of the others: a beam that
         grazes its plane errs by far more than they do.
         """
-        return self._errors(self.fit.theta)
+        return self._errors(self.fit.table)
 
     @cached_property
     def errors_nominal(self) -> float:
         """The same of the registered nominal robot."""
-        return self._errors(self.nominal)
+        return self._errors(self.nominal_table[self.fit.problem.data.weight > 0.0])
 
-    def _errors(self, theta: Floats) -> float:
+    @cached_property
+    def nominal_table(self) -> Floats:
+        """Errors of the registered nominal robot, see `error_table`, shape (N, D)."""
+        return error_table(self.fit.problem, self.nominal)
+
+    def _errors(self, table: Floats) -> float:
         problem = self.fit.problem
-        table = error_table(problem, theta)[problem.data.weight > 0.0]
         sizes = [0.0]
         for quantity in problem.layout.quantities:
             squares = np.sort(quantity.errors(table) ** 2)

@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from calib_pin.estimation.evidence import Finding
-from calib_pin.estimation.problem import error_table
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.measurement_models import declared
 from calib_pin.measurement_models.declaration import Quantity
@@ -58,7 +57,7 @@ def coarse_values(case: Case) -> Iterator[Finding]:
     """Steps of measured values, and of joint positions, that show in the errors."""
     problem = case.fit.problem
     used = np.sqrt(max(case.fit.left, 1) / max(problem.values, 1))
-    errors = error_table(problem, case.fit.theta)[problem.data.weight > 0.0]
+    errors = case.fit.table
     for quantity in problem.layout.quantities:
         own = errors[:, quantity.columns]
         own = own[np.isfinite(own)]

@@ -245,7 +245,9 @@ def moved(case: Case) -> tuple[Trial, Trial] | None:
         return None
     job = Job.of(case.data).sample(OPTIONS.measurements)
     plain = replace(problem, data=job.data, units=np.zeros(0))
-    if not _suspicious(Trial(plain, case.fit.theta, job, (), job.rank), case.nominal):
+    whole = len(job.data) == len(problem.data)
+    nominal = case.nominal_table if whole else error_table(plain, case.nominal)
+    if not _suspicious(Trial(plain, case.fit.theta, job, (), job.rank), nominal):
         return None
     trials = list(_settled(plain, job, ()))
     while 0 < len(trials) <= OPTIONS.moves:
@@ -294,13 +296,12 @@ def _suspicious(trial: Trial, nominal: Floats) -> bool:
 
     Args:
         trial: The measurements with the solution of a fit.
-        nominal: Parameter values of the registered nominal robot, shape (P,).
+        nominal: Errors of the registered nominal robot, shape (N, D).
     """
     if any(left < OPTIONS.looked_at**2 for left, _ in trial.candidates()):
         return True
-    errors = error_table(trial.problem, nominal)
     return any(
-        np.sqrt(np.mean(q.errors(errors) ** 2)) > OPTIONS.large * expected_size(q.unit)
+        np.sqrt(np.mean(q.errors(nominal) ** 2)) > OPTIONS.large * expected_size(q.unit)
         for q in trial.problem.layout.quantities
     )
 

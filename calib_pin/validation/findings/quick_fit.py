@@ -191,15 +191,18 @@ class QuickFit:
         sizes = np.abs(self.theta / parameters.scales)[~parameters.nuisance]
         return float(sizes.max(initial=0.0))
 
+    @cached_property
+    def table(self) -> Floats:
+        """Its errors, see `error_table`, of what was not set aside, shape (N, D)."""
+        return error_table(self.problem, self.theta)[self.problem.data.weight > 0.0]
+
     @property
     def errors(self) -> float:
         """Errors left of the first quantity, rms [its unit].
 
         What was set aside does not count.
         """
-        table = error_table(self.problem, self.theta)
-        table = table[self.problem.data.weight > 0.0]
-        errors = self.problem.layout.quantities[0].errors(table)
+        errors = self.problem.layout.quantities[0].errors(self.table)
         return float(np.sqrt(np.mean(errors**2)))
 
     @cached_property

@@ -8,6 +8,7 @@ from typing import Any
 import typer
 from typer.core import TyperCommand
 
+from calib_pin.cli.accept import accept
 from calib_pin.cli.calibrate import calibrate
 from calib_pin.cli.compare import compare
 from calib_pin.cli.compensate import compensate
@@ -26,6 +27,7 @@ COMMANDS: dict[Callable[..., int | None], str] = {
     calibrate: "Fit a robot to measurements and write the corrected URDF.",
     identify: "Print which parameters are identifiable.",
     evaluate: "Print the accuracy of a robot or a calibration on measurements.",
+    accept: "Test repeated poses in the terms of ISO 9283.",
     simulate: "Simulate measurements of a robot with known errors.",
     join: "Join two logs by time to a measurement file.",
     plan: "Choose optimal calibration configurations.",

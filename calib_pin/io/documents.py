@@ -16,6 +16,8 @@ from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.planning.plan import Plan
 from calib_pin.planning.suggestions import Suggestion
+from calib_pin.setup import LimitSetup
+from calib_pin.validation.acceptance import Acceptance, judged
 from calib_pin.validation.comparison import BOUND, Comparison, Difference, faults
 from calib_pin.validation.result import (
     CalibrationResult,
@@ -67,6 +69,19 @@ def comparison_document(found: Comparison) -> Json:
         ],
         "parameters_alone": dict(zip("ab", map(list, found.alone), strict=True)),
         "coupled_alone": dict(zip("ab", found.sums_alone, strict=True)),
+    }
+
+
+def acceptance_document(tests: Mapping[str, Acceptance], limit: LimitSetup) -> Json:
+    """The numbers of an acceptance test, in SI units."""
+    *_, last = tests.values()
+    return {
+        **stated("acceptance"),
+        "limits": [
+            {"quantity": name, "status": status, "limit": allowed, "unit": unit}
+            for name, status, _, allowed, unit in judged(last, limit)
+        ],
+        "tests": {name: plain(test) for name, test in tests.items()},
     }
 
 

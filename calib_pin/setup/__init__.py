@@ -71,6 +71,7 @@ __all__ = [
     "FrameSetup",
     "Frames",
     "JointMap",
+    "LimitSetup",
     "Obstacle",
     "OrientationSetup",
     "Payload",
@@ -242,6 +243,23 @@ class MeasurementSetup(Section):
 
 
 @dataclass(frozen=True)
+class LimitSetup(Section):
+    """Largest errors that the robot may have, for `accept`.
+
+    Attributes:
+        position: Of the position, AP [m].
+        orientation: Of an angle of the orientation [rad].
+        repeatability: Of the repeatability of positions, RP [m].
+        distance: Of distances between poses, AD [m].
+    """
+
+    position: Annotated[float, Positive("m")] | None = None
+    orientation: Annotated[float, Positive("rad")] | None = None
+    repeatability: Annotated[float, Positive("m")] | None = None
+    distance: Annotated[float, Positive("m")] | None = None
+
+
+@dataclass(frozen=True)
 class FitSetup(Section):
     """Prior knowledge of the robot and its parameters, and the solver.
 
@@ -258,6 +276,7 @@ class FitSetup(Section):
             `contact`, `pixel`) used where the file has no sigma columns [SI].
         solver: Solver of the fit, and its options.
         loss: Loss function, which says how much outliers count.
+        limit: Errors that the robot may have.
     """
 
     gravity: Annotated[
@@ -280,6 +299,7 @@ class FitSetup(Section):
     noise: Mapping[str, float] = field(default_factory=dict)
     solver: SolverSetup = SolverSetup()
     loss: Annotated[str, Registered("loss")] = "auto"
+    limit: LimitSetup = field(default_factory=LimitSetup)
 
     @property
     def heaviest(self) -> str:

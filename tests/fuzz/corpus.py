@@ -195,6 +195,17 @@ limits: {joint1: [-2.0, 2.0], "joint*": [-2.4, 2.4]}
     "2,5;-20,5;22;-30;33;550;100;500\n3;5;-5;40;13;600;0;480\n",
     "log.yaml": HEAD + "model: position\ncolumns:\n  x: X (mm) [mm]\n  y: Y\n"
     "  z: Z [mm]\n" + "".join(f"  joint{k}: J{k} [deg]\n" for k in range(1, 5)),
+    "limits.yaml": "tip: tool\nlimit: {position: 1.0e-3, repeatability: 1.0e-3}\n",
+    "stood.csv": "time;joint1 [deg];joint2 [deg]\n"
+    + "".join(
+        f"{0.1 * k:.1f};{10 * min(k % 40, 20)}".replace(".", ",") + f";{k // 40}\n"
+        for k in range(120)
+    ),
+    "seen.csv": "time,x [mm],y [mm],z\n"
+    + "".join(
+        f"{0.05 + 0.1 * k:.2f},{50 * min(k % 40, 20)},{7 * (k // 40)},0.5\n"
+        for k in range(118)
+    ),
     "motors.json": "{"
     + ", ".join(
         f'"joint{k}": {{"id": {k}, "drive_mode": 0, "homing_offset": -{k}00, '
@@ -226,6 +237,7 @@ limits: {joint1: [-2.0, 2.0], "joint*": [-2.4, 2.4]}
 
 MADE = {
     "rows.csv": "--model position --count 24 --errors errors.yaml",
+    "visits.csv": "--model position --count 3 --repeats 4 --seed 4",
     "new.csv": "--model position --count 12 --seed 2",
     "poses.csv": "--model pose --count 12",
     "distances.csv": "--setup plane.yaml --count 20",
@@ -324,6 +336,8 @@ JOBS = (
     ),
     Job("report done -o out", "done/calibration.json done/measurements.csv"),
     Job("evaluate arm.urdf log.csv --setup log.yaml", "log.csv log.yaml", 4),
+    Job("accept arm.urdf visits.csv --setup limits.yaml", "visits.csv limits.yaml", 3),
+    Job("join stood.csv seen.csv -o out", "stood.csv seen.csv", 4),
     Job("export done --format mjcf -o out", "done/calibration.json"),
     Job("export done --format lerobot --template motors.json -o out", "motors.json"),
     Job("export done --format ros2-control --template r.xml -o out", "r.xml"),

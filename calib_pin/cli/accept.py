@@ -1,0 +1,127 @@
+"""`calib-pin accept`: an acceptance test in the terms of ISO 9283."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Annotated
+
+import typer
+
+import calib_pin.cli.options as options
+from calib_pin.cli.files import (
+    check_outputs,
+    open_calibration,
+    open_chains,
+    open_measurements,
+    open_setup,
+    require_distinct,
+    require_file,
+)
+from calib_pin.cli.printing import notice, progress_bar, say_written, show
+from calib_pin.errors import InputError
+
+if TYPE_CHECKING:
+    from calib_pin.kinematics.chains import Chains
+    from calib_pin.validation.calibrated_model import CalibratedModel
+
+
+def accept(
+    robot: options.RobotOrCalibration,
+    measurements: Annotated[
+        list[Path],
+        typer.Argument(
+            metavar="MEASUREMENTS...",
+            help="CSV files with the visits of poses, in their order.",
+        ),
+    ],
+    output: Annotated[
+        Path | None,
+        options.output(
+            "-o --output DIR",
+            "Folder for acceptance.json and acceptance.csv; without it the test is "
+            "only printed.",
+        ),
+    ] = None,
+    setup: options.SetupFile = None,
+    model: options.Model = None,
+    base: options.Base = None,
+    tip: options.Tip = None,
+    register: Annotated[
+        bool,
+        options.robot(
+            "--register",
+            "Register base and tool of a calibration on these measurements.",
+        ),
+    ] = False,
+    force: options.Force = False,
+    quiet: options.Quiet = False,
+) -> int:
+    """Test how accurately and repeatably a robot reaches poses, as ISO 9283 has it.
+
+    Measurements of the same configuration are visits of one pose. The commanded pose is
+    that of the robot's model: of a URDF with base and tool registered on these
+    measurements; of a calibration that of the calibrated robot, beside the nominal one.
+    'limit' in the setup says what must be reached. A certified test needs the standard
+    itself. Exit status 2: a limit is not reached, or the test does not decide.
+    """
+    from calib_pin.io.documents import acceptance_document
+    from calib_pin.io.files import write_files
+    from calib_pin.io.json_text import encode
+    from calib_pin.io.measurements import encode_table
+    from calib_pin.report.acceptance_text import acceptance_report
+    from calib_pin.setup import Setup
+    from calib_pin.validation.acceptance import judged
+    from calib_pin.validation.pose_tests import tested
+
+    stated = open_setup(setup, base=base, tip=tip, model=model)
+    limit = stated.limit
+    subject: Chains | CalibratedModel
+    doubts: list[str] = []
+    require_file(robot, ", or a robot")
+    if robot.endswith(".json"):
+        kept = Setup(
+            columns=stated.columns, joints=stated.joints, reading=stated.reading
+        )
+        if (stated.base, stated.tip, stated.model) != (None, None, None):
+            kept = stated
+        subject, used = open_calibration(robot, None, kept, doubts.append)
+        chains = subject.chains
+    else:
+        used = stated
+        chains = open_chains(robot, stated)
+    require_distinct(measurements)
+    files = (
+        None
+        if output is None
+        else (output / "acceptance.json", output / "acceptance.csv")
+    )
+    check_outputs(files or (), [robot, setup, *measurements], force)
+    with progress_bar(quiet=quiet) as bar:
+        measured, rows = open_measurements(
+            measurements, chains, used, quiet=quiet, bar=bar
+        )
+        if not robot.endswith(".json"):
+            subject = measured
+        try:
+            found = tested(subject, rows, used, registration=register)
+        except InputError as error:
+            raise InputError(
+                error.reason,
+                file=error.file or str(measurements[0]),
+                line=error.line,
+                allowed=error.allowed,
+            ) from error
+    for doubt in doubts:
+        notice(doubt)
+    contents = {}
+    if files is not None:
+        contents[files[0]] = encode(acceptance_document(found.tests, limit))
+        contents[files[1]] = encode_table(found.table(), [found.about])
+    with write_files(contents, force=force):
+        if not quiet:
+            show(acceptance_report(found.tests, limit, found.about))
+    if files is not None and not quiet:
+        say_written([f"wrote {path}" for path in files])
+    *_, last = found.tests.values()
+    passed = all(status == "pass" for _, status, *_ in judged(last, limit))
+    return 0 if passed and not doubts else 2

@@ -1,0 +1,110 @@
+"""The report of an acceptance test."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator, Mapping
+
+from calib_pin.report.blocks import Block, Cell, Column, Line, Table, Tone, columns
+from calib_pin.report.tables import amount, quantity
+from calib_pin.setup import LimitSetup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.acceptance import Acceptance, Interval, judged
+
+TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong"}
+
+SHOWN = 12
+"""Pairs of poses whose distance is shown: those that err most."""
+
+
+def acceptance_report(
+    found: Mapping[str, Acceptance], limit: LimitSetup, about: str
+) -> Iterator[Block]:
+    """The test of a robot, or of it as it was and is.
+
+    Args:
+        found: The test by the robot that the commanded poses are of.
+        limit: What must be reached.
+        about: The robot, the poses and the frame, in a sentence.
+    """
+    *_, (_, last) = found.items()
+    for name, status, interval, allowed, unit in judged(last, limit):
+        tone = TONES[status]
+        shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
+        yield Line(f"{shown}{amount(allowed, unit)}.", tone)
+    yield Line(about)
+    for name, test in found.items():
+        title = f"Poses, {name}" if len(found) > 1 else "Poses"
+        yield Table(title, POSES, [*_poses(test)])
+    yield Line(
+        "AP: distance of the mean of the visits from the commanded position; RP: mean "
+        "distance from that mean and three standard deviations; vAP: distance between "
+        "means of approaches from different poses. In brackets: 95 % intervals for "
+        "more and more visits.",
+        "note",
+    )
+    if last.poses[0].angles:
+        yield Table("Orientations", ANGLES, [*_angles(last)])
+    if last.distances:
+        yield Table("Distances between poses", DISTANCES, [*_distances(last)])
+    if last.drift is not None:
+        accuracy, repeatability = (amount(size, "m") for size in last.drift)
+        yield Line(
+            "From the first to the last third of the visits AP changes by at most "
+            f"{accuracy}, RP by {repeatability}."
+        )
+
+
+POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
+ANGLES = columns("pose", ("about", "mean", "95 %", "3 sigma", "95 %", "unit"))
+DISTANCES = (
+    Column("poses", "word"),
+    *columns("poses", ("distance", "AD", "95 %", "RD", "95 %", "unit"))[1:],
+)
+
+
+def _poses(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
+    for pose in test.poses:
+        varies = pose.directions
+        yield (
+            Cell(f"P{pose.pose}"),
+            Cell(str(pose.visits)),
+            *_cells(pose.accuracy, "m"),
+            *_cells(pose.repeatability, "m"),
+            Cell("-") if varies is None else quantity(varies, "m"),
+            Cell(DISPLAY["m"][0]),
+        )
+
+
+def _angles(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
+    for pose in test.poses:
+        rows = zip("xyz", pose.angles, pose.angle_repeatability, strict=True)
+        for axis, mean, sigma in rows:
+            yield (
+                Cell(f"P{pose.pose}" if axis == "x" else ""),
+                Cell(axis),
+                *_cells(mean, "rad"),
+                *_cells(sigma, "rad"),
+                Cell(DISPLAY["rad"][0]),
+            )
+
+
+def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
+    worst = sorted(test.distances, key=lambda d: -abs(d.accuracy.value))
+    for pair in worst[:SHOWN]:
+        yield (
+            Cell("-".join(f"P{pose}" for pose in pair.poses)),
+            quantity(pair.commanded, "m"),
+            *_cells(pair.accuracy, "m"),
+            *_cells(pair.repeatability, "m"),
+            Cell(DISPLAY["m"][0]),
+        )
+
+
+def _cells(interval: Interval, unit: str) -> tuple[Cell, Cell]:
+    low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
+    return quantity(interval.value, unit), Cell(f"{low} ... {high}")
+
+
+def _shown(interval: Interval, unit: str) -> str:
+    low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
+    return f"{amount(interval.value, unit)} ({low} ... {high})"

@@ -1,0 +1,140 @@
+"""The numbers of an acceptance test by hand, and how often their intervals hold."""
+
+from __future__ import annotations
+
+import numpy as np
+import pytest
+
+from calib_pin.errors import InputError
+from calib_pin.setup import LimitSetup
+from calib_pin.validation.acceptance import (
+    Interval,
+    acceptance,
+    judged,
+    mean,
+    mean_distance,
+    repeatability,
+    three_sigma,
+)
+
+X = np.array([[1.0, 0.0, 0.0], [1.2, 0.0, 0.0], [1.0, 0.3, 0.0], [1.2, 0.3, 0.4]])
+C = np.array([1.0, 0.1, 0.0])
+
+
+def test_a_pose_by_hand():
+    test = acceptance(X, np.tile(C, (4, 1)), np.zeros(4, int))
+    (pose,) = test.poses
+    assert (pose.pose, pose.visits, pose.directions) == (1, 4, None)
+    # The mean is (1.1, 0.15, 0.1).
+    assert pose.accuracy.value == pytest.approx(np.sqrt(0.01 + 0.0025 + 0.01))
+    assert [c.value for c in pose.components] == pytest.approx([0.1, 0.05, 0.1])
+    lengths = np.sqrt([0.0425, 0.0425, 0.0425, 0.1225])
+    spread = np.sqrt(np.sum((lengths - lengths.mean()) ** 2) / 3)
+    assert pose.repeatability.value == pytest.approx(lengths.mean() + 3 * spread)
+    assert test.distances == () and test.drift is None
+
+
+def test_a_distance_by_hand():
+    attained = np.repeat(X, 2, axis=0)
+    attained[1::2] += [[2.0, 0.0, 0.0], [2.1, 0.0, 0.0], [2.0, 0.0, 0.0], [2.3, 0, 0]]
+    commanded = np.tile([C, C + np.array([2.0, 0.0, 0.0])], (4, 1))
+    (pair,) = acceptance(attained, commanded, np.tile([7, 3], 4)).distances
+    assert (pair.poses, pair.cycles, pair.commanded) == ((1, 2), 4, 2.0)
+    assert pair.accuracy.value == pytest.approx(0.1)
+    assert pair.repeatability.value == pytest.approx(3 * np.sqrt(0.06 / 3))
+
+
+def test_angles_directions_and_drift_by_hand():
+    # P1 is reached from P2 and P3 in turn, and drifts along x.
+    order = np.tile([0, 1, 0, 2], 9)
+    deviations = np.zeros((36, 3))
+    deviations[order == 0, 1] = np.tile([0.0, 3e-4], 9)
+    deviations[order == 0, 0] = np.repeat([1e-3, 2e-3, 4e-3], 6)
+    angles = np.where(np.arange(36)[:, None] % 8 < 4, 1e-3, 2e-3) * [1.0, 0.0, -2.0]
+    test = acceptance(deviations, np.zeros((36, 3)), order, angles)
+    first = test.poses[0]
+    # The first visit has none before it.
+    of_third = deviations[np.flatnonzero(order == 0)[1::2]].mean(axis=0)
+    of_second = deviations[np.flatnonzero(order == 0)[2::2]].mean(axis=0)
+    assert first.directions == pytest.approx(np.linalg.norm(of_third - of_second))
+    own = angles[order == 0]
+    assert [a.value for a in first.angles] == pytest.approx(own.mean(axis=0))
+    spread = 3 * own.std(axis=0, ddof=1)
+    assert [a.value for a in first.angle_repeatability] == pytest.approx(spread)
+    accuracy, _ = test.drift
+    start, end = (np.hypot(x, 1.5e-4) for x in (1e-3, 4e-3))
+    assert accuracy == pytest.approx(end - start)
+
+
+def test_poses_need_visits():
+    with pytest.raises(InputError, match="no pose was visited 3 times: 2 poses"):
+        acceptance(X, X, np.array([0, 0, 1, 1]))
+    kept = acceptance(X, np.tile(C, (4, 1)), np.array([0, 0, 1, 0]))
+    assert [pose.pose for pose in kept.poses] == [1]
+
+
+SHAPES = {
+    "round": np.eye(3),
+    "long": np.diag([1.0, 0.5, 0.2]),
+    "turned": np.array([[1.0, 0.6, 0.0], [0.0, 0.5, 0.3], [0.0, 0.0, 0.4]]),
+}
+
+
+def held(count: int, visits: int, shape: str, seed: int) -> dict[str, float]:
+    """Parts of simulated tests in which the intervals hold the truth."""
+    rng, draws = np.random.default_rng(seed), np.random.default_rng(seed + 1)
+    L, d = 2e-5 * SHAPES[shape], np.array([1e-4, -2e-4, 1e-4])
+    lengths = np.linalg.norm(rng.standard_normal((400_000, 3)) @ L.T, axis=1)
+    truth = {
+        "AP": float(np.linalg.norm(d)),
+        "RP": float(lengths.mean() + 3.0 * lengths.std()),
+        "AD": 1e-4,
+        "RD": 6e-5,
+    }
+    hits = dict.fromkeys(truth, 0)
+    for _ in range(count):
+        x = d + rng.standard_normal((visits, 3)) @ L.T
+        D = 1e-4 + 2e-5 * rng.standard_normal(visits)
+        found = {
+            "AP": mean_distance(x, draws),
+            "RP": repeatability(x, draws),
+            "AD": mean(D),
+            "RD": three_sigma(D),
+        }
+        for name, interval in found.items():
+            hits[name] += interval.low <= truth[name] <= interval.high
+    return {name: hit / count for name, hit in hits.items()}
+
+
+def test_intervals_hold_the_truth():
+    for name, part in held(250, 30, "turned", 0).items():
+        # Four standard deviations of a part of 250 tests.
+        assert abs(part - 0.95) < 0.055, name
+
+
+@pytest.mark.slow
+@pytest.mark.parametrize("shape", [*SHAPES])
+def test_intervals_hold_the_truth_in_a_thousand_tests(shape):
+    for name, part in held(1000, 30, shape, 10).items():
+        # Four standard deviations; that of RP is on the safe side for round scatter.
+        assert 0.922 < part < (0.99 if name == "RP" else 0.978), name
+
+
+def test_limits_are_judged_by_the_worst_pose():
+    rng = np.random.default_rng(0)
+    x = np.concatenate(
+        [[m, 0.0, 0.0] + 1e-5 * rng.standard_normal((30, 3)) for m in (1e-4, 3e-4)]
+    )
+    test = acceptance(x, np.zeros((60, 3)), np.repeat([0, 1], 30))
+    limit = LimitSetup(position=2e-4, repeatability=1e-4, distance=1e-3)
+    found = {name: status for name, status, *_ in judged(test, limit)}
+    assert found == {"AP": "fail", "RP": "pass", "AD": "pass"}
+    near = LimitSetup(position=float(test.poses[1].accuracy.value))
+    assert [status for _, status, *_ in judged(test, near)] == ["undecided"]
+    assert [*judged(test, LimitSetup())] == []
+
+
+def test_visits_without_scatter():
+    test = acceptance(np.ones((3, 3)), np.zeros((3, 3)), np.zeros(3, int))
+    assert test.poses[0].repeatability == Interval(0.0, 0.0, 0.0)
+    assert test.poses[0].accuracy.low == pytest.approx(np.sqrt(3.0))

@@ -53,6 +53,12 @@ def accept(
             "Register base and tool of a calibration on these measurements.",
         ),
     ] = False,
+    path: Annotated[
+        bool,
+        options.robot(
+            "--path", "The poses are points of a path, measured in every cycle: AT, RT."
+        ),
+    ] = False,
     force: options.Force = False,
     quiet: options.Quiet = False,
 ) -> int:
@@ -119,7 +125,7 @@ def accept(
         contents[files[1]] = encode_table(found.table(), [found.about])
     with write_files(contents, force=force):
         if not quiet:
-            show(acceptance_report(found.tests, limit, found.about))
+            show(acceptance_report(found.tests, limit, found.about, path=path))
     if files is not None and not quiet:
         say_written([f"wrote {path}" for path in files])
     *_, last = found.tests.values()

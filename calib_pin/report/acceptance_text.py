@@ -12,12 +12,19 @@ from calib_pin.validation.acceptance import Acceptance, Interval, judged
 
 TONES: Mapping[str, Tone] = {"pass": "good", "fail": "bad", "undecided": "strong"}
 
+PATH = {"AP": "AT", "RP": "RT"}
+"""Names of the worst pose's values along a path."""
+
 SHOWN = 12
 """Pairs of poses whose distance is shown: those that err most."""
 
 
 def acceptance_report(
-    found: Mapping[str, Acceptance], limit: LimitSetup, about: str
+    found: Mapping[str, Acceptance],
+    limit: LimitSetup,
+    about: str,
+    *,
+    path: bool = False,
 ) -> Iterator[Block]:
     """The test of a robot, or of it as it was and is.
 
@@ -25,13 +32,22 @@ def acceptance_report(
         found: The test by the robot that the commanded poses are of.
         limit: What must be reached.
         about: The robot, the poses and the frame, in a sentence.
+        path: Whether the poses are points of a path: AT and RT are their worst.
     """
     *_, (_, last) = found.items()
     for name, status, interval, allowed, unit in judged(last, limit):
-        tone = TONES[status]
+        tone, name = TONES[status], PATH.get(name, name) if path else name
         shown = f"{status.upper()}: {name} {_shown(interval, unit)}, the limit is "
         yield Line(f"{shown}{amount(allowed, unit)}.", tone)
     yield Line(about)
+    if path:
+        yield Table("Path", ROBOTS, [*_paths(found)])
+        yield Line(
+            "AT and RT: AP and RP of the worst point; the 95 % intervals are those of "
+            "this point alone.",
+            "note",
+        )
+        return
     for name, test in found.items():
         title = f"Poses, {name}" if len(found) > 1 else "Poses"
         yield Table(title, POSES, [*_poses(test)])
@@ -55,6 +71,7 @@ def acceptance_report(
 
 
 POSES = columns("pose", ("visits", "AP", "95 %", "RP", "95 %", "vAP", "unit"))
+ROBOTS = columns("", ("points", "AT", "95 %", "RT", "95 %", "unit"))
 ANGLES = columns("pose", ("about", "mean", "95 %", "3 sigma", "95 %", "unit"))
 DISTANCES = (
     Column("poses", "word"),
@@ -71,6 +88,17 @@ def _poses(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
             *_cells(pose.accuracy, "m"),
             *_cells(pose.repeatability, "m"),
             Cell("-") if varies is None else quantity(varies, "m"),
+            Cell(DISPLAY["m"][0]),
+        )
+
+
+def _paths(found: Mapping[str, Acceptance]) -> Iterator[tuple[Cell, ...]]:
+    for name, test in found.items():
+        yield (
+            Cell(name),
+            Cell(str(len(test.poses))),
+            *_cells(test.accuracy, "m"),
+            *_cells(test.repeatability, "m"),
             Cell(DISPLAY["m"][0]),
         )
 

@@ -74,3 +74,15 @@ def test_what_is_no_test_is_told(visits, run, listing, words, text):
     assert (result.status, result.out) == (1, "")
     assert text in result.err and result.err.count("\n") == 1
     assert listing(Path.cwd()) == before
+
+
+def test_a_path_is_its_worst_point(visits, run):
+    result = run(f"{ACCEPT} --path -o out")
+    assert result.out.startswith("FAIL: AT ") and "\nPASS: RT " in result.out
+    document = json.loads(Path("out/acceptance.json").read_text())
+    poses = document["tests"]["robot"]["poses"]
+    row = next(line for line in result.out.splitlines() if line.startswith("robot "))
+    assert row.split()[1] == "5"
+    for at, key in ((2, "accuracy"), (6, "repeatability")):
+        worst = max(pose[key]["value"] for pose in poses)
+        assert float(row.split()[at]) == pytest.approx(1e3 * worst, rel=1e-3)

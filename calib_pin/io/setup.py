@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import math
 from collections.abc import Collection, Mapping, Sequence
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -11,6 +10,9 @@ from typing import TYPE_CHECKING, Any
 from calib_pin.errors import InputError, nearest
 from calib_pin.io.json_text import plain
 from calib_pin.setup import WORLD, Setup
+
+WIDTH = 60
+"""Column after which a list is continued in the next line."""
 
 LARGEST_ERROR = 1e5
 """Largest value of a parameter, whatever its unit: that of a camera's focal length."""
@@ -163,7 +165,7 @@ def yaml_text(lines: Mapping[str, Any]) -> str:
     import yaml
 
     text = yaml.safe_dump(
-        plain(lines), sort_keys=False, default_flow_style=None, width=math.inf
+        plain(lines), sort_keys=False, default_flow_style=None, width=WIDTH
     )
     return str(text).rstrip("\n")
 

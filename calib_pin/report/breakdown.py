@@ -14,17 +14,16 @@ from calib_pin.estimation.evidence import VarianceComponent
 from calib_pin.report.blocks import (
     Block,
     Cell,
-    Column,
     Kind,
     Line,
     Names,
     Table,
     columns,
 )
-from calib_pin.report.tables import decimals, known, quantity, significant
+from calib_pin.report.tables import known, quantity
 from calib_pin.units import DISPLAY
 from calib_pin.validation.accuracy import QuantityErrors
-from calib_pin.validation.breakdown import Breakdown, FrameSummary
+from calib_pin.validation.breakdown import Breakdown
 
 KINDS: Mapping[str, Kind] = {"quantity": "word", "measurements": "number"}
 """Columns that are not what they are elsewhere."""
@@ -51,7 +50,7 @@ def keys_of(found: Breakdown) -> list[tuple[str, str, str, str]]:
 
 
 def parts(found: Breakdown) -> Iterator[Block]:
-    """Accuracy and noise by station, tool and chain, and where the frames are."""
+    """Accuracy and noise by station, tool and chain."""
     rows: list[Sequence[Cell]] = []
     for kind, frames in (("station", found.stations), ("tool", found.tools)):
         for frame in frames if len(frames) > 1 else ():
@@ -64,14 +63,6 @@ def parts(found: Breakdown) -> Iterator[Block]:
         titles = ("measurements", "quantity", "nominal", "calibrated", "noise", "unit")
         title = "Stations, tools and chains (rms of fitted measurements)"
         yield Table(title, columns("", titles, KINDS), rows)
-    if len(found.stations) > 1 or len(found.tools) > 1:
-        yield _frames(found)
-        yield Line(
-            "Pose of a link in the measurement frame of a station, and of a tool on a "
-            "link, with standard deviations; rotations are roll, pitch and yaw, their "
-            "deviations those about x, y and z.",
-            "note",
-        )
 
 
 def _sizes(
@@ -100,35 +91,6 @@ def _sizes(
 def _plain(name: str) -> str:
     """Name of a quantity without the model and the station it is told apart by."""
     return name.partition(" (")[0]
-
-
-def _frames(found: Breakdown) -> Table:
-    frames: list[tuple[str, FrameSummary]] = [("of", f) for f in found.stations]
-    frames += [("on", frame) for frame in found.tools]
-    rows = []
-    for word, frame in frames:
-        label = frame.name
-        sigma = frame.sigma or (math.nan,) * 6
-        halves = [
-            ("position", "m", frame.xyz, sigma[:3]),
-            ("rotation", "rad", frame.rpy, sigma[3:]),
-        ]
-        for name, unit, values, deviations in halves:
-            pairs = zip(values, deviations, strict=True)
-            cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
-            rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = f"  {word} {frame.link}"
-    titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
-    of = (Column("", "name"), *titles, Column("unit", "word"))
-    return Table("Frames of stations and tools", of, rows)
-
-
-def _within(value: float, sigma: float, factor: float) -> str:
-    """A value with its standard deviation, such as `12.345 ± 0.012`."""
-    if not sigma > 0.0:
-        return f"{factor * value:z.3f}"
-    places = max(decimals(factor * sigma), 0)
-    return f"{factor * value:z.{places}f} ± {significant(factor * sigma)}"
 
 
 def told(found: Breakdown) -> Iterator[Block]:

@@ -26,6 +26,7 @@ from calib_pin.report.blocks import Block, Cell, Column, Facts, Line, Table
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.figures import Drawn, calibration_figures
 from calib_pin.report.identification import ranks, remedied, unknown
+from calib_pin.report.places import frame_blocks
 from calib_pin.report.tables import (
     STATUS,
     group_table,
@@ -240,6 +241,7 @@ def _sections(
             *accuracy(result),
             *parts(result),
             *moves(result),
+            *frame_blocks(result),
             *expected(result),
             *beyond(result),
         ],

@@ -65,8 +65,7 @@ def _rendered(block: Block) -> Iterator[RenderableType]:
     if isinstance(block, Table):
         yield _table(block)
     elif isinstance(block, Code):
-        # A line that is broken could not be copied.
-        yield Padding(Text(printable(block.text), no_wrap=True), INDENT)
+        yield Padding(Text(printable(block.text), overflow="fold"), INDENT)
     elif isinstance(block, Names):
         yield from (Padding(_text(entry), INDENT) for entry in block.entries)
     else:

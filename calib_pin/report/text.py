@@ -10,6 +10,7 @@ from calib_pin.report.accuracy import accuracy, beyond, moves, opening, subject
 from calib_pin.report.blocks import Block
 from calib_pin.report.breakdown import parts, told
 from calib_pin.report.identification import identified
+from calib_pin.report.places import frame_blocks
 from calib_pin.report.tables import listed
 from calib_pin.report.terminal import plain_text
 from calib_pin.report.trust import (
@@ -51,6 +52,7 @@ def report(
     yield from accuracy(result)
     yield from parts(result)
     yield from moves(result)
+    yield from frame_blocks(result)
     yield from expected(result)
     yield from beyond(result)
     yield from noise(result)

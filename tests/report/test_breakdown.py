@@ -105,27 +105,6 @@ def test_stations_and_tools() -> None:
     assert rows[0][1:] == ["30", "position", "2.000", "0.1000", "0.0500", "mm"]
     # Two stations look at the ball, each with its own noise.
     assert [row[5] for row in rows] == ["0.0500", "0.0800", "-", "-"]
-    frames = table(blocks, "Frames")
-    assert frames[:2] == [
-        [
-            "day1",
-            "position",
-            "1234.568 ± 0.012",
-            "-500.000 ± 0.020",
-            "0.000 ± 0.030",
-            "mm",
-        ],
-        [
-            "  of base_link",
-            "rotation",
-            "0.00000 ± 0.00057",
-            "5.730",
-            "180.0000 ± 0.0057",
-            "deg",
-        ],
-    ]
-    # Of a frame that is known, or whose deviations nobody knows, there are values only.
-    assert all("±" not in cell for row in (*frames[2:4], *frames[6:]) for cell in row)
     assert max(map(len, plain_text(blocks).splitlines())) <= 80
 
 

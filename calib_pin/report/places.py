@@ -1,0 +1,125 @@
+"""Where base, tools, stations and cameras are: the numbers that others need."""
+
+from __future__ import annotations
+
+import math
+from collections.abc import Iterator, Mapping
+from typing import Any
+
+import numpy as np
+
+from calib_pin.io.setup import yaml_text
+from calib_pin.measurement_models.pinhole import INTRINSICS
+from calib_pin.report.blocks import Block, Cell, Code, Column, Line, Table, columns
+from calib_pin.report.tables import decimals, significant
+from calib_pin.setup import CameraSetup
+from calib_pin.units import DISPLAY
+from calib_pin.validation.breakdown import FrameSummary
+from calib_pin.validation.result import CalibrationResult
+
+DIGITS = 9
+"""Decimals of lines to be copied [m, rad]: beyond any measurement."""
+
+
+def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
+    """Frames and cameras of which something was estimated, and lines to copy."""
+    frames = [("of", f) for f in result.stations] + [("on", f) for f in result.tools]
+    frames = [(word, frame) for word, frame in frames if frame.estimated]
+    seen = {name: camera for name, camera in _cameras(result) if camera.estimate}
+    if not frames and not seen:
+        return
+    if frames:
+        yield _frames(frames)
+        yield Line(
+            "Pose of a link in the measurement frame of a station, and of a tool on a "
+            "link, with standard deviations; rotations are roll, pitch and yaw, their "
+            "deviations those about x, y and z.",
+            "note",
+        )
+    sigmas = {p.name: p.sigma for p in result.parameters}
+    for name, camera in seen.items():
+        yield _camera(name, camera, sigmas)
+    lines = yaml_text(_lines(frames, seen))
+    yield Code("The same as lines of a setup file (m, rad, px)", lines)
+
+
+def _cameras(result: CalibrationResult) -> Iterator[tuple[str, CameraSetup]]:
+    for (_, name), reference in result.model.references.items():
+        stated = reference.stated()
+        if isinstance(stated, CameraSetup):
+            yield name, stated
+
+
+def _camera(
+    name: str, camera: CameraSetup, sigmas: Mapping[str, float | None]
+) -> Table:
+    """The intrinsics of a camera."""
+    values = (*camera.focal, *camera.center, *camera.distortion)
+    rows = []
+    for (key, unit, _), value in zip(INTRINSICS, values, strict=True):
+        sigma = sigmas.get(f"{name}.intrinsics.{key}") or 0.0
+        rows.append((Cell(key), Cell(_within(value, sigma, 1.0), value), Cell(unit)))
+    return Table(f"Intrinsics of {name}", columns("", ("value", "unit")), rows)
+
+
+def _lines(
+    frames: list[tuple[str, FrameSummary]], cameras: Mapping[str, CameraSetup]
+) -> dict[str, Any]:
+    """Frames and a single camera as a setup file states them."""
+    lines: dict[str, Any] = {}
+    for word, frame in frames:
+        pose = {"xyz": _rounded(frame.xyz)}
+        # A rotation of which nothing is known is not there.
+        if not np.isnan(frame.sigma[3:]).all() or not frame.sigma:
+            pose["rpy"] = _rounded(frame.rpy)
+        section = "frames"
+        if frame.name not in ("base", "tool"):
+            section = "stations" if word == "of" else "tools"
+        name = frame.name.removesuffix(".station").removesuffix(".tool")
+        lines.setdefault(section, {})[name] = pose
+    if len(cameras) == 1:
+        (camera,) = cameras.values()
+        lines["camera"] = {
+            "mount": camera.mount,
+            "focal": _rounded(camera.focal),
+            "center": _rounded(camera.center),
+            "distortion": _rounded(camera.distortion),
+            **({} if camera.size is None else {"size": [*camera.size]}),
+        }
+    return lines
+
+
+def _rounded(numbers: tuple[float, ...]) -> list[float]:
+    return [round(number, DIGITS) + 0.0 for number in numbers]
+
+
+def _frames(frames: list[tuple[str, FrameSummary]]) -> Table:
+    rows = []
+    for word, frame in frames:
+        label = frame.name
+        sigma = frame.sigma or (0.0,) * 6
+        halves = [
+            ("position", "m", frame.xyz, sigma[:3]),
+            ("rotation", "rad", frame.rpy, sigma[3:]),
+        ]
+        for name, unit, values, deviations in halves:
+            pairs = zip(values, deviations, strict=True)
+            cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
+            rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
+            label = f"  {word} {frame.link}"
+    titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
+    of = (Column("", "name"), *titles, Column("unit", "word"))
+    return Table("Frames of stations and tools", of, rows)
+
+
+def _within(value: float, sigma: float, factor: float) -> str:
+    """A value with its standard deviation, such as `12.345 +- 0.012`.
+
+    A dash for what the measurements leave open.
+    """
+    if math.isnan(sigma):
+        return "-"
+    if not sigma > 0.0:
+        return f"{factor * value:z.3f}"
+    places = max(decimals(factor * sigma), 0)
+    return f"{factor * value:z.{places}f} +- {significant(factor * sigma)}"

@@ -1,0 +1,134 @@
+"""Frames and cameras as absolute values, and as lines that a setup file takes."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.estimation.formulation import nominal_problem
+from calib_pin.report.blocks import Block, Code, Table
+from calib_pin.report.places import frame_blocks
+from calib_pin.report.terminal import plain_text
+from calib_pin.setup import CameraSetup, FrameSetup, PointSetup, Setup
+from calib_pin.validation.result import CalibrationResult
+from tests.report.test_breakdown import STATIONS, TOOLS
+
+BOARD = {f"m{k}": PointSetup((0.1 * (k % 2), 0.08 * (k // 2), 0.1)) for k in range(4)}
+SEEN = Setup(
+    parameters=("joint-offset",),
+    base_frame=FrameSetup((0.1, -0.2, 3.0), (0.3, -0.2, 0.4), estimate=True),
+    camera=CameraSetup("world", (900.0, 910.0), (640.0, 500.0), estimate=True),
+    targets=BOARD,
+)
+
+
+def solved(model: str, setup: Setup, count: int) -> CalibrationResult:
+    chain = calib_pin.load_chain("space6")
+    problem = nominal_problem(chain, model, setup)
+    rng = np.random.default_rng(3)
+    theta = calib_pin.draw_errors(problem.parameters, rng)
+    rows = calib_pin.simulate(problem, theta, rng, count=count)
+    return calib_pin.calibrate(chain, rows, setup)
+
+
+@pytest.fixture(scope="module")
+def tracked() -> CalibrationResult:
+    return solved("position", Setup(), 40)
+
+
+@pytest.fixture(scope="module")
+def seen() -> CalibrationResult:
+    return solved("camera", SEEN, 120)
+
+
+def table(blocks: list[Block], title: str) -> Table:
+    (found,) = (b for b in blocks if isinstance(b, Table) and b.title.startswith(title))
+    return found
+
+
+def lines_of(result: CalibrationResult, folder: Path) -> Setup:
+    (code,) = (b for b in frame_blocks(result) if isinstance(b, Code))
+    shown = plain_text([code])
+    file = folder / "setup.yaml"
+    file.write_text(shown.partition("\n")[2])
+    return calib_pin.read_setup(file)
+
+
+def test_values_with_their_deviations(tracked: CalibrationResult) -> None:
+    result = replace(tracked, stations=STATIONS, tools=TOOLS)
+    blocks = list(frame_blocks(result))
+    rows = [[cell.text for cell in row] for row in table(blocks, "Frames").rows]
+    assert rows[:2] == [
+        [
+            "day1",
+            "position",
+            "1234.568 +- 0.012",
+            "-500.000 +- 0.020",
+            "0.000 +- 0.030",
+            "mm",
+        ],
+        [
+            "  of base_link",
+            "rotation",
+            "0.00000 +- 0.00057",
+            "5.730",
+            "180.0000 +- 0.0057",
+            "deg",
+        ],
+    ]
+    # Of deviations that nobody knows there is nothing, and of what is known no row.
+    assert rows[2][2:] == ["1234.568", "-500.000", "0.000", "mm"]
+    assert [row[0] for row in rows[::2]] == ["day1", "day2", "ball"]
+    assert max(map(len, plain_text(blocks).splitlines())) <= 80
+
+
+def test_what_the_measurements_leave_open_is_no_value(
+    tracked: CalibrationResult, tmp_path: Path
+) -> None:
+    """Of a tool whose point alone was measured the orientation is not known."""
+    (tool,) = tracked.tools
+    assert np.isnan(tool.sigma[3:]).all()
+    blocks = list(frame_blocks(tracked))
+    rows = [[cell.text for cell in row] for row in table(blocks, "Frames").rows]
+    assert rows[-1][2:] == ["-", "-", "-", "deg"]
+    lines = lines_of(tracked, tmp_path)
+    assert lines.tool_frame is not None and lines.base_frame is not None
+    assert lines.tool_frame.rpy is None
+    assert lines.tool_frame.xyz == pytest.approx(tool.xyz, abs=1e-9)
+    assert lines.base_frame.rpy == pytest.approx(tracked.stations[0].rpy, abs=1e-9)
+
+
+def test_what_was_not_estimated_is_not_told(tracked: CalibrationResult) -> None:
+    known = replace(tracked, stations=(), tools=TOOLS[1:])
+    assert list(frame_blocks(known)) == []
+
+
+def test_a_camera_is_told_and_read_back(
+    seen: CalibrationResult, tmp_path: Path
+) -> None:
+    found = table(list(frame_blocks(seen)), "Intrinsics of camera")
+    by_name = {p.name: p for p in seen.parameters}
+    (stated,) = (
+        stated
+        for reference in seen.model.references.values()
+        if isinstance(stated := reference.stated(), CameraSetup)
+    )
+    for row, start, value in zip(
+        found.rows[:4],
+        (900.0, 910.0, 640.0, 500.0),
+        (*stated.focal, *stated.center),
+        strict=True,
+    ):
+        parameter = by_name[f"camera.intrinsics.{row[0].text}"]
+        assert row[1].value == value == pytest.approx(start + parameter.value)
+        assert row[1].text == f"{value:.1f} +- {parameter.sigma:.1f}"
+    lines = lines_of(seen, tmp_path)
+    assert lines.camera is not None
+    assert lines.camera.focal == pytest.approx(stated.focal, abs=1e-9)
+    assert lines.camera.distortion == pytest.approx(stated.distortion, abs=1e-9)
+    assert lines.base_frame is not None
+    assert lines.base_frame.xyz == pytest.approx(seen.stations[0].xyz, abs=1e-9)

@@ -38,6 +38,9 @@ targets_option = partial(options.option, "Targets")
 FRAMES = ("measuring", "base")
 POINTS = ("tool", "tip")
 
+SPEED = 0.25
+"""Part of the joint speeds at which programs move."""
+
 
 def compensate(
     context: typer.Context,
@@ -95,6 +98,23 @@ def compensate(
         bool,
         targets_option("--position", "Reach positions only, with any orientation."),
     ] = False,
+    degrees: options.Degrees = False,
+    form: Annotated[
+        str,
+        options.output(
+            "--format NAME",
+            "csv (default); urscript, a program of moves; joint-trajectory, a message "
+            "of ROS (YAML).",
+        ),
+    ] = "csv",
+    speed: Annotated[
+        float | None,
+        options.output(
+            "--speed PART",
+            "Part of the URDF's joint speeds at which a program moves; default 0.25.",
+            options.number(float, "--speed", "0.001 to 1", 1e-3, 1.0),
+        ),
+    ] = None,
     setup: options.SetupFile = None,
     force: options.Force = False,
     quiet: options.Quiet = False,
@@ -113,6 +133,7 @@ def compensate(
 
     from calib_pin.control.compensation import ends_estimated, with_payload
     from calib_pin.io.documents import compensation_document
+    from calib_pin.io.exchange.motions import PROGRAMS
     from calib_pin.io.files import write_files
     from calib_pin.io.json_text import encode
     from calib_pin.io.result_folder import written_before
@@ -126,6 +147,11 @@ def compensate(
         line_list,
     )
 
+    require_known("format", form, ("csv", *PROGRAMS))
+    if form == "csv" and speed is not None:
+        raise OptionError("--speed is for programs", allowed=", ".join(PROGRAMS))
+    if form != "csv" and degrees:
+        raise OptionError("--degrees is for --format csv")
     require_known("frame", frame or FRAMES[0], FRAMES)
     require_known("point", point or POINTS[0], POINTS)
     stated = open_setup(setup)
@@ -167,6 +193,8 @@ def compensate(
     # A file that cannot be written must not turn up after the work.
     if asked.q is not None:
         command_columns(asked, asked.q, np.arange(len(asked.q)))
+    if form != "csv":
+        PROGRAMS[form](model.chain, np.zeros((1, len(model.chain.joints))), 1.0, ())
     motion = asked.T is None
     of_base, of_tip = motion or frame == "base", motion or point == "tip"
     if ends_estimated(model, base=of_base, tip=of_tip) and not quiet:
@@ -185,8 +213,14 @@ def compensate(
     contents = {}
     if written:
         comment = f"commands of: {told_command(context)}"
-        table = encode_commands(asked, found.q[rows], rows, comments=[comment])
-        contents[output] = table
+        if form == "csv":
+            contents[output] = encode_commands(
+                asked, found.q[rows], rows, degrees=degrees, comments=[comment]
+            )
+        else:
+            part = SPEED if speed is None else speed
+            program = PROGRAMS[form](model.chain, found.q[rows], part, [comment])
+            contents[output] = program
     with write_files(contents, force=force):
         if json:
             made = output if written else None

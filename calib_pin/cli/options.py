@@ -150,6 +150,9 @@ def seed(heading: str, meaning: str = "Random seed.") -> Any:
 Seed = Annotated[int, seed("Fit")]
 Force = Annotated[bool, output("--force", "Replace existing output.")]
 Quiet = Annotated[bool, output("--quiet", "Print nothing but errors.")]
+Degrees = Annotated[
+    bool, output("--degrees", "Write joint angles in degrees, with their unit.")
+]
 Json = Annotated[bool, output("--json", "Print JSON.")]
 
 

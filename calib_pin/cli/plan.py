@@ -148,6 +148,7 @@ def plan(
     parameters: options.Parameters = None,
     figures: Figures = None,
     figure_format: FigureFormat = "png",
+    degrees: options.Degrees = False,
     force: options.Force = False,
     quiet: options.Quiet = False,
     json: options.Json = False,
@@ -255,6 +256,7 @@ def plan(
         found.target,
         places=found.places,
         joints=stated.joints,
+        degrees=degrees,
         comments=[f"planned by: {told_command(context)}"],
     )
     with write_files({output: table, **contents}, force=force):

@@ -11,6 +11,7 @@ from calib_pin.errors import InputError, nearest
 from calib_pin.io.columns import ANGLE, LENGTH, Floats, Kind, closest
 from calib_pin.io.measured_columns import reserved
 from calib_pin.io.table import Table
+from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.chains import Chains
 from calib_pin.kinematics.joint_space import FREE_TRAVEL
@@ -206,6 +207,29 @@ def column_values(q: Floats, sources: Sequence[JointSource]) -> dict[str, Floats
     result = dict(zip(columns, values.T, strict=True))
     others = dict.fromkeys(c for source in sources for c in source.kinds)
     return result | {c: np.zeros(len(q)) for c in others if c not in result}
+
+
+def shown_columns(
+    values: Mapping[str, Floats], sources: Sequence[JointSource], degrees: bool
+) -> dict[str, Floats]:
+    """Columns of joint positions by their headers.
+
+    Args:
+        values: Values by column, as `column_values` gives them [rad, m].
+        sources: The columns of the joints.
+        degrees: Whether angles are in degrees.
+
+    Raises:
+        OutputError: If a name would not read back.
+    """
+    kinds = {c: kind for source in sources for c, kind in source.kinds.items()}
+    shown = {}
+    for name, column in values.items():
+        header = column_name(name)
+        if degrees and kinds[name] is ANGLE:
+            header, column = f"{header} [deg]", column / ANGLE.units["deg"]
+        shown[header] = column
+    return shown
 
 
 def spare_columns(

@@ -26,11 +26,11 @@ from calib_pin.io.joint_columns import (
     column_values,
     joint_sources,
     read_positions,
+    shown_columns,
 )
 from calib_pin.io.measurement_blocks import check_names, check_places, read_blocks
 from calib_pin.io.table import Table, read_table, require_columns
 from calib_pin.io.written_columns import (
-    column_name,
     measurement_columns,
     writable,
 )
@@ -236,6 +236,7 @@ def encode_configurations(
     *,
     places: Mapping[str, Sequence[str]] = {},
     joints: Mapping[str, JointMap] = {},
+    degrees: bool = False,
     comments: Sequence[str] = (),
 ) -> bytes:
     r"""Configurations to be measured as a CSV file.
@@ -247,6 +248,7 @@ def encode_configurations(
         places: Columns `chain`, `station` and `tool`, as far as these have names.
         joints: How file columns become joints; the file holds what a controller
             needs.
+        degrees: Whether angles are in degrees.
         comments: Lines for the head of the file.
 
     Raises:
@@ -262,9 +264,10 @@ def encode_configurations(
         Traceback (most recent call last):
         calib_pin.errors.OutputError: target 'wall\n' would not read back
     """
-    columns: dict[str, Floats | Sequence[str]] = {}
-    for name, values in column_values(q, joint_sources(chain, joints)).items():
-        columns[column_name(name)] = values
+    sources = joint_sources(chain, joints)
+    columns: dict[str, Floats | Sequence[str]] = {
+        **shown_columns(column_values(q, sources), sources, degrees)
+    }
     named = {**places, "target": target}
     columns |= {k: writable(k, column) for k, column in named.items() if any(column)}
     return encode_table(columns, comments)

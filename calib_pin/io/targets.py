@@ -15,6 +15,7 @@ from calib_pin.io.joint_columns import (
     column_values,
     joint_sources,
     read_positions,
+    shown_columns,
     spare_columns,
 )
 from calib_pin.io.measured_columns import (
@@ -25,7 +26,6 @@ from calib_pin.io.measured_columns import (
 )
 from calib_pin.io.measurements import encode_table
 from calib_pin.io.table import Table, read_table
-from calib_pin.io.written_columns import column_name
 from calib_pin.kinematics.chain import Chain
 from calib_pin.kinematics.spatial import Floats, from_quaternion
 from calib_pin.measurement_models.pose import Pose
@@ -136,6 +136,7 @@ def encode_commands(
     q: Floats,
     rows: NDArray[np.int64],
     *,
+    degrees: bool = False,
     comments: Sequence[str] = (),
 ) -> bytes:
     r"""Joint commands as a CSV file.
@@ -148,6 +149,7 @@ def encode_commands(
         targets: The requested targets or motion.
         q: Joint commands for K of the targets, shape (K, n) [rad, m].
         rows: Indices of these targets, shape (K,).
+        degrees: Whether angles are in degrees, where the target file has no joints.
         comments: Lines for the head of the file.
 
     Raises:
@@ -164,7 +166,7 @@ def encode_commands(
         >>> encode_commands(targets, np.zeros((1, 6)), np.array([0])).splitlines()[1]
         b'0.0,0.0,0.0,0.0,0.0,0.0,2'
     """
-    found = command_columns(targets, q, rows)
+    found = command_columns(targets, q, rows, degrees)
     if targets.T is None:
         all_columns = targets.table.columns
         others = targets.table.with_points(
@@ -184,7 +186,7 @@ def encode_commands(
 
 
 def command_columns(
-    targets: Targets, q: Floats, rows: NDArray[np.int64]
+    targets: Targets, q: Floats, rows: NDArray[np.int64], degrees: bool = False
 ) -> dict[str, tuple[str, Sequence[object]]]:
     """Header and cells of the joint columns, by name.
 
@@ -192,6 +194,7 @@ def command_columns(
         targets: The requested targets or motion.
         q: Joint commands for K of the targets, shape (K, n) [rad, m].
         rows: Indices of these targets, shape (K,).
+        degrees: Whether angles are in degrees, where the target file has no joints.
 
     Raises:
         InputError: If the joint map cannot be undone.
@@ -199,10 +202,9 @@ def command_columns(
     """
     values = column_values(q, targets.sources)
     if targets.q is None:
-        return {
-            name: (column_name(name), column.tolist())
-            for name, column in values.items()
-        }
+        shown = shown_columns(values, targets.sources, degrees)
+        headers = zip(values, shown.items(), strict=True)
+        return {name: (header, column.tolist()) for name, (header, column) in headers}
     # The change is added to the value in the file, so that a column coupled with a
     # joint outside the chain (an external axis) keeps the contribution of that joint.
     before = column_values(targets.q[rows], targets.sources)

@@ -10,6 +10,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import yaml
 
 from calib_pin.io.results import read_calibration
 from calib_pin.io.urdf import load_chain
@@ -605,3 +606,50 @@ def test_wrong_input(name, positions, refuses):
 )
 def test_wrong_words(command, fields, positions, refuses):
     refuses(command, **fields)
+
+
+# --- how commands are written ------------------------------------------------------
+
+
+def test_degrees(positions, run):
+    assert run(RUN).status == 0
+    radians = numbers("commands.csv")
+    assert run(f"{RUN} --degrees --force").status == 0
+    header, rows, _ = table("commands.csv")
+    assert header == [*(f"{joint} [deg]" for joint in JOINTS), "row"]
+    assert np.allclose(np.array(rows, float)[:, :4], np.rad2deg(radians[:, :4]))
+
+
+def test_a_trajectory_of_ros_keeps_the_speeds(positions, run):
+    assert run(RUN).status == 0
+    q = numbers("commands.csv")[:, :4]
+    words = f"{DONE} targets.csv -o t.yaml --format joint-trajectory --speed 0.5"
+    assert run(words).status == 0
+    document = yaml.safe_load(Path("t.yaml").read_text())
+    assert document["joint_names"] == JOINTS
+    assert np.array_equal([p["positions"] for p in document["points"]], q)
+    stamps = [p["time_from_start"] for p in document["points"]]
+    time = np.array([stamp["sec"] + 1e-9 * stamp["nanosec"] for stamp in stamps])
+    # The URDF allows 1 rad/s of every joint.
+    speeds = np.abs(np.diff(q, axis=0)) / np.diff(time)[:, None]
+    assert time[0] == 0.0 and np.allclose(speeds.max(axis=1), 0.5, atol=1e-6)
+
+
+def test_a_program_for_another_robot_is_refused(positions, refuses):
+    words = f"{DONE} targets.csv -o p.script --format urscript"
+    refuses(words, reason="six revolute joints", value=4)
+
+
+@pytest.mark.parametrize(
+    ("words", "said"),
+    [
+        ("--format g-code", "g-code"),
+        ("--speed 0.5", "--speed is for programs"),
+        ("--format joint-trajectory --degrees", "--degrees is for --format csv"),
+        ("--format joint-trajectory --speed 2", "--speed cannot be '2'"),
+    ],
+)
+def test_wrong_ways_to_write(positions, run, words, said):
+    result = run(f"{DONE} targets.csv -o p.yaml {words}")
+    assert (result.status, result.out) == (1, "")
+    assert said in result.err and not Path("p.yaml").exists()

@@ -854,3 +854,15 @@ def test_wrong_input(name, here, refuses):
     for file, content in files.items():
         Path(file).write_text(content)
     refuses(command, **fields)
+
+
+def test_a_plan_in_degrees(here, run):
+    words = f"{PLAN} --count 6 -o"
+    assert run(f"{words} radians.csv").status == 0
+    assert run(f"{words} degrees.csv --degrees").status == 0
+    chain = calib_pin.load_chain("arm.urdf", tip="tool")
+    first, second = (
+        read_configurations(f"{name}.csv", chain) for name in ("radians", "degrees")
+    )
+    assert "joint1 [deg]" in Path("degrees.csv").read_text()
+    assert np.allclose(first, second, rtol=0, atol=1e-12)

@@ -1,0 +1,35 @@
+"""Programs of joint commands say the same as the commands."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+import pytest
+
+import calib_pin
+from calib_pin.errors import OptionError
+from calib_pin.io.exchange.motions import joint_trajectory, speed_limits, urscript
+
+
+def test_a_program_of_moves():
+    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    q = chain.random_configurations(5, np.random.default_rng(0))
+    text = urscript(chain, q, 0.25, ["commands"]).decode()
+    moves = re.findall(r"^  movej\(\[(.*)\], a=1.2, v=(.*)\)$", text, re.MULTILINE)
+    assert np.array_equal([[*map(float, m[0].split(","))] for m in moves], q)
+    assert {float(m[1]) for m in moves} == {round(0.25 * 2.16, 6)}
+    assert text.startswith("# commands\ndef commands():\n")
+    assert text.endswith("end\ncommands()\n")
+
+
+def test_joints_without_a_speed():
+    chain = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    model = chain.robot.model.copy()
+    model.velocityLimit = np.array([1.0, 0.0, 1e9, 1.0, 1.0, 1.0])
+    still = calib_pin.load_chain("example:ur10_robot", tip="tool0")
+    object.__setattr__(still.robot, "model", model)
+    with pytest.raises(OptionError, match="no speed of shoulder_lift_joint, elbow"):
+        speed_limits(still, 1.0)
+    with pytest.raises(OptionError, match="no speed"):
+        joint_trajectory(still, np.zeros((1, 6)), 1.0, [])

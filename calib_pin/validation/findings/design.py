@@ -33,6 +33,10 @@ Random ones have 1.
 FEWEST = 10
 """Fewest configurations that can be too much alike."""
 
+CHANCE = 0.01
+"""Probability, for one of the joints, below which a small range is not that of a few
+configurations anywhere."""
+
 RANGE = 2.0 * np.pi
 """Range of a revolute joint that counts; turns beyond it show the same again [rad]."""
 
@@ -63,8 +67,9 @@ def design(case: Case) -> Iterator[Finding]:
     free = np.array([joint not in chains.mimics for joint in chains.joints])
     moved = free & (span > 0.0)
     part = np.divide(span, room, out=np.ones(len(span)), where=room > 0.0)
+    count = case.data.configurations
     # Of fewer configurations more is wrong than where they are.
-    elsewhere = _elsewhere(case) if case.data.configurations >= FEWEST else ""
+    elsewhere = _elsewhere(case) if count >= FEWEST else ""
     if elsewhere and _smooth(q[case.data.in_order][:, moved]):
         yield Finding(
             "one-path",
@@ -76,7 +81,8 @@ def design(case: Case) -> Iterator[Finding]:
         )
         elsewhere = ""
     limit = WIDE if elsewhere else SMALL
-    few = np.flatnonzero(moved & (part < limit))
+    by_chance = moved.sum() * (count - (count - 1) * part) * part ** (count - 1)
+    few = np.flatnonzero(moved & (part < limit) & (by_chance < CHANCE))
     if len(few):
         worst = few[np.argsort(part[few])]
         told = []
@@ -101,7 +107,8 @@ def design(case: Case) -> Iterator[Finding]:
     scaled = (q - q.mean(axis=0))[:, moved] / q[:, moved].std(axis=0)
     s = np.linalg.svd(scaled, compute_uv=False)
     directions = int((s > ALONE * s[0]).sum())
-    if directions < moved.sum():
+    # So many configurations move in one direction less at most.
+    if directions < min(moved.sum(), count - 1):
         yield Finding(
             "joints-move-together",
             "warning" if directions <= FEW else "info",

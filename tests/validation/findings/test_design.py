@@ -113,7 +113,17 @@ def test_a_third_of_the_range_is_a_warning_where_far_more_is_expected(judged) ->
     assert "less than 40 % of the range; over the workspace errors" in finding.message
 
 
-def test_few_configurations_are_no_path(judged) -> None:
-    q = np.repeat(np.random.default_rng(2).uniform(-np.pi, np.pi, (6, 6)), 20, axis=0)
-    assert "few-configurations" in judged(q)
-    assert "one-path" not in judged(q)
+@pytest.mark.parametrize("count", [3, 6])
+def test_few_configurations_are_too_few_and_nothing_else(judged, count) -> None:
+    """Three anywhere lie in a tenth of a joint's range, and move in two directions."""
+    rng = np.random.default_rng(3)
+    q = rng.uniform(-np.pi, np.pi, (count, 6))
+    q[:, 5] = 0.5 + 0.3 * q[:, 5] if count == 3 else q[:, 5]
+    assert set(judged(np.repeat(q, 20, axis=0))) == {"few-configurations"}
+
+
+def test_few_configurations_at_one_place_are_told(judged) -> None:
+    q = np.random.default_rng(2).uniform(-0.1, 0.1, (6, 6))
+    assert {"few-configurations", "small-range"} <= set(
+        judged(np.repeat(q, 20, axis=0))
+    )

@@ -18,7 +18,7 @@ from calib_pin.cli.files import (
     require_file,
 )
 from calib_pin.cli.printing import notice, progress_bar, say_written, show
-from calib_pin.errors import InputError
+from calib_pin.errors import stated_in
 
 if TYPE_CHECKING:
     from calib_pin.kinematics.chains import Chains
@@ -75,7 +75,6 @@ def accept(
     from calib_pin.io.json_text import encode
     from calib_pin.io.measurements import encode_table
     from calib_pin.report.acceptance_text import acceptance_report
-    from calib_pin.setup import Setup
     from calib_pin.validation.acceptance import judged
     from calib_pin.validation.pose_tests import tested
 
@@ -85,49 +84,35 @@ def accept(
     doubts: list[str] = []
     require_file(robot, ", or a robot")
     if robot.endswith(".json"):
-        kept = Setup(
-            columns=stated.columns, joints=stated.joints, reading=stated.reading
-        )
-        if (stated.base, stated.tip, stated.model) != (None, None, None):
-            kept = stated
-        subject, used = open_calibration(robot, None, kept, doubts.append)
+        subject, used = open_calibration(robot, setup, stated, doubts.append, "limit")
         chains = subject.chains
     else:
         used = stated
         chains = open_chains(robot, stated)
     require_distinct(measurements)
-    files = (
-        None
-        if output is None
-        else (output / "acceptance.json", output / "acceptance.csv")
-    )
-    check_outputs(files or (), [robot, setup, *measurements], force)
+    files = []
+    if output is not None:
+        files = [output / "acceptance.json", output / "acceptance.csv"]
+    check_outputs(files, [robot, setup, *measurements], force)
     with progress_bar(quiet=quiet) as bar:
         measured, rows = open_measurements(
             measurements, chains, used, quiet=quiet, bar=bar
         )
         if not robot.endswith(".json"):
             subject = measured
-        try:
+        with stated_in(str(measurements[0])):
             found = tested(subject, rows, used, registration=register)
-        except InputError as error:
-            raise InputError(
-                error.reason,
-                file=error.file or str(measurements[0]),
-                line=error.line,
-                allowed=error.allowed,
-            ) from error
     for doubt in doubts:
         notice(doubt)
     contents = {}
-    if files is not None:
+    if files:
         contents[files[0]] = encode(acceptance_document(found.tests, limit))
         contents[files[1]] = encode_table(found.table(), [found.about])
     with write_files(contents, force=force):
         if not quiet:
             show(acceptance_report(found.tests, limit, found.about, path=path))
-    if files is not None and not quiet:
-        say_written([f"wrote {path}" for path in files])
+    if files and not quiet:
+        say_written([f"wrote {file}" for file in files])
     *_, last = found.tests.values()
     passed = all(status == "pass" for _, status, *_ in judged(last, limit))
     return 0 if passed and not doubts else 2

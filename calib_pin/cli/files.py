@@ -156,11 +156,16 @@ def tell_limits(chains: Chains) -> None:
 
 
 def open_calibration(
-    name: str, file: Path | None, setup: Setup, doubted: Callable[[str], None]
+    name: str,
+    file: Path | None,
+    setup: Setup,
+    doubted: Callable[[str], None],
+    *also: str,
 ) -> tuple[CalibratedModel, Setup]:
     """A calibration, and the setup with which measurements are read for it.
 
-    Why a calibration must not be trusted is told to `doubted`.
+    Why a calibration must not be trusted is told to `doubted`; `also` are further keys
+    that the setup may state.
 
     Raises:
         InputError: If it cannot be used.
@@ -172,7 +177,7 @@ def open_calibration(
 
     if file is None and (setup.base or setup.tip or setup.model):
         raise OptionError("a calibration has its own base, tip and model")
-    require_joints_only(file, setup)
+    require_joints_only(file, setup, *also)
     model = read_calibration(name, notice=doubted)
     joints = setup.joints or model.setup.joints
     columns = setup.columns or model.setup.columns
@@ -186,7 +191,7 @@ def open_calibration(
     )
 
 
-def require_joints_only(file: Path | None, setup: Setup) -> None:
+def require_joints_only(file: Path | None, setup: Setup, *also: str) -> None:
     """Refuse a setup file that states what a calibration has of its own.
 
     Raises:
@@ -194,12 +199,11 @@ def require_joints_only(file: Path | None, setup: Setup) -> None:
     """
     from calib_pin.setup import Setup
 
-    own = Setup(columns=setup.columns, joints=setup.joints, reading=setup.reading)
-    if file is not None and setup != own:
+    keys = sorted(("columns", "joints", "reading", *also))
+    read = Setup(**{key: getattr(setup, key) for key in keys})
+    if file is not None and setup != read:
         raise OptionError(
-            "a calibration has its own setup",
-            file=file,
-            allowed="columns, joints, reading",
+            "a calibration has its own setup", file=file, allowed=", ".join(keys)
         )
 
 

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 
@@ -85,18 +85,16 @@ def tested(
             allowed=" or ".join(MODELS),
         )
     block = rows.blocks[0]
-    subjects: dict[str, tuple[Chains | CalibratedModel, bool]] = {}
+    subjects: dict[str, Chains | CalibratedModel]
     if isinstance(robot, CalibratedModel):
-        subjects["nominal"] = robot.chains, True
-        subjects["calibrated"] = robot, registration
+        chains, setup = robot.chains, robot.setup
+        subjects = {"nominal": chains, "calibrated": robot}
     else:
-        subjects["robot"] = robot, True
+        chains, registration = robot, True
+        subjects = {"robot": robot}
     tests = {}
-    for name, (subject, again) in subjects.items():
-        given = robot.setup if isinstance(robot, CalibratedModel) else setup
-        ready = prepared(
-            subject, rows, replace(given, limit=setup.limit), registration=again
-        )
+    for name, subject in subjects.items():
+        ready = prepared(subject, rows, setup, registration=registration)
         residual = error_table(ready.problem, ready.theta)
         attained = block.values[:, :3]
         tests[name] = acceptance(
@@ -107,17 +105,12 @@ def tested(
         )
     last = tests[name]
     visits = sum(pose.visits for pose in last.poses)
-    how = (
-        "base and tool as calibrated"
-        if isinstance(robot, CalibratedModel) and not registration
-        else "base and tool registered on these measurements"
+    how = "registered on these measurements" if registration else "as calibrated"
+    about = (
+        f"{chains.robot.name}: {visits} visits of {len(last.poses)} poses; base and "
+        f"tool {how}."
     )
-    robot_name = (
-        robot.chains if isinstance(robot, CalibratedModel) else robot
-    ).robot.name
-    about = f"{robot_name}: {visits} visits of {len(last.poses)} poses; {how}."
     single = len(np.unique(rows.groups())) - len(last.poses)
-    about += f" {single} poses with fewer than three visits are left out." * bool(
-        single
-    )
+    if single:
+        about += f" {single} poses with fewer than three visits are left out."
     return Tested(tests, about)

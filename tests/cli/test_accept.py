@@ -53,6 +53,16 @@ def test_a_calibration_is_tested_beside_the_nominal_robot(visits, run):
     assert "Poses, nominal" in result.out and "Poses, calibrated" in result.out
 
 
+def test_a_calibration_has_its_own_setup_but_the_limits(visits, run):
+    """Of a setup that it has already nothing is passed over in silence."""
+    assert run("calibrate arm.urdf rows.csv --setup setup.yaml -o out").status == 0
+    accept = "accept out/calibration.json visits.csv --setup limits.yaml"
+    assert "a calibration has its own setup" in run(accept).err
+    Path("limits.yaml").write_text(LIMITS.partition("\n")[2])
+    result = run(accept)
+    assert "the limit is 0.5000 mm" in result.out and result.err == ""
+
+
 def test_what_is_within_its_limits_is_accepted(visits, run):
     Path("limits.yaml").write_text(LIMITS.replace("5.0e-4", "0.1"))
     assert run(ACCEPT).status == 0

@@ -89,7 +89,7 @@ def join(
     instrument measured during some. The standard deviation of a mean is the scatter of
     single readings. A bag with CalibrationData (robot_calibration) is given twice.
     """
-    from calib_pin.errors import InputError
+    from calib_pin.errors import InputError, stated_in
     from calib_pin.io.exchange.rosbag import (
         holds_calibration_data,
         is_bag,
@@ -127,27 +127,19 @@ def join(
                 measurements, stated.columns, tell, stage(bar, "readings")
             )
         )
-        try:
+        with stated_in(f"{joints}, {measurements}"):
             found = joined_logs(positions.log, readings.log, settle, tolerance)
             if not found.standstills:
                 raise InputError("no reading falls into a standstill of the joints")
-        except InputError as error:
-            raise InputError(
-                error.reason, file=f"{joints}, {measurements}", allowed=error.allowed
-            ) from error
         data = encode_joined(found, positions, readings, keep=keep)
-    clock, used = (
-        found.clock,
-        sum(len(standstill.readings) for standstill in found.standstills),
-    )
+    clock, empty, scattered = found.clock, "", ""
+    if found.empty:
+        empty = f", {found.empty} without"
+    if found.scattered:
+        scattered = f", {found.scattered} far from their standstill's others"
     lines = [
-        f"{len(found.standstills)} standstills with {used} readings"
-        + (f", {found.empty} without" if found.empty else ""),
-        f"dropped: {found.moving} readings in motion or beside a standstill"
-        + (
-            f", {found.scattered} far from their standstill's others"
-            * bool(found.scattered)
-        ),
+        f"{len(found.standstills)} standstills with {found.used} readings{empty}",
+        f"dropped: {found.moving} readings in motion or beside a standstill{scattered}",
     ]
     sigma = f"{1e3 * clock.sigma:.1f} ms"
     if clock.motions:

@@ -78,15 +78,15 @@ def renamed(
                 column=name,
             )
         taken[name] = ours, replace(column, unit=column.unit or unit)
-    renamed = {ours for ours, _ in taken.values()}
-    # A column that has the name of another's meaning keeps its place without it.
-    kept = {
-        f"{name} (of the file)" if name in renamed and name not in taken else name: c
-        for name, c in named.items()
-    }
-    return dict(
-        taken.get(name, (name, column)) for name, column in kept.items()
-    ), missing
+    meanings = {ours for ours, _ in taken.values()}
+    result = dict[str, Column]()
+    for name, column in named.items():
+        ours, read = taken.get(name, (name, column))
+        # A column that has the name of another's meaning keeps its place without it.
+        if name in meanings and name not in taken:
+            ours = f"{name} (of the file)"
+        result[ours] = read
+    return result, missing
 
 
 def named_columns(

@@ -177,8 +177,8 @@ def encode_joined(
 
 
 def _comments(joined: Joined) -> list[str]:
-    used = sum(len(standstill.readings) for standstill in joined.standstills)
-    return [f"joined by time: {len(joined.standstills)} standstills, {used} readings"]
+    count = len(joined.standstills)
+    return [f"joined by time: {count} standstills, {joined.used} readings"]
 
 
 def _rows(

@@ -107,7 +107,7 @@ class Joined:
 
     Attributes:
         clock: The clock of the readings.
-        standstills: Stands with a reading, in order.
+        standstills: Those with a reading, in order.
         empty: Number of standstills without one.
         moving: Number of readings during a motion, or too close to one.
         scattered: Number of readings in a standstill that are far from its others.
@@ -118,6 +118,11 @@ class Joined:
     empty: int
     moving: int
     scattered: int
+
+    @property
+    def used(self) -> int:
+        """Number of readings that count."""
+        return sum(len(standstill.readings) for standstill in self.standstills)
 
 
 def join(joints: Log, readings: Log, settle: float, gap: float) -> Joined:
@@ -166,7 +171,7 @@ def _together(values: Floats) -> NDArray[np.bool_]:
 
 
 class _Motion:
-    """The motion of a robot: where it standstills, and how far its joints have gone."""
+    """The motion of a robot: when it stood still, and how far its joints have gone."""
 
     def __init__(self, joints: Log, settle: float, gap: float) -> None:
         time, values = joints.time, joints.values

@@ -129,10 +129,13 @@ def _distances(test: Acceptance) -> Iterator[tuple[Cell, ...]]:
 
 
 def _cells(interval: Interval, unit: str) -> tuple[Cell, Cell]:
-    low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
-    return quantity(interval.value, unit), Cell(f"{low} ... {high}")
+    return quantity(interval.value, unit), Cell(_ends(interval, unit))
 
 
 def _shown(interval: Interval, unit: str) -> str:
+    return f"{amount(interval.value, unit)} ({_ends(interval, unit)})"
+
+
+def _ends(interval: Interval, unit: str) -> str:
     low, high = (quantity(end, unit).text for end in (interval.low, interval.high))
-    return f"{amount(interval.value, unit)} ({low} ... {high})"
+    return f"{low} ... {high}"

@@ -25,7 +25,7 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     """Frames and cameras of which something was estimated, and lines to copy."""
     frames = [("of", f) for f in result.stations] + [("on", f) for f in result.tools]
     frames = [(word, frame) for word, frame in frames if frame.estimated]
-    seen = {name: camera for name, camera in _cameras(result) if camera.estimate}
+    seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
     if not frames and not seen:
         return
     if frames:
@@ -41,13 +41,6 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
         yield _camera(name, camera, sigmas)
     lines = yaml_text(_lines(frames, seen))
     yield Code("The same as lines of a setup file (m, rad, px)", lines)
-
-
-def _cameras(result: CalibrationResult) -> Iterator[tuple[str, CameraSetup]]:
-    for (_, name), reference in result.model.references.items():
-        stated = reference.stated()
-        if isinstance(stated, CameraSetup):
-            yield name, stated
 
 
 def _camera(

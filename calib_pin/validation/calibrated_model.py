@@ -16,7 +16,7 @@ from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Observations
 from calib_pin.parameterizations.error_model import ErrorModel
 from calib_pin.residual_models import LearnedCorrection
-from calib_pin.setup import Setup
+from calib_pin.setup import CameraSetup, Setup
 
 
 @dataclass(frozen=True)
@@ -146,6 +146,12 @@ class CalibratedModel(System):
     def measured_chains(self) -> tuple[str, ...]:
         """Names of the chains with joints, each once."""
         return tuple(self.by_chain)
+
+    @property
+    def cameras(self) -> dict[str, CameraSetup]:
+        """The cameras by name, with the intrinsics that were found."""
+        stated = ((name, r.stated()) for (_, name), r in self.references.items())
+        return {name: of for name, of in stated if isinstance(of, CameraSetup)}
 
     def urdf_corrections(self) -> dict[str, pin.SE3]:
         """Right-multiplied corrections of the URDF's joint origins, by joint name."""

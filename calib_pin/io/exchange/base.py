@@ -29,6 +29,8 @@ CONFIGURATIONS = 40
 Poses = Callable[[Floats], Floats]
 """Forward kinematics, joint positions (N, n) -> poses (N, 4, 4)."""
 
+ORIGIN = ("x", "y", "z", "roll", "pitch", "yaw")
+"""Numbers of an origin as URDFs have them [m, rad]."""
 
 STEPS = 20
 """Most Gauss-Newton steps."""
@@ -233,11 +235,12 @@ def _distance(T: Floats, target: Floats) -> float:
     return float(np.sqrt(np.mean(np.sum(away**2, axis=1))))
 
 
-def rpy(rotation: Floats) -> list[float]:
-    """Fixed-axis angles as URDFs have them, shape (3,) [rad]."""
-    return [float(angle) for angle in pin.rpy.matrixToRpy(rotation)]
+def origin_of(pose: pin.SE3) -> list[float]:
+    """The numbers of a pose, see `ORIGIN`."""
+    return [*pose.translation.tolist(), *pin.rpy.matrixToRpy(pose.rotation).tolist()]
 
 
-def placed(xyz: Sequence[float], angles: Sequence[float]) -> pin.SE3:
-    """A pose by the numbers of a URDF's origin."""
-    return pin.SE3(pin.rpy.rpyToMatrix(np.array(angles, float)), np.array(xyz, float))
+def placed(origin: Sequence[float]) -> pin.SE3:
+    """The pose of the numbers of an origin, see `ORIGIN`."""
+    numbers = np.array(origin, float)
+    return pin.SE3(pin.rpy.rpyToMatrix(numbers[3:]), numbers[:3])

@@ -12,15 +12,23 @@ and Mirmirani, 1985). Elsewhere beta is zero.
 from __future__ import annotations
 
 import csv
-import io
 from collections.abc import Sequence
+from functools import partial
 from pathlib import Path
 
 import numpy as np
 import pinocchio as pin
 
 from calib_pin.io.exchange.axes import along, axis_frames
-from calib_pin.io.exchange.base import Encoded, Exported, Format, placed, rpy
+from calib_pin.io.exchange.base import (
+    ORIGIN,
+    Encoded,
+    Exported,
+    Format,
+    origin_of,
+    placed,
+)
+from calib_pin.io.measurements import encode_table
 from calib_pin.kinematics.spatial import Floats
 
 PARALLEL = np.deg2rad(1.0)
@@ -29,74 +37,56 @@ PARALLEL = np.deg2rad(1.0)
 NUMBERS = ("theta", "d", "a", "alpha", "beta")
 """Of a joint [rad, m]."""
 
-FRAME = ("x", "y", "z", "roll", "pitch", "yaw")
-"""Of the frames at both ends [m, rad]."""
-
 
 def encode(exported: Exported, _: Path | None) -> Encoded:
     """Both tables, each with the frames before its first and behind its last joint."""
     chain = exported.chain
-    axes = axis_frames(chain)
-    tip = pin.SE3(chain.poses(np.zeros((1, len(axes))))[0])
-    text = io.StringIO(newline="")
-    for line in (__doc__ or "").splitlines():
-        text.write(f"# {line}".rstrip() + "\n")
-    text.write(
-        "# base and tip: the frames before the first and behind the last joint\n"
+    kinds = ["revolute" if turns else "prismatic" for turns in chain.revolute]
+    first, steps, last = _steps(
+        axis_frames(chain), pin.SE3(chain.poses(np.zeros((1, len(kinds))))[0])
     )
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["convention", "joint", "type", *NUMBERS, *FRAME])
-    for convention in ("standard", "modified"):
-        first, rows, last = _table(axes, tip, convention)
-        for name, frame in (("base", first), ("tip", last)):
-            cells = [*frame.translation.tolist(), *rpy(frame.rotation)]
-            if name == "tip":
-                for joint, kind, row in zip(
-                    chain.joints, chain.revolute, rows, strict=True
-                ):
-                    written = "revolute" if kind else "prismatic"
-                    writer.writerow([convention, joint, written, *row, *[""] * 6])
-            writer.writerow([convention, name, "frame", *[""] * 5, *cells])
-    data = text.getvalue().encode()
-    for convention in ("standard", "modified"):
-        exported.require_same(
-            lambda q, convention=convention: _poses(data, convention, q),  # type: ignore[misc]
-            f"the {convention} table",
-        )
+    # Before the first axis nothing moves or turns.
+    before = [[0.0, 0.0, 0.0], *(step[2:] for step in steps)]
+    tables = {
+        "standard": steps,
+        "modified": [[*s[:2], *b] for s, b in zip(steps, before, strict=False)],
+    }
+    rows: list[list[object]] = []
+    no_step, no_frame = [""] * len(NUMBERS), [""] * len(ORIGIN)
+    for convention, numbers in tables.items():
+        rows.append([convention, "base", "frame", *no_step, *origin_of(first)])
+        for joint, kind, row in zip(chain.joints, kinds, numbers, strict=True):
+            rows.append([convention, joint, kind, *row, *no_frame])
+        rows.append([convention, "tip", "frame", *no_step, *origin_of(last)])
+    headers = ("convention", "joint", "type", *NUMBERS, *ORIGIN)
+    table = dict(zip(headers, zip(*rows, strict=True), strict=True))
+    ends = "base and tip: the frames before the first and behind the last joint"
+    data = encode_table(table, [__doc__ or "", ends])
+    for convention in tables:
+        poses = partial(_poses, data, convention)
+        exported.require_same(poses, f"the {convention} table")
     return Encoded(data)
 
 
-def _table(
-    axes: Sequence[tuple[Floats, Floats]], tip: pin.SE3, convention: str
+def _steps(
+    axes: Sequence[tuple[Floats, Floats]], tip: pin.SE3
 ) -> tuple[pin.SE3, list[list[float]], pin.SE3]:
-    """Base frame, parameters by joint, and tip frame."""
+    """Base frame, theta, d, a, alpha and beta from axis to axis, and tip frame.
+
+    Everything behind the last joint is in the tip frame.
+    """
     frame = first = along(*axes[0], pin.SE3.Identity())
-    rows = []
-    if convention == "modified":
-        before = [0.0, 0.0, 0.0]
-        for k in range(len(axes)):
-            after = axes[k + 1] if k + 1 < len(axes) else None
-            theta, d, a, alpha, beta, frame = _step(frame, after)
-            rows.append([theta, d, before[0], before[1], before[2]])
-            before = [a, alpha, beta]
-        # Everything behind the last joint stands in the tip frame.
-        return first, rows, frame.actInv(tip)
-    for k in range(len(axes)):
-        after = axes[k + 1] if k + 1 < len(axes) else None
-        theta, d, a, alpha, beta, frame = _step(frame, after)
-        rows.append([theta, d, a, alpha, beta])
-    return first, rows, frame.actInv(tip)
+    steps = []
+    for after in axes[1:]:
+        steps.append(_step(frame, *after))
+        frame = frame * _standard(steps[-1])
+    return first, [*steps, [0.0] * len(NUMBERS)], frame.actInv(tip)
 
 
-def _step(
-    frame: pin.SE3, after: tuple[Floats, Floats] | None
-) -> tuple[float, float, float, float, float, pin.SE3]:
-    """From a frame on an axis to the next axis; nothing behind the last one."""
-    if after is None:
-        return 0.0, 0.0, 0.0, 0.0, 0.0, frame
-    point, axis = (
-        frame.rotation.T @ v for v in (after[0] - frame.translation, after[1])
-    )
+def _step(frame: pin.SE3, point: Floats, axis: Floats) -> list[float]:
+    """From a frame on an axis to the next axis."""
+    point = frame.rotation.T @ (point - frame.translation)
+    axis = frame.rotation.T @ axis
     cross = np.hypot(axis[0], axis[1])
     if abs(cross) > np.sin(PARALLEL):
         # x along the common normal, away from this axis where it has a length.
@@ -119,8 +109,7 @@ def _step(
         # Rx(alpha) Ry(beta) z = (sin b, -sin a cos b, cos a cos b)
         beta = float(np.arctan2(turned[0], np.hypot(turned[1], turned[2])))
         alpha = float(np.arctan2(-turned[1], turned[2]))
-    step = _standard([theta, d, a, alpha, beta])
-    return theta, d, a, alpha, beta, frame * step
+    return [theta, d, a, alpha, beta]
 
 
 def _turn(axis: str, angle: float) -> pin.SE3:
@@ -147,10 +136,7 @@ def _poses(data: bytes, convention: str, q: Floats) -> Floats:
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
     rows = [row for row in csv.DictReader(lines) if row["convention"] == convention]
     ends = {
-        row["joint"]: placed(
-            [float(row[key]) for key in FRAME[:3]],
-            [float(row[key]) for key in FRAME[3:]],
-        )
+        row["joint"]: placed([float(row[key]) for key in ORIGIN])
         for row in (rows[0], rows[-1])
     }
     matrix = _standard if convention == "standard" else _modified

@@ -3,15 +3,23 @@
 from __future__ import annotations
 
 import csv
-import io
 from pathlib import Path
 
 from calib_pin.errors import OutputError
 from calib_pin.io.exchange.base import Encoded, Exported, Format, JointErrors
+from calib_pin.io.measurements import encode_table
 from calib_pin.units import DISPLAY
 
 ENOUGH = 1e-6
 """Error of the tip below which offsets alone are the whole correction [m]."""
+
+USE = (
+    "A joint is where its column reads plus the offset: add each offset to what the "
+    "controller shows.",
+    "A controller that asks what it shows where the joint is at zero gets the negative "
+    "of it.",
+)
+"""Sentences that say how the table is used."""
 
 
 def column_offsets(exported: Exported) -> dict[str, tuple[str, float]]:
@@ -44,25 +52,15 @@ def remarks(found: JointErrors, what: str = "offsets") -> tuple[str, ...]:
 def encode(exported: Exported, _: Path | None) -> Encoded:
     """A table, with the sentence that says how it is used."""
     offsets, left = column_offsets(exported), remarks(exported.offsets)
-    text = io.StringIO(newline="")
-    text.write(
-        "# A joint is where its column reads plus the offset: add each offset to "
-        "what the controller shows.\n"
-        "# A controller that asks what it shows where the joint is at zero gets the "
-        "negative of it.\n"
-    )
-    for line in left:
-        text.write(f"# {line}\n")
-    writer = csv.writer(text, lineterminator="\n")
-    writer.writerow(["joint", "column", "offset", "unit", "offset_si", "unit_si"])
+    rows = []
     revolute = exported.nominal.revolute
     for (joint, (column, offset)), turns in zip(offsets.items(), revolute, strict=True):
-        si, unit, factor = (
-            ("rad", "deg", 57.29577951308232) if turns else ("m", "mm", 1e3)
-        )
-        shown = f"{factor * offset:+.6f}"
-        writer.writerow([joint, column, shown, unit, repr(offset), si])
-    data = text.getvalue().encode()
+        si = "rad" if turns else "m"
+        unit, factor = DISPLAY[si]
+        rows.append((joint, column, f"{factor * offset:+.6f}", unit, offset, si))
+    headers = ("joint", "column", "offset", "unit", "offset_si", "unit_si")
+    table = dict(zip(headers, zip(*rows, strict=True), strict=True))
+    data = encode_table(table, [*USE, *left])
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]
     for row in csv.DictReader(lines):
         if float(row["offset_si"]) != offsets[row["joint"]][1]:

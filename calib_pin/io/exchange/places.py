@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -40,19 +39,18 @@ def places(exported: Exported) -> list[Place]:
     for part in model.parts.values():
         chain, scope = part.error.chain, part.scope
         station, tool = frame_key(scope.station), frame_key(scope.tool)
-        camera = part.measurement.references[0] if _sees(part.measurement) else None
-        stated = None if camera is None else camera.stated()
-        hand = isinstance(stated, CameraSetup) and stated.mount == "hand"
-        fixed = isinstance(stated, CameraSetup) and stated.mount == "world"
-        measuring = "measurement" if station == "base" else station
-        carried = "tool" if tool == "tool" else tool
+        if station == "base":
+            station = "measurement"
+        for reference in part.measurement.references:
+            camera = reference.stated()
+            if isinstance(camera, CameraSetup) and camera.mount == "hand":
+                tool = "camera"
+            elif isinstance(camera, CameraSetup):
+                station = "camera"
+        tip = tip_correction(part, model.theta)
         ends = (
-            (chain.base, "camera" if fixed else measuring, part.error.base.inverse()),
-            (
-                chain.tip,
-                "camera" if hand else carried,
-                tip_correction(part, model.theta) * part.error.tool,
-            ),
+            (chain.base, station, part.error.base.inverse()),
+            (chain.tip, tool, tip * part.error.tool),
         )
         for parent, child, pose in ends:
             name = child.replace(".", "_").replace("/", "_")
@@ -60,14 +58,10 @@ def places(exported: Exported) -> list[Place]:
     return list(found.values())
 
 
-def _sees(measurement: object) -> bool:
-    return hasattr(measurement, "camera")
-
-
 def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
     """Static transforms as ROS prints them, and the commands that publish them."""
-    documents, commands = [], []
-    for place in places(exported):
+    documents, commands, found = [], [], places(exported)
+    for place in found:
         (x, y, z), (qx, qy, qz, qw) = _numbers(place.pose)
         documents.append(
             {
@@ -87,9 +81,7 @@ def encode_transforms(exported: Exported, _: Path | None) -> Encoded:
     text = "\n".join(
         [*commands, yaml.safe_dump({"transforms": documents}, sort_keys=False)]
     )
-    for place, read in zip(
-        places(exported), yaml.safe_load(text)["transforms"], strict=True
-    ):
+    for place, read in zip(found, yaml.safe_load(text)["transforms"], strict=True):
         numbers = [*read["transform"]["rotation"].values()]
         pose = pin.SE3(
             pin.Quaternion(np.array(numbers)).matrix(),
@@ -104,22 +96,13 @@ def _numbers(pose: pin.SE3) -> tuple[list[float], list[float]]:
     return pose.translation.tolist(), pin.Quaternion(pose.rotation).coeffs().tolist()
 
 
-def cameras(exported: Exported) -> Iterator[tuple[str, CameraSetup]]:
-    """The cameras of a calibration by name."""
-    for (section, name), reference in exported.result.model.references.items():
-        if section == "camera":
-            stated = reference.stated()
-            assert isinstance(stated, CameraSetup)
-            yield name, stated
-
-
 def encode_camera(exported: Exported, _: Path | None) -> Encoded:
     """A camera as ROS' camera_info_manager loads it, and where it is.
 
     Raises:
         OptionError: If there is not one camera.
     """
-    found = dict(cameras(exported))
+    found = exported.result.model.cameras
     if len(found) != 1:
         told = ", ".join(found) or "none"
         raise OptionError("one camera can be exported", file=exported.file, value=told)

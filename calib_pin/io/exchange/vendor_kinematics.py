@@ -19,12 +19,18 @@ import yaml
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.exchange.axes import along, axis_frames, relative, revolute_poses
-from calib_pin.io.exchange.base import EXACT, Encoded, Exported, Format, placed, rpy
+from calib_pin.io.exchange.base import (
+    EXACT,
+    ORIGIN,
+    Encoded,
+    Exported,
+    Format,
+    origin_of,
+    placed,
+)
 from calib_pin.io.yaml_tree import Tree, read_tree
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.units import DISPLAY
-
-NUMBERS = ("x", "y", "z", "roll", "pitch", "yaw")
 
 ROOT = "kinematics"
 
@@ -35,7 +41,7 @@ correct by millimeters."""
 FARTHEST = 1e5
 """Largest number of an origin [m, rad]; offsets that cancel may be large."""
 
-BASES = (pin.SE3.Identity(), placed([0, 0, 0], [0, 0, np.pi]))
+BASES = (pin.SE3.Identity(), placed([0.0, 0.0, 0.0, 0.0, 0.0, np.pi]))
 """Where the first origin may be in the base link."""
 
 
@@ -78,8 +84,7 @@ def encode(
     flange = frames[-1].actInv(tip)
     data = tree.data if isinstance(tree.data, dict) else {}
     for name, origin in zip(names, origins, strict=True):
-        numbers = [*origin.translation.tolist(), *rpy(origin.rotation)]
-        data[ROOT][name] = dict(zip(NUMBERS, numbers, strict=True))
+        data[ROOT][name] = dict(zip(ORIGIN, origin_of(origin), strict=True))
     text = yaml.safe_dump(data, sort_keys=False)
 
     def poses(q: Floats) -> Floats:
@@ -101,9 +106,7 @@ def _remarks(flange: pin.SE3) -> list[str]:
         "from where this format has it; put that into the tool of the controller: "
         + ", ".join(
             f"{name} {value:.9g}"
-            for name, value in zip(
-                NUMBERS, [*flange.translation, *rpy(flange.rotation)], strict=True
-            )
+            for name, value in zip(ORIGIN, origin_of(flange), strict=True)
         )
     ]
 
@@ -122,7 +125,7 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
             file=tree.file,
         )
     numbers = []
-    for key in NUMBERS:
+    for key in ORIGIN:
         number = entry.get(key)
         if (
             isinstance(number, bool)
@@ -136,12 +139,11 @@ def _origin(tree: Tree, name: str) -> pin.SE3:
                 allowed=f"a number below {FARTHEST:g}",
             )
         numbers.append(float(number))
-    return placed(numbers[:3], numbers[3:])
+    return placed(numbers)
 
 
 def _read(data: Any, names: Sequence[str]) -> list[pin.SE3]:
-    entries = ([data[ROOT][name][key] for key in NUMBERS] for name in names)
-    return [placed(entry[:3], entry[3:]) for entry in entries]
+    return [placed([data[ROOT][name][key] for key in ORIGIN]) for name in names]
 
 
 def _base(exported: Exported, own: Sequence[pin.SE3], template: Path) -> pin.SE3:

@@ -15,7 +15,14 @@ import numpy as np
 import pinocchio as pin
 
 from calib_pin.errors import OutputError
-from calib_pin.io.exchange.base import EXACT, Encoded, Exported, Format, placed, rpy
+from calib_pin.io.exchange.base import (
+    EXACT,
+    Encoded,
+    Exported,
+    Format,
+    origin_of,
+    placed,
+)
 from calib_pin.io.urdf_bytes import parse_document, read_origin
 
 NAMESPACE = "http://www.ros.org/wiki/xacro"
@@ -32,8 +39,8 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
         f'<robot xmlns:xacro="{NAMESPACE}">',
     ]
     for name, origin in origins.items():
-        numbers = {"xyz": origin.translation.tolist(), "rpy": rpy(origin.rotation)}
-        for key, values in numbers.items():
+        numbers = origin_of(origin)
+        for key, values in (("xyz", numbers[:3]), ("rpy", numbers[3:])):
             text = " ".join(map(repr, values))
             lines.append(
                 f"  <xacro:property name={quoteattr(f'{variable(name)}_{key}')} "
@@ -48,7 +55,7 @@ def encode(exported: Exported, _: Path | None) -> Encoded:
     }
     for name, origin in origins.items():
         own = variable(name)
-        read = placed(found[f"{own}_xyz"], found[f"{own}_rpy"])
+        read = placed([*found[f"{own}_xyz"], *found[f"{own}_rpy"]])
         if not np.abs(read.homogeneous - origin.homogeneous).max() < EXACT:
             raise OutputError(f"the origin of joint '{name}' does not read back")
     return Encoded(data)

@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from typing import Any
 
 import numpy as np
@@ -23,13 +23,13 @@ DIGITS = 9
 
 def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     """Frames and cameras of which something was estimated, and lines to copy."""
-    frames = [("of", f) for f in result.stations] + [("on", f) for f in result.tools]
-    frames = [(word, frame) for word, frame in frames if frame.estimated]
+    stations = [frame for frame in result.stations if frame.estimated]
+    tools = [frame for frame in result.tools if frame.estimated]
     seen = {name: of for name, of in result.model.cameras.items() if of.estimate}
-    if not frames and not seen:
+    if not (stations or tools or seen):
         return
-    if frames:
-        yield _frames(frames)
+    if stations or tools:
+        yield _frames([*stations, *tools])
         yield Line(
             "Pose of a link in the measurement frame of a station, and of a tool on a "
             "link, with standard deviations; rotations are roll, pitch and yaw, their "
@@ -39,7 +39,7 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     sigmas = {p.name: p.sigma for p in result.parameters}
     for name, camera in seen.items():
         yield _camera(name, camera, sigmas)
-    lines = yaml_text(_lines(frames, seen))
+    lines = yaml_text(_lines(stations, tools, seen))
     yield Code("The same as lines of a setup file (m, rad, px)", lines)
 
 
@@ -56,18 +56,20 @@ def _camera(
 
 
 def _lines(
-    frames: list[tuple[str, FrameSummary]], cameras: Mapping[str, CameraSetup]
+    stations: Sequence[FrameSummary],
+    tools: Sequence[FrameSummary],
+    cameras: Mapping[str, CameraSetup],
 ) -> dict[str, Any]:
     """Frames and a single camera as a setup file states them."""
     lines: dict[str, Any] = {}
-    for word, frame in frames:
+    sections = [("stations", f) for f in stations] + [("tools", f) for f in tools]
+    for section, frame in sections:
         pose = {"xyz": _rounded(frame.xyz)}
         # A rotation of which nothing is known is not there.
         if not np.isnan(frame.sigma[3:]).all() or not frame.sigma:
             pose["rpy"] = _rounded(frame.rpy)
-        section = "frames"
-        if frame.name not in ("base", "tool"):
-            section = "stations" if word == "of" else "tools"
+        if frame.name in ("base", "tool"):
+            section = "frames"
         name = frame.name.removesuffix(".station").removesuffix(".tool")
         lines.setdefault(section, {})[name] = pose
     if len(cameras) == 1:
@@ -86,9 +88,9 @@ def _rounded(numbers: tuple[float, ...]) -> list[float]:
     return [round(number, DIGITS) + 0.0 for number in numbers]
 
 
-def _frames(frames: list[tuple[str, FrameSummary]]) -> Table:
+def _frames(frames: Sequence[FrameSummary]) -> Table:
     rows = []
-    for word, frame in frames:
+    for frame in frames:
         label = frame.name
         sigma = frame.sigma or (0.0,) * 6
         halves = [
@@ -99,7 +101,7 @@ def _frames(frames: list[tuple[str, FrameSummary]]) -> Table:
             pairs = zip(values, deviations, strict=True)
             cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = f"  {word} {frame.link}"
+            label = f"  {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
     of = (Column("", "name"), *titles, Column("unit", "word"))
     return Table("Frames of stations and tools", of, rows)

@@ -18,8 +18,9 @@ from calib_pin.estimation.problem import Problem
 from calib_pin.kinematics.spatial import Floats
 from calib_pin.observations import BlockKey, Labels, Targets
 
-DRAWS = 50
-"""Largest number of rounds of random draws."""
+DRAWS = 400
+"""Largest number of rounds of random draws: a camera on a small arm sees its board from
+one configuration of two hundred."""
 
 AT_ONCE = 4
 """Candidates per round for each missing configuration; at least K in all."""

@@ -29,11 +29,13 @@ def frame_blocks(result: CalibrationResult) -> Iterator[Block]:
     if not (stations or tools or seen):
         return
     if stations or tools:
-        yield _frames([*stations, *tools])
+        yield _frames(stations, tools)
+        of_stations = f"of {_link(stations)} in the measurement frame of a station"
+        of_tools = f"of a tool on {_link(tools)}"
+        of = [of_stations] * bool(stations) + [of_tools] * bool(tools)
         yield Line(
-            "Pose of a link in the measurement frame of a station, and of a tool on a "
-            "link, with standard deviations; rotations are roll, pitch and yaw, their "
-            "deviations those about x, y and z.",
+            f"Pose {', and '.join(of)}, with standard deviations; rotations are roll, "
+            "pitch and yaw, their deviations those about x, y and z.",
             "note",
         )
     sigmas = {p.name: p.sigma for p in result.parameters}
@@ -88,9 +90,15 @@ def _rounded(numbers: tuple[float, ...]) -> list[float]:
     return [round(number, DIGITS) + 0.0 for number in numbers]
 
 
-def _frames(frames: Sequence[FrameSummary]) -> Table:
+def _link(frames: Sequence[FrameSummary]) -> str:
+    """The link of all frames, where there is only one."""
+    links = {frame.link for frame in frames}
+    return links.pop() if len(links) == 1 else "a link"
+
+
+def _frames(stations: Sequence[FrameSummary], tools: Sequence[FrameSummary]) -> Table:
     rows = []
-    for frame in frames:
+    for frame, others in [(f, fs) for fs in (stations, tools) for f in fs]:
         label = frame.name
         sigma = frame.sigma or (0.0,) * 6
         halves = [
@@ -101,7 +109,7 @@ def _frames(frames: Sequence[FrameSummary]) -> Table:
             pairs = zip(values, deviations, strict=True)
             cells = [Cell(_within(*pair, DISPLAY[unit][1]), pair[0]) for pair in pairs]
             rows.append((Cell(label), Cell(name), *cells, Cell(DISPLAY[unit][0])))
-            label = f"  {frame.link}"
+            label = "" if _link(others) == frame.link else f"  {frame.link}"
     titles = (Column("", "word"), *(Column(axis) for axis in "xyz"))
     of = (Column("", "name"), *titles, Column("unit", "word"))
     return Table("Frames of stations and tools", of, rows)

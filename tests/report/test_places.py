@@ -72,7 +72,7 @@ def test_values_with_their_deviations(tracked: CalibrationResult) -> None:
             "mm",
         ],
         [
-            "  base_link",
+            "",
             "rotation",
             "0.00000 +- 0.00057",
             "5.730",

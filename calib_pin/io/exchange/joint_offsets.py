@@ -5,13 +5,17 @@ from __future__ import annotations
 import csv
 from pathlib import Path
 
-from calib_pin.errors import OutputError
+from calib_pin.errors import OutputError, enumerated
 from calib_pin.io.exchange.base import Encoded, Exported, Format, JointErrors
 from calib_pin.io.measurements import encode_table
 from calib_pin.units import DISPLAY
+from calib_pin.validation.result import ParameterEstimate
 
 ENOUGH = 1e-6
 """Error of the tip below which offsets alone are the whole correction [m]."""
+
+ESTIMATED = ".joint-offset.q"
+"""End of the names of offsets that were estimated as such."""
 
 USE = (
     "A joint is where its column reads plus the offset: add each offset to what the "
@@ -49,16 +53,48 @@ def remarks(found: JointErrors, what: str = "offsets") -> tuple[str, ...]:
     )
 
 
+def estimates(exported: Exported) -> dict[str, ParameterEstimate]:
+    """The estimated offsets by joint, where the calibration has them as parameters."""
+    owners = ((p.name.removesuffix(ESTIMATED), p) for p in exported.result.parameters)
+    return {joint: p for joint, p in owners if joint != p.name}
+
+
+def doubts(exported: Exported) -> tuple[str, ...]:
+    """A sentence about offsets that the measurements do not tell, if there are any."""
+    unknown = [
+        f"{joint} ({p.status})"
+        for joint, p in estimates(exported).items()
+        if p.status not in ("identifiable", "fixed")
+    ]
+    if not unknown:
+        return ()
+    return (
+        f"not known by themselves, only with the other values of the calibration: "
+        f"{enumerated(unknown)}",
+    )
+
+
 def encode(exported: Exported, _: Path | None) -> Encoded:
     """A table, with the sentence that says how it is used."""
-    offsets, left = column_offsets(exported), remarks(exported.offsets)
+    offsets, known = column_offsets(exported), estimates(exported)
+    left = *remarks(exported.offsets), *doubts(exported)
     rows = []
     revolute = exported.nominal.revolute
     for (joint, (column, offset)), turns in zip(offsets.items(), revolute, strict=True):
         si = "rad" if turns else "m"
         unit, factor = DISPLAY[si]
-        rows.append((joint, column, f"{factor * offset:+.6f}", unit, offset, si))
-    headers = ("joint", "column", "offset", "unit", "offset_si", "unit_si")
+        given, estimate = exported.columns[joint][1], known.get(joint)
+        status, sigma = "", ""
+        if estimate is not None:
+            status = estimate.status
+        if estimate is not None and estimate.sigma is not None:
+            sigma = f"{factor * estimate.sigma / abs(given.gear):.6f}"
+        shown = f"{factor * offset:+z.6f}", sigma, unit, status
+        rows.append((joint, column, *shown, offset, si))
+    headers = (
+        *("joint", "column", "offset", "sigma", "unit", "status"),
+        *("offset_si", "unit_si"),
+    )
     table = dict(zip(headers, zip(*rows, strict=True), strict=True))
     data = encode_table(table, [*USE, *left])
     lines = [line for line in data.decode().splitlines() if line[:1] != "#"]

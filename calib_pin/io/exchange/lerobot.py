@@ -14,7 +14,7 @@ import numpy as np
 
 from calib_pin.errors import InputError, OptionError
 from calib_pin.io.exchange.base import Encoded, Exported, Format
-from calib_pin.io.exchange.joint_offsets import column_offsets, remarks
+from calib_pin.io.exchange.joint_offsets import column_offsets, doubts, remarks
 from calib_pin.io.files import TEXT, read_bytes
 
 STEPS = 4095
@@ -65,7 +65,7 @@ def encode(exported: Exported, template: Path | None) -> Encoded:
         f"homing offsets changed by motor steps: {told}",
         f"whole steps leave up to {rounded:.3f} deg of a joint",
     )
-    return Encoded(data, (*said, *remarks(exported.offsets)))
+    return Encoded(data, (*said, *remarks(exported.offsets), *doubts(exported)))
 
 
 def _read(template: Path) -> dict[str, dict[str, Any]]:

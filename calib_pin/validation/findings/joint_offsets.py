@@ -62,6 +62,11 @@ def joint_offset(case: Case) -> Explanation | None:
     after = fit.errors
     if not after < DECISIVE * before or abs(degrees) < LEAST:
         return None
+    # A fit of this very offset has said it already, and more exactly.
+    name = f"{data.joints[joint]}.joint-offset.q"
+    estimated = any(p.free and p.name == name for p in problem.parameters)
+    if case.fitted is not None and estimated and case.fit.errors <= after:
+        return None
     return Explanation(
         (offset_by(data.joints, joint, degrees),),
         before,

@@ -1,4 +1,4 @@
-"""Bags of both storages, written by their own library, join like the CSV files."""
+"""Bags of both generations, written by their own library, join like the CSV files."""
 
 from __future__ import annotations
 
@@ -6,6 +6,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from rosbags import rosbag1
 from rosbags.rosbag2 import StoragePlugin, Writer
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
@@ -18,10 +19,18 @@ from tests.observations.test_joining import recording
 
 CHAIN = calib_pin.load_chain("example:ur10_robot", tip="tool0")
 STORE = get_typestore(Stores.ROS2_HUMBLE)
-for _name, _text in TYPES.items():
-    STORE.register(get_types_from_msg(_text, _name))
+STORE_1 = get_typestore(Stores.ROS1_NOETIC)
+for _store in (STORE, STORE_1):
+    for _name, _text in TYPES.items():
+        _store.register(get_types_from_msg(_text, _name))
+STORE_1.register(
+    get_types_from_msg(
+        "geometry_msgs/TransformStamped[] transforms", "tf2_msgs/msg/TFMessage"
+    )
+)
 T = STORE.types
 STORAGE = {"mcap": StoragePlugin.MCAP, "sqlite": StoragePlugin.SQLITE3}
+ALL = [*STORAGE, "ros1"]
 
 
 def header(time: float, frame: str = "") -> object:
@@ -80,7 +89,10 @@ def sample(time: float, q: np.ndarray, points: np.ndarray) -> object:
 
 def write(
     path: str, storage: str, topics: dict[str, list[tuple[float, object]]]
-) -> None:
+) -> str:
+    """Write a bag, and tell how it is called."""
+    if storage == "ros1":
+        return write_1(f"{path}.bag", topics)
     with Writer(Path(path), version=9, storage_plugin=STORAGE[storage]) as writer:
         for topic, messages in topics.items():
             kind = messages[0][1].__msgtype__
@@ -88,6 +100,36 @@ def write(
             for time, message in messages:
                 raw = STORE.serialize_cdr(message, kind)
                 writer.write(connection, round(1e9 * time), raw)
+    return path
+
+
+def write_1(path: str, topics: dict[str, list[tuple[float, object]]]) -> str:
+    with rosbag1.Writer(path) as writer:
+        for topic, messages in topics.items():
+            kind = messages[0][1].__msgtype__
+            connection = writer.add_connection(topic, kind, typestore=STORE_1)
+            for time, message in messages:
+                raw = STORE_1.serialize_ros1(first_generation(message), kind)
+                writer.write(connection, round(1e9 * time), raw)
+    return path
+
+
+def first_generation(message: object) -> object:
+    """The same message of ROS 1, whose headers are numbered."""
+    kind = getattr(message, "__msgtype__", "")
+    if not kind:
+        several = isinstance(message, list)
+        return [first_generation(one) for one in message] if several else message
+    made = STORE_1.types[kind]
+    values = {
+        # The matrices of a camera are capitals there.
+        name: first_generation(
+            getattr(message, name, getattr(message, name.lower(), 0))
+        )
+        for name in made.__dataclass_fields__
+        if name != "__msgtype__"
+    }
+    return made(**values)
 
 
 def csv(path: str, names: list[str], log: Log) -> None:
@@ -112,7 +154,7 @@ def made():
     )
 
 
-@pytest.mark.parametrize("storage", [*STORAGE])
+@pytest.mark.parametrize("storage", ALL)
 @pytest.mark.parametrize("kind", [point, transform])
 def test_a_bag_joins_like_the_files(made, storage, kind):
     joints, readings = made
@@ -126,8 +168,8 @@ def test_a_bag_joins_like_the_files(made, storage, kind):
         (t, kind(t, p)) for t, p in zip(readings.time, readings.values, strict=True)
     ]
     topic = "/tracker" if kind is point else "/tf"
-    write("bag", storage, {"/joint_states": states, topic: points})
-    assert main(["join", "bag", "bag", "-o", "b.csv"]) == 0
+    bag = write("bag", storage, {"/joint_states": states, topic: points})
+    assert main(["join", bag, bag, "-o", "b.csv"]) == 0
     first, second = (read_measurements(f, CHAIN).only for f in ("a.csv", "b.csv"))
     assert len(first.q) == len(second.q) == 8
     assert np.allclose(first.q, second.q, rtol=0, atol=1e-9)
@@ -136,14 +178,14 @@ def test_a_bag_joins_like_the_files(made, storage, kind):
         assert np.allclose(first.sigma, second.sigma, rtol=1e-6)
 
 
-@pytest.mark.parametrize("storage", [*STORAGE])
+@pytest.mark.parametrize("storage", ALL)
 def test_calibration_data_need_no_joining(storage):
     rng = np.random.default_rng(0)
     q = CHAIN.random_configurations(6, rng)
     corners = rng.normal(size=(6, 4, 3))
     samples = [(k + 1.0, sample(k + 1.0, q[k], corners[k])) for k in range(6)]
-    write("bag", storage, {"/calibration_data": samples})
-    assert main(["join", "bag", "bag", "-o", "m.csv"]) == 0
+    bag = write("bag", storage, {"/calibration_data": samples})
+    assert main(["join", bag, bag, "-o", "m.csv"]) == 0
     data = read_measurements("m.csv", CHAIN).only
     assert np.array_equal(data.q, np.repeat(q, 4, axis=0))
     assert np.array_equal(data.values, corners.reshape(-1, 3))
@@ -159,7 +201,7 @@ def refused(words: str, said: str, capsys) -> None:
     assert sorted(map(str, Path().rglob("*"))) == before
 
 
-@pytest.mark.parametrize("storage", [*STORAGE])
+@pytest.mark.parametrize("storage", ALL)
 def test_bags_that_cannot_be_used(made, storage, capsys):
     joints, readings = made
     states = [
@@ -168,15 +210,18 @@ def test_bags_that_cannot_be_used(made, storage, capsys):
     points = [
         (t, point(t, p)) for t, p in zip(readings.time, readings.values, strict=True)
     ]
-    write("bag", storage, {"/joint_states": states, "/a": points, "/b": points})
-    refused("join bag bag -o m.csv", "has 2 topics of", capsys)
-    refused("join bag bag -o m.csv --topic /c", "has no topic '/c'", capsys)
-    refused("join bag none.mcap -o m.csv", "no such file", capsys)
-    write("points", storage, {"/a": points})
-    refused("join points points -o m.csv", "has 0 topics of JointState: none", capsys)
-    (file,) = (f for f in Path("bag").iterdir() if f.suffix in (".mcap", ".db3"))
+    bag = write("bag", storage, {"/joint_states": states, "/a": points, "/b": points})
+    join = f"join {bag} {bag} -o m.csv"
+    refused(join, "has 2 topics of", capsys)
+    refused(f"{join} --topic /c", "has no topic '/c'", capsys)
+    refused(f"join {bag} none.mcap -o m.csv", "no such file", capsys)
+    only = write("points", storage, {"/a": points})
+    refused(f"join {only} {only} -o m.csv", "has 0 topics of JointState: none", capsys)
+    file = Path(bag)
+    if file.is_dir():
+        (file,) = (f for f in file.iterdir() if f.suffix in (".mcap", ".db3"))
     file.write_bytes(file.read_bytes()[:4000])
-    refused("join bag bag -o m.csv --topic /a", "cannot be read as a bag", capsys)
+    refused(f"{join} --topic /a", "cannot be read as a bag", capsys)
 
 
 def test_without_the_extra(monkeypatch, capsys):

@@ -109,7 +109,10 @@ def stated_blocks(setup: Setup, *chains: str) -> tuple[BlockKey, ...]:
 
 
 def open_chains(
-    robot: str, setup: Setup, measured: Sequence[BlockKey] | str | None = None
+    robot: str,
+    setup: Setup,
+    measured: Sequence[BlockKey] | str | None = None,
+    package_dirs: Sequence[Path] | None = None,
 ) -> Chains:
     """The chains of a robot by the setup.
 
@@ -118,11 +121,15 @@ def open_chains(
         setup: The setup.
         measured: What is measured, or the name of the only chain; default what the
             measurements will name.
+        package_dirs: Folders of the packages that the robot names.
 
     Raises:
+        OptionError: If one of the folders is not there.
         RobotError: If the robot, a link or a chain cannot be used.
     """
     from calib_pin.io.urdf import load_chains
+
+    require_folders(package_dirs or [])
 
     if robot.endswith(".json"):
         raise RobotError(
@@ -139,7 +146,12 @@ def open_chains(
         # A tip that is stated has to be there, whatever else is measured.
         names = () if setup.tip is None else ("",)
     return load_chains(
-        robot, base=setup.base, tip=setup.tip, stated=setup.chains, names=names
+        robot,
+        base=setup.base,
+        tip=setup.tip,
+        stated=setup.chains,
+        names=names,
+        package_dirs=package_dirs or (),
     )
 
 

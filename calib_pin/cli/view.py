@@ -52,12 +52,7 @@ def view(
     once: Annotated[
         bool, window_option("--once", "Stop when the last window is closed.")
     ] = False,
-    package_dir: Annotated[
-        list[Path] | None,
-        window_option(
-            "--package-dir DIR", "Folder of the packages of meshes; may be repeated."
-        ),
-    ] = None,
+    package_dir: options.PackageDirs = None,
     setup: options.SetupFile = None,
     model: options.Model = None,
     base: options.Base = None,
@@ -137,8 +132,8 @@ def _open(
         if chain is not None:
             require_known("chain", chain, model.measured_chains)
     elif reading is not None or plan is not None or setup.base or setup.tip or chain:
-        chains = open_chains(name, setup, chain)
-    robot = load_robot(name) if chains is None else chains.robot
+        chains = open_chains(name, setup, chain, package_dirs)
+    robot = load_robot(name, package_dirs) if chains is None else chains.robot
     with progress_bar() as bar:
         if chains is not None and reading is not None:
             chains, rows = _rows(model, chains, reading, setup, bar)

@@ -17,6 +17,7 @@ from calib_pin.errors import (
 )
 
 if TYPE_CHECKING:
+    from calib_pin.kinematics.chain import Robot
     from calib_pin.kinematics.chains import Chains
     from calib_pin.observations import BlockKey, Observations
     from calib_pin.setup import JointMap, Setup
@@ -145,7 +146,7 @@ def open_chains(
     else:
         # A tip that is stated has to be there, whatever else is measured.
         names = () if setup.tip is None else ("",)
-    return load_chains(
+    chains = load_chains(
         robot,
         base=setup.base,
         tip=setup.tip,
@@ -153,6 +154,14 @@ def open_chains(
         names=names,
         package_dirs=package_dirs or (),
     )
+    tell_remarks(chains.robot)
+    return chains
+
+
+def tell_remarks(robot: Robot) -> None:
+    """Tell what is other than in the file of a robot."""
+    for remark in robot.remarks:
+        notice(f"{robot.file}: {remark}")
 
 
 def tell_limits(chains: Chains) -> None:

@@ -18,6 +18,7 @@ from calib_pin.cli.files import (
     require_distinct,
     require_file,
     require_folders,
+    tell_remarks,
 )
 from calib_pin.cli.printing import Bar, notice, progress_bar, stage, tell_notices
 from calib_pin.errors import OptionError, require_known
@@ -133,7 +134,11 @@ def _open(
             require_known("chain", chain, model.measured_chains)
     elif reading is not None or plan is not None or setup.base or setup.tip or chain:
         chains = open_chains(name, setup, chain, package_dirs)
-    robot = load_robot(name, package_dirs) if chains is None else chains.robot
+    if chains is None:
+        robot = load_robot(name, package_dirs)
+        tell_remarks(robot)
+    else:
+        robot = chains.robot
     with progress_bar() as bar:
         if chains is not None and reading is not None:
             chains, rows = _rows(model, chains, reading, setup, bar)

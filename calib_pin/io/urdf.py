@@ -11,7 +11,8 @@ import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
 from calib_pin.io.files import TEXT, read_bytes
-from calib_pin.io.urdf_bytes import edit_origins
+from calib_pin.io.straightening import straightened
+from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
 from calib_pin.io.xacro_files import expand_xacro, is_xacro, split_arguments
 from calib_pin.kinematics.chain import Chain, Robot
@@ -153,7 +154,8 @@ def load_robot(
             of ROS and the folders above the file.
 
     Returns:
-        The robot, checked.
+        The robot, checked, and straightened where it needs that, see
+        `io.straightening`; then its `remarks` say so.
 
     Raises:
         OptionError: If the extra for xacro is missing, or another file has arguments.
@@ -180,7 +182,7 @@ def load_robot(
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
     if is_xacro(path):
         source = expand_xacro(path, arguments, package_dirs)
-    return parse_robot(source, name)
+    return straightened(parse_robot(source, name))
 
 
 def corrected_urdf(

@@ -44,9 +44,8 @@ def test_the_result_is_that_of_its_urdf(described, run):
     assert np.allclose(found.theta, plain.theta, rtol=0, atol=1e-12)
     document = json.loads(Path("out/calibration.json").read_text())
     assert document["robot"]["file"] == "arm.urdf.xacro reach:=0.5"
-    assert document["provenance"]["command"][1:] == ["calibrate", *words.split()] + [
-        *("-o", "out")
-    ]
+    command = ["calibrate", *words.split(), "-o", "out"]
+    assert document["provenance"]["command"][1:] == command
     assert b"xacro" not in Path("out/nominal.urdf").read_bytes()
     assert found.chains.robot.file == "arm.urdf.xacro reach:=0.5"
     for name in ("arm.urdf.xacro", "stack/parts/limits.xacro"):

@@ -67,15 +67,15 @@ def straightened(robot: Robot) -> Robot:
         return robot
     source = move_origins(document, _moved(document, slides))
     links = {_link(joints[name], "child"): slide for name, slide in slides.items()}
-    names = ", ".join(f"'{name}'" for name in slides)
+    names = enumerated(f"'{name}'" for name in slides)
     result = replace(
         parse_robot(source, robot.file),
         remarks=(
             *robot.remarks,
             f"offsets of up to {_longest(document, joints, slides):.3g} m along "
-            f"parallel axes cancel: straightened, by moving the frames of joints "
-            f"{enumerated(names.split(', '))} along their axes; the forward kinematics "
-            "are the same, and the corrected URDF has these frames",
+            f"parallel axes cancel: straightened, by moving the frames of joints {names} "
+            "along their axes; the forward kinematics are the same, and the corrected "
+            "URDF has these frames",
         ),
     )
     _require_same(robot, result, links)

@@ -73,9 +73,9 @@ def straightened(robot: Robot) -> Robot:
         remarks=(
             *robot.remarks,
             f"offsets of up to {_longest(document, joints, slides):.3g} m along "
-            f"parallel axes cancel: straightened, by moving the frames of joints {names} "
-            "along their axes; the forward kinematics are the same, and the corrected "
-            "URDF has these frames",
+            "parallel axes cancel: straightened, by moving the frames of joints "
+            f"{names} along their axes; the forward kinematics are the same, and the "
+            "corrected URDF has these frames",
         ),
     )
     _require_same(robot, result, links)

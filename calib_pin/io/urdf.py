@@ -5,12 +5,14 @@ from __future__ import annotations
 import importlib.metadata
 from collections import Counter
 from collections.abc import Callable, Mapping, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 import pinocchio as pin
 
 from calib_pin.errors import InputError, OptionError, OutputError, RobotError, nearest
 from calib_pin.io.files import TEXT, read_bytes
+from calib_pin.io.mjcf_files import urdf_of
 from calib_pin.io.straightening import straightened
 from calib_pin.io.urdf_origins import edit_origins
 from calib_pin.io.urdf_tree import parse_robot
@@ -147,9 +149,10 @@ def load_robot(
     """Load a robot.
 
     Args:
-        name_or_path: Path of a URDF, else the name of a bundled robot, else
-            `example:` and the file name of a robot of example-robot-data. Behind the
-            path of a xacro file may stand its arguments, `arm.xacro size:=10`.
+        name_or_path: Path of a URDF, a xacro file or one of MuJoCo, else the name of a
+            bundled robot, else `example:` and the file name of a robot of
+            example-robot-data. Behind the path of a xacro file may stand its arguments,
+            `arm.xacro size:=10`.
         package_dirs: Folders of the packages that a xacro file names; then come those
             of ROS and the folders above the file.
 
@@ -182,7 +185,8 @@ def load_robot(
         raise RobotError(reason, file=name or ".", allowed=allowed) from error
     if is_xacro(path):
         source = expand_xacro(path, arguments, package_dirs)
-    return straightened(parse_robot(source, name))
+    source, remarks = urdf_of(source, path, name)
+    return straightened(replace(parse_robot(source, name), remarks=remarks))
 
 
 def corrected_urdf(
